@@ -1,7 +1,7 @@
-"""The synthetic world with its truth.
+"""Synthetic world with its truth.
 
 Whole interventions (`phantom_scenario`, `surface_scenario`) and image pairs (`image_pair`), and their parts,
-each of use alone: a beating heart, its MR and ultrasound, signals, calibration phantoms, an operator's hands.
+each usable alone: a beating heart, its MR and ultrasound, signals, calibration phantoms, an operator's hands.
 """
 
 from .cine_heart.anatomy import LV_LABEL as LV_LABEL

@@ -6,7 +6,7 @@ import numpy as np
 
 
 def child_rng(seed: int, name: str) -> np.random.Generator:
-    """The generator of stream `name` under `seed`.
+    """Create the generator of stream `name` under `seed`.
 
     The name, not the order of use, selects the stream: adding one stream never changes another.
     """
@@ -14,5 +14,5 @@ def child_rng(seed: int, name: str) -> np.random.Generator:
 
 
 def child_seed(seed: int, name: str) -> int:
-    """A non-negative 31-bit integer seed of stream `name`, for interfaces that take a number."""
+    """Derive a non-negative 31-bit seed of stream `name`, for interfaces that take a number."""
     return int(child_rng(seed, name).integers(0, 2**31 - 1))

@@ -1,7 +1,7 @@
-"""The threads of the synthetic world: each pool is made, used up and closed here.
+"""Threads of the synthetic world: each pool is created, used and closed here.
 
-Work is split the same way whatever the number of threads, and NumPy and the kernels release the interpreter:
-the result never depends on how many there are.
+Work is split in the same way for any number of threads, and NumPy and the kernels release the interpreter:
+the result never depends on the number of threads.
 """
 
 from collections import deque
@@ -12,7 +12,7 @@ from typing import TypeVar
 from numba import config
 
 THREADS = min(2, int(config.NUMBA_NUM_THREADS))
-"""What is used where the caller does not say: one where NUMBA_NUM_THREADS is 1, as beside other processes."""
+"""Default number of threads; one if NUMBA_NUM_THREADS is 1, as in parallel processes."""
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -21,11 +21,11 @@ Result = TypeVar("Result")
 def in_order(
     work: Callable[[Item], Result], items: Iterable[Item], threads: int = THREADS
 ) -> Iterator[Result]:
-    """Results of `work` in the order of `items`, each as soon as it and those before it are there."""
+    """Yield results of `work` in the order of `items`, each as soon as it and those before it are done."""
     with ThreadPoolExecutor(max(1, threads)) as pool:
         yield from pool.map(work, items)
 
 
 def for_each(work: Callable[[Item], object], items: Iterable[Item], threads: int = THREADS) -> None:
-    """Do `work` on every item; returns when all is done, and raises what the first failure raised."""
+    """Do `work` on every item; return when all is done, or raise the first failure's error."""
     deque(in_order(work, items, threads), maxlen=0)

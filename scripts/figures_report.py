@@ -99,7 +99,7 @@ def _arguments() -> argparse.Namespace:
 
 
 def _figures(surface: BeatingSurface, fit: SurfaceFit, tracks: list[StylusRun]) -> list[PaperFigure]:
-    """In the order of the paper."""
+    """Draw the figures in the order of the paper."""
     model, cycle_s = surface.model, surface.model.timing.rr_s
     forbidden, guidance = Evaluator(model, FORBIDDEN), Evaluator(model, GUIDANCE)
     drawn = {
@@ -153,7 +153,7 @@ def _tracking(tracks: list[StylusRun]) -> list[Row]:
 
 
 def _speed(surface: BeatingSurface) -> list[Row]:
-    """Time of one call from Python and of a point in a batch, along a path near the surface."""
+    """Time one call from Python and a point in a batch, along a path near the surface."""
     rng = np.random.default_rng(0)
     steps = rng.normal(scale=0.03, size=(TIMED_POINTS, 3))
     points = surface.starts_mm[0] + np.cumsum(steps, axis=0).clip(-6, 6)

@@ -1,7 +1,7 @@
-"""Command lines with damaged words: each ends with a documented code and one sentence, and leaves no rest.
+"""Command lines with damaged words: each must end with a documented code and one sentence, without leftovers.
 
-A child process runs one line after another; its parent ends it where it hangs. A line that is valid and takes
-long is interrupted as by Ctrl-C: then, too, nothing half-written may stay.
+A child process runs one line after another; its parent ends it if it hangs. A valid line that takes long is
+interrupted as by Ctrl-C, which must not leave anything half-written either.
 """
 
 import json
@@ -52,7 +52,7 @@ plus:s/scenario/ultrasound.igs.mha#None|s/volume.nii@|s/volume.nii@nan|s/volume.
 %s%n|'|"|*|~|$HOME|None|x=y|=|,|:|;
 """.replace("\n", "|")
 CONTROL = ("a\0b", "a\nb", "a\rb", "\x1b[31m", "\u202e", "\ud83c", "\udcff", "a\udcfe.json")
-"""Also those that are no UTF-8."""
+"""Control characters, including invalid UTF-8."""
 SECONDS = 4.0
 HANG_S = 60.0
 MEMORY_BYTES = 6 << 30
@@ -61,40 +61,42 @@ LEFT = re.compile(r"\.[0-9a-f]{8}(\.|$)")
 
 
 class TookLong(KeyboardInterrupt):
-    """The time of a line is over."""
+    """Interruption of a line that exceeds its time."""
 
 
 def commands() -> dict[str, list[str]]:
-    """Every command with its options, as the program itself declares them."""
+    """List every command with its options, as the program declares them."""
     import click
     import typer
 
     from dvf_ig.cli.main import app
 
-    found: dict[str, list[str]] = {}
+    options: dict[str, list[str]] = {}
 
     def walk(name: str, one: Any) -> None:
         if isinstance(one, click.Group):
             for part, below in one.commands.items():
                 walk(f"{name} {part}".strip(), below)
         else:
-            found[name] = sorted(
+            options[name] = sorted(
                 text for p in one.params if isinstance(p, click.Option) for text in p.opts if p.name != "help"
             )
 
     walk("", typer.main.get_command(app))
-    return found
+    return options
 
 
-def line(number: int, seed: int, known: dict[str, list[str]]) -> list[str]:
-    """The words of one command line: a whole one with one to three changes."""
+def line(number: int, seed: int, commands_and_options: dict[str, list[str]]) -> list[str]:
+    """Draw the words of one command line: a valid one with one to three changes."""
     rng = random.Random(f"{seed} line {number}")
     bases = [text for text in BASES.split("|") if text] + [
-        f"{n} --seeds 1" for n in known if n.startswith("study")
+        f"{n} --seeds 1" for n in commands_and_options if n.startswith("study")
     ]
     words = rng.choice(bases).split(" ")
-    name = next(n for n in sorted(known, key=len, reverse=True) if words[: len(n.split())] == n.split())
-    first, options = len(name.split()), [*known[name], "--no-such"]
+    name = next(
+        n for n in sorted(commands_and_options, key=len, reverse=True) if words[: len(n.split())] == n.split()
+    )
+    first, options = len(name.split()), [*commands_and_options[name], "--no-such"]
     values = (*HOSTILE.split("|"), *CONTROL, *" ".join(NUMBERS).split(" "), "x" * 300, "x" * 5000)
     for _ in range(rng.choice((1, 1, 1, 2, 3))):
         at, way = rng.randrange(first, len(words) + 1), rng.randrange(6)
@@ -113,7 +115,7 @@ def line(number: int, seed: int, known: dict[str, list[str]]) -> list[str]:
 
 
 def outcome(words: list[str]) -> str | None:
-    """What is wrong with how a command line ends; None where nothing is."""
+    """Run a command line and describe what is wrong with its end; None if nothing is."""
     from typer.testing import CliRunner
 
     from dvf_ig.cli.main import app
@@ -127,43 +129,43 @@ def outcome(words: list[str]) -> str | None:
     signal.signal(signal.SIGALRM, too_long)
     signal.setitimer(signal.ITIMER_REAL, SECONDS)
     try:
-        done = CliRunner().invoke(app, words)
+        result = CliRunner().invoke(app, words)
     except TookLong:
-        done = None
+        result = None
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
     left = [str(p) for p in Path().rglob("*") if LEFT.match(p.name)]
     if left:
         return f"left {left[0]} behind"
-    if done is None or fired:  # compilers put an interruption into an error of their own
+    if result is None or fired:  # compilers put an interruption into an error of their own
         return None
-    if done.exception is not None and not isinstance(done.exception, SystemExit):
-        where = [f for f in traceback.extract_tb(done.exception.__traceback__) if "dvf_ig" in f.filename]
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        where = [f for f in traceback.extract_tb(result.exception.__traceback__) if "dvf_ig" in f.filename]
         place = f" in {Path(where[-1].filename).name}:{where[-1].name}" if where else ""
-        return f"{type(done.exception).__name__}{place}: {str(done.exception)[:80]!r}"
-    if done.exit_code not in CODES:
-        return f"exit code {done.exit_code}"
-    return _wrong_words(words, done)
+        return f"{type(result.exception).__name__}{place}: {str(result.exception)[:80]!r}"
+    if result.exit_code not in CODES:
+        return f"exit code {result.exit_code}"
+    return _wrong_words(words, result)
 
 
-def _wrong_words(words: list[str], done: Any) -> str | None:
-    """What is wrong with what was printed, and with what was written although it failed."""
-    if "Traceback" in done.output:
+def _wrong_words(words: list[str], result: Any) -> str | None:
+    """Describe what is wrong with the output, and with files written despite a failure."""
+    if "Traceback" in result.output:
         return "a traceback is printed"
-    if done.exit_code in (3, 4, 5, 6, 7) and "config" not in words:  # which lists all that is wrong
-        lines = [text for text in done.stderr.split("\n") if text.strip()]
-        told = [text for text in lines if text.startswith("error: ")]
+    if result.exit_code in (3, 4, 5, 6, 7) and "config" not in words:  # which lists all that is wrong
+        lines = [text for text in result.stderr.split("\n") if text.strip()]
+        errors = [text for text in lines if text.startswith("error: ")]
         others = [text for text in lines if not text.startswith(("error: ", "note: ", "wrote "))]
-        if len(told) != 1 or others:
-            return f"exit code {done.exit_code} with {len(told)} sentences and {len(others)} other lines"
+        if len(errors) != 1 or others:
+            return f"exit code {result.exit_code} with {len(errors)} sentences and {len(others)} other lines"
     new = sorted(path.name for path in Path().iterdir() if path.name != "s")
-    if done.exit_code in (2, 3, 4, 5) and new:
-        return f"exit code {done.exit_code}, and yet {new[0][:20]!r} was written"
+    if result.exit_code in (2, 3, 4, 5) and new:
+        return f"exit code {result.exit_code}, and yet {new[0][:20]!r} was written"
     return None
 
 
 def child(seed: int, first: int, count: int, seeds: Path) -> None:
-    """Run lines in folders of their own."""
+    """Run each line in its own folder."""
     import dvf_ig.cli.main
 
     assert dvf_ig.cli.main.app
@@ -171,24 +173,24 @@ def child(seed: int, first: int, count: int, seeds: Path) -> None:
     resource.setrlimit(resource.RLIMIT_DATA, (MEMORY_BYTES, MEMORY_BYTES))
     resource.setrlimit(resource.RLIMIT_FSIZE, (1 << 28, 1 << 28))
     signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-    known = commands()
+    declared = commands()
     for number in range(first, first + count):
         place = seeds.parent / "work"
         place.mkdir()
         (place / "s").symlink_to(seeds)
         os.chdir(place)
-        words = line(number, seed, known)
+        words = line(number, seed, declared)
         print(f"begin {number}", flush=True)
-        found = outcome(words)
+        finding = outcome(words)
         os.chdir(seeds.parent)
         shutil.rmtree(place)
-        if found:
-            print(f"found {number} {json.dumps([found, words])}", flush=True)
+        if finding:
+            print(f"found {number} {json.dumps([finding, words])}", flush=True)
     print("end", flush=True)
 
 
 def fuzz_cli(count: int, seed: int, first: int = 0) -> int:
-    """Run command lines; how many kinds of findings there were."""
+    """Run command lines and return the number of kinds of findings."""
     kinds: dict[str, list[str]] = {}
     last = first + count
     while first < last:
@@ -206,11 +208,11 @@ def fuzz_cli(count: int, seed: int, first: int = 0) -> int:
     return len(kinds)
 
 
-def _note(kinds: dict[str, list[str]], number: str, found: str, words: list[str]) -> None:
-    kind = re.sub(r"\d+|'.*'", "#", found)
+def _note(kinds: dict[str, list[str]], number: str, finding: str, words: list[str]) -> None:
+    kind = re.sub(r"\d+|'.*'", "#", finding)
     if kind not in kinds:
         kinds[kind] = words
-        print(f"{number}: {found}: {[word[:40] for word in words]!r}", flush=True)
+        print(f"{number}: {finding}: {[word[:40] for word in words]!r}", flush=True)
 
 
 def _batch(seed: int, first: int, count: int) -> tuple[list[str], int]:

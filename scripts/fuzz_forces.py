@@ -1,4 +1,4 @@
-"""Forces at random and at hostile places, phases, laws and session inputs: what must hold of every one.
+"""Forces at random and hostile positions, phases, laws and session inputs, with the rules for all of them.
 
 A force is finite and within its cap; an input that is not a number gives none, and FAULT; from tick to tick a
 force changes by no more than the device's slew, unless it fades, and then it does not grow.
@@ -74,7 +74,7 @@ MODEL = ball_model()
 
 
 def numbers(rng: np.random.Generator, shape: tuple[int, ...], spread: float, hostile: float) -> FloatArray:
-    """Normal numbers, a share of which are hostile ones."""
+    """Draw normal numbers, a share of which are hostile ones."""
     values = rng.normal(0.0, spread, shape)
     chosen = rng.random(shape) < hostile
     values[chosen] = rng.choice(HOSTILE, int(chosen.sum()))
@@ -94,7 +94,7 @@ def pose(rng: np.random.Generator, source: str) -> Rigid:
 
 
 def transform(rng: np.random.Generator) -> PoseAndPhase:
-    """Pose and phase as functions of time, each of which may be unknown from some moment on."""
+    """Draw pose and phase as functions of time, each of which may be unknown from some time on."""
     start, end = pose(rng, "tracker"), pose(rng, "tracker")
     motion = PoseMotion.towards(start, end, float(rng.uniform(0.0, 0.2)), np.zeros(3))
     clock = PhaseForecast(
@@ -122,15 +122,15 @@ def longest(forces_n: FloatArray) -> FloatArray:
 
 
 def wrong_with(
-    forces_n: FloatArray, cap_n: float, finite: Any, status: Any, known: Any, where: str
+    forces_n: FloatArray, cap_n: float, finite: Any, status: Any, ok: Any, where: str
 ) -> Iterator[Finding]:
-    """What must not be of (n, 3) forces: of `finite` inputs, `status` found, `known` where it was OK."""
+    """Report violations in (n, 3) forces, from `finite` inputs, their `status`, and `ok` input status."""
     if not np.isfinite(forces_n).all():
         yield f"{where}: a force that is not finite"
         return
     if (length := float(longest(forces_n).max(initial=0.0))) > cap_n * (1.0 + ROUNDING):
         yield f"{where}: a force {length / cap_n - 1.0:g} beyond its cap"
-    faulty = ~finite & known
+    faulty = ~finite & ok
     if forces_n[faulty].any():
         yield f"{where}: a force for an input that is not finite"
     if (status[faulty] != Status.FAULT).any():
@@ -138,35 +138,35 @@ def wrong_with(
 
 
 def evaluate_batch(rng: np.random.Generator) -> Iterator[Finding]:
-    """Points of a model, through a pose, at phases."""
+    """Evaluate points of a model, through a pose, at phases."""
     blend = BLENDS[rng.integers(3)]
     evaluator = Evaluator(MODEL, law(rng), blend=blend, device=STIFF)
     hostile = float(rng.choice([0.0, 0.01, 0.2]))
     xyz = numbers(rng, (POINTS, 3), 18.0, hostile)
     phase = numbers(rng, (POINTS,), 1.0, hostile)
-    given = np.where(rng.random(POINTS) < 0.9, 0, rng.integers(0, 7, POINTS))
-    found = evaluator.force_through(pose(rng, "tracker"), xyz, phase, given)
+    status = np.where(rng.random(POINTS) < 0.9, 0, rng.integers(0, 7, POINTS))
+    forces = evaluator.force_through(pose(rng, "tracker"), xyz, phase, status)
     finite = np.isfinite(xyz).all(axis=1) & np.isfinite(phase)
     yield from wrong_with(
-        found.force_n, evaluator.law.cap_n, finite, found.status, given == Status.OK, f"evaluator {blend}"
+        forces.force_n, evaluator.law.cap_n, finite, forces.status, status == Status.OK, f"evaluator {blend}"
     )
 
 
 def guide_batch(rng: np.random.Generator) -> Iterator[Finding]:
-    """Tool tips of a tracker at times, through pose and phase."""
+    """Evaluate tool tips of a tracker at times, through pose and phase."""
     evaluator = Evaluator(MODEL, law(rng), blend=BLENDS[rng.integers(3)], device=STIFF)
     hostile = float(rng.choice([0.0, 0.01, 0.2]))
     tip, t_s = numbers(rng, (POINTS, 3), 18.0, hostile), numbers(rng, (POINTS,), 3.0, hostile)
-    given = np.where(rng.random(POINTS) < 0.9, 0, rng.integers(0, 6, POINTS))
-    found = transform(rng).evaluate(evaluator, tip, t_s, given)
+    status = np.where(rng.random(POINTS) < 0.9, 0, rng.integers(0, 6, POINTS))
+    forces = transform(rng).evaluate(evaluator, tip, t_s, status)
     finite = np.isfinite(tip).all(axis=1) & np.isfinite(t_s)
     yield from wrong_with(
-        found.force_n, evaluator.law.cap_n, finite, found.status, given == Status.OK, "pose and phase"
+        forces.force_n, evaluator.law.cap_n, finite, forces.status, status == Status.OK, "pose and phase"
     )
 
 
 def compose_batch(rng: np.random.Generator) -> Iterator[Finding]:
-    """Forces of up to eight fixtures into one, and what was rejected."""
+    """Compose forces of up to eight fixtures, and check the rejected part."""
     for _ in range(POINTS // 4):
         caps = 10 ** rng.uniform(-9, 1.3, int(rng.integers(1, 9)))
         parts = []
@@ -184,9 +184,9 @@ def compose_batch(rng: np.random.Generator) -> Iterator[Finding]:
 
 
 class Corrupted:
-    """What a session publishes with some of its numbers damaged on the way.
+    """Inputs that a session publishes, with some of their numbers damaged on the way.
 
-    Left whole are its codes and where the device stands: integers, and a `Rigid`, which is checked when made.
+    Codes and the device's pose stay intact: integers, and a `Rigid`, which is checked at construction.
     """
 
     def __init__(self, inputs: ServoInputs, rng: np.random.Generator, places: int) -> None:
@@ -206,7 +206,7 @@ class Corrupted:
 
 
 def servo_batch(rng: np.random.Generator) -> Iterator[Finding]:
-    """The servo with a session that changes its mind, a tool that jumps and damaged numbers."""
+    """Run the servo with changing session inputs, a jumping tool and damaged numbers."""
     parts = tuple(
         FixtureOptions(law(rng), BLENDS[rng.integers(3)], name=str(i)) for i in range(rng.integers(1, 5))
     )
@@ -257,10 +257,10 @@ def _wrong_with_record(
 ) -> Iterator[Finding]:
     kind = "servo with damaged inputs" if damaged else "servo"
     sent = np.concatenate([before[None], record.sent_n])
-    known = ~np.isin(record.status, [Status.STALE_TOOL])
-    yield from wrong_with(record.sent_n, cap_n, np.ones(len(record), bool), record.status, known, kind)
+    tracked = ~np.isin(record.status, [Status.STALE_TOOL])
+    yield from wrong_with(record.sent_n, cap_n, np.ones(len(record), bool), record.status, tracked, kind)
     if not damaged:
-        yield from wrong_with(record.wanted_n, cap_n, ~hit, record.status, known, f"{kind}, wanted")
+        yield from wrong_with(record.wanted_n, cap_n, ~hit, record.status, tracked, f"{kind}, wanted")
     step, length = longest(np.diff(sent, axis=0)), longest(sent)
     fading = (record.state == SupervisorState.FADE) | (record.state == SupervisorState.LATCHED)
     if (step[~fading] > slew_n * (1.0 + 1e-6)).any():
@@ -278,24 +278,24 @@ BATCHES: tuple[tuple[Callable[[np.random.Generator], Iterator[Finding]], int], .
 
 
 def fuzz_forces(cases: int, seed: int) -> int:
-    """Run at least so many cases; how many kinds of findings there were, each told with its batch."""
-    done: dict[str, int] = {}
+    """Run at least `cases` cases, print each kind of finding with its batch, and return their number."""
+    counts: dict[str, int] = {}
     kinds: set[str] = set()
     number = 0
-    while sum(done.values()) < cases:
+    while sum(counts.values()) < cases:
         batch, size = BATCHES[number % len(BATCHES)]
         rng = np.random.default_rng([seed, number])
         try:
-            found = list(batch(rng))
-        except InvalidInputError as error:  # a law that the device cannot render, or a wall felt too far out
-            found = [] if "stiff" in str(error) or "felt" in str(error) else [f"refused: {error}"]
+            findings = list(batch(rng))
+        except InvalidInputError as error:  # a law beyond the device, or a wall that reaches too far
+            findings = [] if "stiff" in str(error) or "felt" in str(error) else [f"refused: {error}"]
             size = 0
-        done[batch.__name__] = done.get(batch.__name__, 0) + size
-        for what in found:
+        counts[batch.__name__] = counts.get(batch.__name__, 0) + size
+        for what in findings:
             kind = re.sub(r"[-+.e0-9]{2,}", "#", what)
             if kind not in kinds:
                 kinds.add(kind)
                 print(f"batch {number} of seed {seed}: {what}", flush=True)
         number += 1
-    print(f"{sum(done.values())} forces: {done}; {len(kinds)} kinds of findings")
+    print(f"{sum(counts.values())} forces: {counts}; {len(kinds)} kinds of findings")
     return len(kinds)

@@ -1,8 +1,8 @@
-"""Commands that are killed, or interrupted, at random moments while they write: their output is old or new.
+"""Commands killed or interrupted at random times while they write: their output must be old or new.
 
-A command runs up to the moment at which it first makes a temporary file or folder: until then, nothing of its
-output is touched. There it is forked, again and again, and each child is ended at a random moment of the time
-that it takes to the end; then the output is looked at as the next command would see it, and put back.
+A command runs up to the time at which it first makes a temporary file or folder; until then nothing of its
+output is touched. There it is forked repeatedly, and each child is ended at a random time until its end; then
+the output is examined as the next command would see it, and restored.
 """
 
 import json
@@ -38,12 +38,12 @@ WRITERS = {
     "replay": "replay {scene} -o o/run",
     "study": "study calibration --kind watertank --seeds 1 --workers 1 -o o/study",
 }
-"""Each writes below the folder "o"."""
+"""Command lines, each of which writes below the folder "o"."""
 State = dict[str, tuple[int, int, int]]
 
 
 def fuzz_kill(trials: int, seed: int, chosen: list[str]) -> int:
-    """Findings over all writing commands; a line for each of them is printed."""
+    """Count findings over all writing commands and print a line for each of them."""
     bad = 0
     with tempfile.TemporaryDirectory() as scratch:
         os.chdir(scratch)
@@ -57,16 +57,16 @@ def fuzz_kill(trials: int, seed: int, chosen: list[str]) -> int:
                 os.close(read_end)
                 _trials(name, scene.resolve(), trials, seed, write_end)
             os.close(write_end)
-            told = os.fdopen(read_end).read()
+            answer = os.fdopen(read_end).read()
             os.waitpid(pid, 0)
-            found = json.loads(told) if told else {"failed": 1}
-            print(f"{name}: {found}", flush=True)
-            bad += found.get("mixed", 0) + found.get("damaged", 0) + found.get("failed", 0)
+            counts = json.loads(answer) if answer else {"failed": 1}
+            print(f"{name}: {counts}", flush=True)
+            bad += counts.get("mixed", 0) + counts.get("damaged", 0) + counts.get("failed", 0)
     return bad
 
 
 def _run(words: str, log: Path) -> int:
-    """A command in this process; its exit code."""
+    """Run a command in this process and return its exit code."""
     from dvf_ig.cli.main import app
 
     with log.open("w") as stream, redirect_stdout(stream), redirect_stderr(stream):
@@ -78,7 +78,7 @@ def _run(words: str, log: Path) -> int:
 
 
 def _trials(name: str, scene: Path, trials: int, seed: int, answer: int) -> None:
-    """The old output, then the command up to where it writes, and from there the trials; never returns."""
+    """Write the old output, run the command until it writes, and then the trials; never returns."""
     try:
         for folder in ("o", "kept"):
             shutil.rmtree(folder, ignore_errors=True)
@@ -101,19 +101,19 @@ def _trials(name: str, scene: Path, trials: int, seed: int, answer: int) -> None
         os._exit(_run(words.format(n=102, scene=scene), Path("new.log")))
     except (OSError, RuntimeError) as error:
         os.write(answer, json.dumps({"failed": 1, "why": str(error)}).encode())
-    finally:  # also a child that is interrupted: what comes after is the parent's
+    finally:  # a child that is interrupted also ends here: the rest belongs to the parent
         os._exit(1)
 
 
 def _forked(trials: int, rng: random.Random, answer: int) -> bool:
-    """True in a child, which goes on; its parent ends each and tells what was found."""
+    """Return True in a child, which continues; the parent ends each child and reports the findings."""
     shutil.copytree("o", "kept")
     old, began = _state(), time.monotonic()
     if not (pid := os.fork()):
         return True
     os.waitpid(pid, 0)
     lasts_s, new = time.monotonic() - began, set(_state())
-    found = {"kills": 0, "old": 0, "new": 0, "refused by readers": 0, "mixed": 0, "damaged": 0}
+    counts = {"kills": 0, "old": 0, "new": 0, "refused by readers": 0, "mixed": 0, "damaged": 0}
     for number in range(trials):
         old = _put_back()
         if not (pid := os.fork()):
@@ -123,17 +123,17 @@ def _forked(trials: int, rng: random.Random, answer: int) -> bool:
         with suppress(OSError):
             os.setpgid(pid, pid)
         lasts_s = _end(pid, signal.SIGINT if number % 2 else signal.SIGKILL, rng, lasts_s)
-        found["kills"] += 1
-        _judge(old, new, found)
-    os.write(answer, json.dumps({**found, "writing lasts s": round(lasts_s, 2)}).encode())
+        counts["kills"] += 1
+        _judge(old, new, counts)
+    os.write(answer, json.dumps({**counts, "writing lasts s": round(lasts_s, 2)}).encode())
     return False
 
 
 def _end(pid: int, kind: signal.Signals, rng: random.Random, lasts_s: float) -> float:
-    """End a child: at any moment, or, every other time, soon after its files begin to take their places.
+    """End a child at any time or, every other time, soon after its files begin to be moved into place.
 
     Returns:
-        how long a child takes, which is less where this one ended by itself before.
+        duration of a child, reduced if this one ended by itself before.
     """
     began, anyhow = time.monotonic(), rng.random() < 0.5
     until = began + (rng.uniform(0.0, 1.05 * lasts_s) if anyhow else 2.0 * lasts_s + 1.0)
@@ -159,29 +159,29 @@ def _swapping() -> bool:
     return any(read_listing(Path(folder)).unfinished for folder, _, _ in os.walk("o"))
 
 
-def _judge(old: State, new: set[str], found: dict[str, int]) -> None:
-    """Count the output as old or new, or as both where every reader refuses it."""
+def _judge(old: State, new: set[str], counts: dict[str, int]) -> None:
+    """Count the output as old, new, mixed, or refused by every reader."""
     if _swapping():
-        found["refused by readers"] += 1
+        counts["refused by readers"] += 1
         return
     now = _state()
     if now == old:
-        found["old"] += 1
+        counts["old"] += 1
     elif set(now) == new and not set(now.values()) & set(old.values()):
-        found["new"] += 1
-        found["damaged"] += not all(_whole(Path(name)) for name in now)
+        counts["new"] += 1
+        counts["damaged"] += not all(_whole(Path(name)) for name in now)
     else:
-        found["mixed"] += 1
+        counts["mixed"] += 1
 
 
 def _state() -> State:
-    """Every file of the output and which it is; temporary ones are no output."""
-    found: State = {}
+    """Identify every file of the output except temporary ones."""
+    files: State = {}
     for path in sorted(Path("o").rglob("*")):
         if path.is_file() and path.name != LISTING and not any(map(TEMPORARY.fullmatch, path.parts)):
             at = path.stat()
-            found[str(path)] = (at.st_ino, at.st_mtime_ns, at.st_size)
-    return found
+            files[str(path)] = (at.st_ino, at.st_mtime_ns, at.st_size)
+    return files
 
 
 def _put_back() -> State:
@@ -191,7 +191,7 @@ def _put_back() -> State:
 
 
 def _whole(path: Path) -> bool:
-    """Whether a file ends as its kind does."""
+    """Return whether a file is complete for its kind."""
     checks: dict[str, Callable[[bytes], bool]] = {
         ".json": lambda data: isinstance(json.loads(data), dict | list),
         ".png": lambda data: data.rstrip(b"\0").endswith(b"IEND\xaeB`\x82"),

@@ -1,8 +1,8 @@
-"""`dvf-ig serve` under live faults: it ends in a stated state without force, whatever goes wrong.
+"""`dvf-ig serve` under live faults: it must end in a stated state without force, whatever the fault.
 
-Each case starts `serve` as a program of its own on the toy's patient, streams to it over loopback at real
-speed until a force is given, makes one thing go wrong, and ends it. The last force that a peer received must
-be zero, the last status a latch with a sentence, the exit code the one that is stated.
+Each case starts `serve` as its own program on the toy's patient, streams to it over loopback at real
+speed until a force is given, injects one fault, and ends it. The last force that a peer received must
+be zero, the last status a latch with a sentence, the exit code as stated.
 """
 
 import os
@@ -37,7 +37,7 @@ from dvf_ig.live.igtl import Image, Incoming, Message, Status, Text, Transform, 
 
 RR_S, STREAM_S, ECG_CHUNK = 0.5, 60.0, 5
 READY_S, GIVEN_S, ENDED_S = 60.0, 40.0, 20.0
-"""The longest that a busy machine may need: to listen, to give a force, to end."""
+"""Longest time that a busy machine may need to listen, to give a force, to end."""
 GUIDING_N = 0.02
 ROOT = Path(__file__).resolve().parents[1]
 FAIL = "FAIL"
@@ -45,14 +45,14 @@ FAIL = "FAIL"
 PAGE_PATHS = ("/scene.json", "/", "/events")
 
 Change = Callable[[float, Message], Iterable[Message | bytes]]
-"""Seconds since the fault began (negative: before) and a message, to what is sent in its place."""
+"""Function from seconds since the fault began (negative: before) and a message to what is sent instead."""
 
 
 # ------------------------------------------------------------------ the program under test
 
 
 def child(arguments: list[str]) -> None:
-    """`serve` with the toy's patient; a registration is known at once."""
+    """Run `serve` with the toy's patient; a registration is known at once."""
     from dvf_ig.cli.main import app
     from dvf_ig.live.devices import DeviceNames
 
@@ -77,7 +77,7 @@ def child(arguments: list[str]) -> None:
 
 
 def recording() -> list[tuple[float, Message]]:
-    """The toy's streams at a fast heart, each message with the time at which it is sent."""
+    """Record the toy's streams at a fast heart, each message with the time at which it is sent."""
     beats = np.arange(0.4, STREAM_S + 2.0, RR_S)
     ecg = ecg_events(ecg_of(0.0, STREAM_S, r_peaks=beats), chunk=ECG_CHUNK)
     streams = Streams(ecg, frame_events(STREAM_S), tool_events(STREAM_S))
@@ -87,7 +87,7 @@ def recording() -> list[tuple[float, Message]]:
 
 @dataclass
 class Heard:
-    """What a peer was sent: forces with their times, and the newest status."""
+    """Messages received by a peer: forces with their times, and the newest status."""
 
     forces: list[tuple[float, float]] = field(default_factory=list)
     status: Status | None = None
@@ -102,12 +102,12 @@ class Heard:
 
     @property
     def force_n(self) -> float:
-        """The last force; NaN where none has come."""
+        """Return the last force; NaN if none has come."""
         return self.forces[-1][1] if self.forces else float("nan")
 
 
 class Peer:
-    """Connects to `serve`, streams, and listens."""
+    """Peer that connects to `serve`, streams, and listens."""
 
     def __init__(
         self, port: int, messages: list[tuple[float, Message]], change: Change, fault_s: float | None = None
@@ -131,7 +131,7 @@ class Peer:
         old.close()
 
     def send(self, one: Message | bytes) -> None:
-        """Whole, unless the other side has gone or does not read for long."""
+        """Send a whole message, unless the other side has gone or does not read for long."""
         try:
             self.connection.sendall(encode(one) if isinstance(one, Message) else one)
         except OSError:
@@ -162,15 +162,15 @@ class Peer:
                         return
                     continue
                 data = heard_from.recv(1 << 16)
-                found = incoming.feed(data) if data else []
+                messages = incoming.feed(data) if data else []
             except (OSError, ValueError, WireError):
-                data, found = b"", []
+                data, messages = b"", []
             if not data and self.connection is heard_from:
                 self.heard.closed = True
                 return
-            for taken in found:
-                if isinstance(taken, Message):
-                    self.heard.take(taken)
+            for message in messages:
+                if isinstance(message, Message):
+                    self.heard.take(message)
 
 
 # ------------------------------------------------------------------ faults
@@ -178,16 +178,16 @@ class Peer:
 
 @dataclass(frozen=True)
 class Fault:
-    """One thing that goes wrong.
+    """Fault and its expected outcome.
 
     Attributes:
-        change: to the stream; `act`: done when the fault begins.
-        lasts_s: from its beginning until the program is ended.
-        force: whether a force is given, or withheld, at its end; None where either may be.
-        code: exit codes that are right; `ends`: the program ends by itself; `by`: the signal that ends it.
-        from_start: the fault is in the stream's beginning.
-        told: the peer hears the end; not where it does not read.
-        page: it shows its page.
+        change: change of the stream; `act`: action when the fault begins.
+        lasts_s: time from its start until the program is ended.
+        force: whether a force is given, or withheld, at its end; None if either is right.
+        code: expected exit codes; `ends`: the program ends by itself; `by`: the signal that ends it.
+        from_start: the fault is at the stream's start.
+        hears_end: the peer receives the end, unless it does not read.
+        page: the program serves its page.
     """
 
     name: str
@@ -199,20 +199,20 @@ class Fault:
     ends: bool = False
     by: signal.Signals = signal.SIGINT
     from_start: bool = False
-    told: bool = True
+    hears_end: bool = True
     page: bool = False
 
 
 @dataclass
 class Case:
-    """A fault under way."""
+    """State of a running fault."""
 
     process: "subprocess.Popen[bytes]"
     peer: Peer
     port: int
     page_port: int
     resumed_s: float | None = None
-    done: threading.Event = field(default_factory=threading.Event)
+    finished: threading.Event = field(default_factory=threading.Event)
     others: list[Peer] = field(default_factory=list)
 
 
@@ -221,7 +221,7 @@ def _unchanged(since_s: float, message: Message) -> Iterable[Message | bytes]:
 
 
 def _of(device: str, change: Callable[[float, Message], Iterable[Message | bytes]]) -> Change:
-    """A change of one device's messages during the fault."""
+    """Change one device's messages during the fault."""
 
     def changed(since_s: float, message: Message) -> Iterable[Message | bytes]:
         here = since_s >= 0.0 and (device in ("", message.device))
@@ -231,13 +231,13 @@ def _of(device: str, change: Callable[[float, Message], Iterable[Message | bytes
 
 
 def _once(device: str, change: Callable[[Message], Message]) -> Change:
-    """A change of a device's first message in the fault."""
-    done: list[bool] = []
+    """Change a device's first message in the fault."""
+    changed_one: list[bool] = []
 
     def changed(since_s: float, message: Message) -> Iterable[Message | bytes]:
-        if done or since_s < 0.0 or message.device != device:
+        if changed_one or since_s < 0.0 or message.device != device:
             return (message,)
-        done.append(True)
+        changed_one.append(True)
         return (change(message),)
 
     return changed
@@ -279,7 +279,7 @@ def _moved(by_mm: float) -> Callable[[np.ndarray], np.ndarray]:
 
 
 def _to_and_fro(by_mm: float) -> Callable[[float, Message], Iterable[Message]]:
-    """Every other pose elsewhere, as two programs on one connection send them."""
+    """Move every other pose, as two programs on one connection send them."""
     turn: list[int] = []
 
     def changed(since_s: float, message: Message) -> Iterable[Message]:
@@ -294,11 +294,11 @@ def _filled(value: float) -> Callable[[np.ndarray], np.ndarray]:
 
 
 def _frozen() -> Callable[[float, Message], Iterable[Message]]:
-    held: list[Message] = []
+    sent: list[Message] = []
 
     def changed(since_s: float, message: Message) -> Iterable[Message]:
-        held.append(message)
-        return (replace(message, content=held[0].content),)
+        sent.append(message)
+        return (replace(message, content=sent[0].content),)
 
     return changed
 
@@ -316,12 +316,12 @@ def _pixels(pixels: np.ndarray) -> Callable[[Message], Message]:
 
 
 def _swapped() -> Callable[[float, Message], Iterable[Message]]:
-    held: list[Message] = []
+    waiting: list[Message] = []
 
     def changed(since_s: float, message: Message) -> Iterable[Message]:
-        if held:
-            return (message, held.pop())
-        held.append(message)
+        if waiting:
+            return (message, waiting.pop())
+        waiting.append(message)
         return ()
 
     return changed
@@ -383,16 +383,16 @@ def _sends_failure(case: Case) -> None:
 
 
 def _page_requests(lines: str, threads: int) -> Callable[[Case], None]:
-    """Requests one after the other from so many threads until the case is done."""
+    """Send requests one after the other from `threads` threads until the case is finished."""
 
     def ask(case: Case, number: int) -> None:
-        while not case.done.is_set():
+        while not case.finished.is_set():
             path = PAGE_PATHS[number % len(PAGE_PATHS)]
             try:
                 with socket.create_connection(("127.0.0.1", case.page_port), timeout=1.0) as one:
                     host = f"127.0.0.1:{case.page_port}"
                     one.sendall(f"GET {path} HTTP/1.0\r\nHost: {host}\r\n{lines}\r\n".encode())
-                    while not case.done.is_set() and one.recv(1 << 16):
+                    while not case.finished.is_set() and one.recv(1 << 16):
                         pass
             except OSError:
                 time.sleep(0.001)
@@ -411,7 +411,7 @@ def _half_requests(case: Case) -> None:
 
 
 def _first(device: str, change: Callable[[Message], Message]) -> Change:
-    """A change of the stream's first message of a device."""
+    """Change the stream's first message of a device."""
     return _once(device, change)
 
 
@@ -422,7 +422,7 @@ MANY = " ".join(["0.5"] * 15_000)
 
 
 def faults() -> tuple[Fault, ...]:
-    """All of them; changes remember what they have done, so each case needs new ones."""
+    """List all faults; changes keep state, so each case needs new ones."""
     return (
         Fault("nothing", _unchanged, force=True),
         Fault("tool stops", _of(TOOL, lambda *_: ()), force=False),
@@ -474,7 +474,7 @@ def faults() -> tuple[Fault, ...]:
             _of(TOOL, _with(lambda m: [_pixels(COLOUR)(replace(m, device=IMAGE))], 20)),
         ),
         Fault("20 more connections", _unchanged, _idle_connections, force=True),
-        Fault("peer does not read", _unchanged, _unread, told=False),
+        Fault("peer does not read", _unchanged, _unread, hears_end=False),
         Fault("stopped for 12 ms", _unchanged, _stopped(0.012)),
         Fault("stopped for 50 ms", _unchanged, _stopped(0.050)),
         Fault("stopped for 0.2 s", _unchanged, _stopped(0.2), force=False),
@@ -498,7 +498,7 @@ UNREAD = "terminal that is not read"
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of a fault: state and force before the end, what was last, the exit code, what is wrong."""
+    """Outcome of a fault: state and force before the end, the last ones, the exit code, what is wrong."""
 
     state: str
     force_n: float
@@ -506,7 +506,7 @@ class Outcome:
     last_n: float
     code: int | None
     wrong_while: tuple[str, ...]
-    """Also where the machine was too busy for a force."""
+    """Problems at the end, including a machine too busy for a force."""
     wrong_at_end: tuple[str, ...]
 
     @property
@@ -517,7 +517,7 @@ class Outcome:
 
 
 def run_fault(fault: Fault, folder: Path, messages: list[tuple[float, Message]]) -> Outcome:
-    """Start the program, let the fault happen, end it."""
+    """Start the program, inject the fault and end it."""
     arguments = [
         sys.executable,
         "-m",
@@ -554,12 +554,12 @@ def run_fault(fault: Fault, folder: Path, messages: list[tuple[float, Message]])
 
 
 def _heed_interrupts() -> None:
-    """A shell's background job has Ctrl-C ignored, and so would have its children."""
+    """Restore Ctrl-C, which a shell's background job and its children ignore."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 class _Terminal:
-    """Reads a program's stderr, until it is told not to."""
+    """Reader of a program's stderr while `reads` is set."""
 
     def __init__(self, target: int) -> None:
         self.text, self.reads = "", True
@@ -568,9 +568,9 @@ class _Terminal:
         self._thread.start()
 
     def number_after(self, words: str) -> int | None:
-        _, found, rest = self.text.partition(words)
+        _, match, rest = self.text.partition(words)
         line, end, _ = rest.partition("\n")
-        return int(line) if found and end else None
+        return int(line) if match and end else None
 
     def end(self) -> None:
         self._stop.set()
@@ -630,7 +630,7 @@ def _judged(
         last = heard.status.name if heard.status else "none"
         return Outcome(state, force_n, last, heard.force_n, process.poll(), tuple(wrong), tuple(ended))
     finally:
-        case.done.set()
+        case.finished.set()
         for one in (peer, *case.others):
             one.end()
 
@@ -654,7 +654,7 @@ def _wrong_at_end(fault: Fault, code: int | None, heard: Heard, text: str) -> li
         wrong.append("it did not end" if code is None else f"exit code {code}")
     if not heard.closed:
         wrong.append("the connection stayed open")
-    if not fault.told:
+    if not fault.hears_end:
         return wrong
     if heard.force_n != 0.0:
         wrong.append(f"the last force was {heard.force_n:.2f} N")
@@ -666,16 +666,16 @@ def _wrong_at_end(fault: Fault, code: int | None, heard: Heard, text: str) -> li
 
 
 def fuzz_live(repeats: int, chosen: list[str]) -> int:
-    """Findings over all faults, `repeats` times each; a line for each of them is printed."""
+    """Count findings over all faults, `repeats` times each, and print a line for each case."""
     messages, bad, cases = recording(), 0, 0
     for number in range(repeats):
         for fault in faults():
             if chosen and fault.name not in chosen:
                 continue
             with tempfile.TemporaryDirectory() as scratch:
-                done = run_fault(fault, Path(scratch), messages)
-            cases, bad = cases + 1, bad + bool(done.wrong_while or done.wrong_at_end)
-            print(f"{number + 1}  {fault.name:<34}  " + "  ".join(done.row), flush=True)
+                outcome = run_fault(fault, Path(scratch), messages)
+            cases, bad = cases + 1, bad + bool(outcome.wrong_while or outcome.wrong_at_end)
+            print(f"{number + 1}  {fault.name:<34}  " + "  ".join(outcome.row), flush=True)
     print(f"{cases} cases: {bad} findings")
     return bad
 

@@ -1,4 +1,4 @@
-"""Ways to damage a file: by its numbers, its lines, its bytes, and inside what is packed or sealed."""
+"""Ways to damage a file: by its numbers, its lines, its bytes, and inside packed or sealed content."""
 
 import gzip
 import hashlib
@@ -23,15 +23,15 @@ WORDS = (
     f"\0 \u2028x \xe9 {'x' * 300} {'x' * 3000}",
 )
 ENDINGS = "x0 x-1 x00 x9999 :999999999 +999999999 /0 (1e400) (9999999999) e400 , ; : x"
-"""Put after a number: fields of WFDB's headers begin so."""
+"""Texts appended to a number, with which fields of WFDB's headers begin."""
 _NUMBER = re.compile(rb"[-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
 ZEROS = 600 << 20
-"""More than a reader may take for a file of 600 kB, which they pack to."""
+"""Bytes that pack to 600 kB, more than a reader may accept for such a file."""
 _WORD = re.compile(rb"[A-Za-z_][\w.-]*")
 
 
 def damaged(data: bytes, rng: random.Random) -> bytes:
-    """The file with one to three changes; what is packed or sealed is opened for some of them."""
+    """Make one to three changes to a file; packed or sealed content is opened for some of them."""
     for _ in range(rng.choice((1, 1, 1, 2, 3))):
         data = _opened(data, rng) if rng.random() < 0.5 else _changed(data, rng)
     return data
@@ -73,7 +73,7 @@ def _word(data: bytes, rng: random.Random) -> bytes:
 
 
 def _line(data: bytes, rng: random.Random) -> bytes:
-    """A line that goes, comes twice, changes places or is empty."""
+    """Delete, repeat, move or empty a line."""
     lines = data.split(b"\n")
     i, j = rng.randrange(min(len(lines), 200)), rng.randrange(min(len(lines), 200))
     way = rng.randrange(4)
@@ -98,7 +98,7 @@ def _bytes(data: bytes, rng: random.Random) -> bytes:
 
 
 def _field(data: bytes, rng: random.Random) -> bytes:
-    """A number of 2, 4 or 8 bytes put into the first bytes of a binary file."""
+    """Put a number of 2, 4 or 8 bytes into the first bytes of a binary file."""
     form = rng.choice(("h", "i", "q", "f", "d"))
     value: float = rng.choice((0, 1, -1, 2, 99, 32767))
     if form in "fd":
@@ -114,7 +114,7 @@ def _cut(data: bytes, rng: random.Random) -> bytes:
 
 
 def _opened(data: bytes, rng: random.Random) -> bytes:
-    """The same with a change within what is packed, and the seal put on again."""
+    """Change packed content, and seal it again."""
     if data[:2] == b"\x1f\x8b":
         return (
             gzip.compress(_changed(gzip.decompress(data), rng)) if _unpacks(gzip.decompress, data) else data
@@ -147,7 +147,7 @@ def _archive(data: bytes) -> dict[str, bytes]:
 
 
 def _array(content: bytes, rng: random.Random) -> bytes:
-    """An array whose header states another shape."""
+    """Make an array's header state another shape."""
     shapes = (
         "()",
         "(0,)",
@@ -163,7 +163,7 @@ def _array(content: bytes, rng: random.Random) -> bytes:
 
 
 def _model(data: bytes, rng: random.Random) -> bytes:
-    """A model whose header or arrays are changed and whose file checksum is right again."""
+    """Change a model's header or arrays, and correct the file's checksum."""
     members = _archive(data)
     name = rng.choice(sorted(members))
     members[name] = _array(members[name], rng) if rng.random() < 0.3 else _changed(members[name], rng)
@@ -182,7 +182,7 @@ def _model(data: bytes, rng: random.Random) -> bytes:
 
 
 def _log(data: bytes, rng: random.Random) -> bytes:
-    """A log with a change inside a chunk or an attached file, whose sizes and digests are right again."""
+    """Change a log inside a chunk or an attached file, and correct its sizes and digests."""
     from mcap.data_stream import RecordBuilder
     from mcap.exceptions import McapError
     from mcap.records import Attachment, Chunk, DataEnd, Footer, Metadata
@@ -223,7 +223,7 @@ def _log(data: bytes, rng: random.Random) -> bytes:
 
 
 def resealed(data: bytes) -> bytes:
-    """A model's header with the digest over its content, which `_model` broke; unchanged where it is none."""
+    """Restore the digest in a model's header, which `_model` broke; other files stay unchanged."""
     from dvf_ig.core.errors import DvfIgError
     from dvf_ig.io.model.model_file import _digest, _unpack
 

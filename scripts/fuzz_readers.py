@@ -1,4 +1,4 @@
-"""The readers under test, each with small whole files to begin from, and what an accepted file must hold."""
+"""Readers under test, each with small valid files to start from, and the check of accepted values."""
 
 import dataclasses
 from collections.abc import Callable
@@ -12,12 +12,12 @@ from dvf_ig.core import Points, PoseStream, Volume
 
 Read = Callable[[Path], Any]
 GAPS = {"samples", "values", "points_px"}
-"""Fields in which NaN stands for what was not recorded."""
+"""Fields in which NaN marks what was not recorded."""
 LARGEST = 1e13
 
 
 def write_seeds(folder: Path) -> None:
-    """One scenario and its recordings in other formats."""
+    """Write one scenario and its recordings in other formats."""
     from tests.io.conftest import _make_scenario
     from tests.io.ecg.test_damaged import edf
     from tests.io.model.test_model import model
@@ -80,7 +80,7 @@ def write_seeds(folder: Path) -> None:
 
 
 def _write_logs(folder: Path) -> None:
-    """Logs of a replay, and of a live session that was finished or cut off, none with more than moments."""
+    """Write short logs of a replay, and of a live session that was finished or cut off."""
     from toy_ball import ball_model
     from toy_run import TIP, recorded
 
@@ -116,11 +116,11 @@ def _write_logs(folder: Path) -> None:
 
 
 def _log(path: Path) -> Any:
-    """What a live session answered, and the messages that it refused, may be anything."""
+    """Read a log; answers of a live session and its refused messages may be anything."""
     from dvf_ig.replay.export.session_log_read import read_session_log
 
-    found = read_session_log(path)
-    return [found.scenario, found.model]
+    recordings = read_session_log(path)
+    return [recordings.scenario, recordings.model]
 
 
 def _tfm(path: Path) -> Any:
@@ -193,16 +193,16 @@ READERS: dict[str, tuple[tuple[str, ...], Read]] = {
 
 
 UNLIMITED = {"from_s": -np.inf, "fastest_mm_s": np.inf}
-"""Values that say that there is no limit."""
+"""Values that mean that there is no limit."""
 
 
 def unfit(value: Any, name: str = "value") -> str | None:
-    """Which number of an accepted value is not finite or beyond all reason; None where all are in order."""
+    """Name the number of an accepted value that is not finite or implausible; None if all are valid."""
     if isinstance(value, np.ndarray):
         if value.dtype.kind != "f" or not value.size:
             return None
-        known = value[~np.isnan(value)] if name in GAPS else value
-        return None if (np.abs(known) <= LARGEST).all() else name
+        numbers = value[~np.isnan(value)] if name in GAPS else value
+        return None if (np.abs(numbers) <= LARGEST).all() else name
     if isinstance(value, float):
         return None if abs(value) <= LARGEST or UNLIMITED.get(name) == value else name
     if isinstance(value, PoseStream):
@@ -217,4 +217,4 @@ def unfit(value: Any, name: str = "value") -> str | None:
         parts = [("from_s" if name == "mr_from_tracker" else name, one) for one in value]
     elif hasattr(value, "model_dump"):
         return unfit(value.model_dump(), name)
-    return next((found for key, one in parts if (found := unfit(one, key)) is not None), None)
+    return next((bad for key, one in parts if (bad := unfit(one, key)) is not None), None)

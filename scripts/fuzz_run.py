@@ -23,19 +23,19 @@ from scripts.fuzz_readers import READERS, unfit, write_seeds
 STATE = Path("out/fuzz/state.json")
 FOUND = Path("tests/io/found")
 SLOW_S = 2.0
-"""A read that takes longer is a finding; after HANG_S the child is ended."""
+"""Time above which a read is a finding; after HANG_S the child is ended."""
 HANG_S = 20.0
 MEMORY_BYTES = 1 << 29
-"""Memory in use above what the program and its libraries take themselves; files here have 10 kB."""
+"""Largest memory above that of the program and its libraries; files here have 10 kB."""
 ADDRESS_BYTES = 3 << 29
-"""Addresses above those of the program, beyond which the system refuses; libraries reserve without use."""
+"""Address space above the program's that the system allows; libraries reserve without use."""
 BATCH = 5000
 MEMORY_DISK = Path("/dev/shm")
-"""Where it is there, files are damaged in memory: a disk takes longer to write than a reader to read."""
+"""Folder in memory for damaged files, if it exists: a disk takes longer to write than a reader to read."""
 
 
 def outcome(reader: str, path: Path) -> str | None:
-    """What is wrong with how a file is read; None where it is read, or refused in a sentence."""
+    """Read a file and describe what is wrong; None if it is read, or refused in one sentence."""
     from dvf_ig.core.errors import DvfIgError
 
     in_use = _peak_bytes(reset=True)
@@ -44,23 +44,23 @@ def outcome(reader: str, path: Path) -> str | None:
         with warnings.catch_warnings():
             warnings.simplefilter("error")
             wrong = unfit(READERS[reader][1](path))
-        found = None if wrong is None else f"accepted with {wrong} out of range"
+        finding = None if wrong is None else f"accepted with {wrong} out of range"
     except DvfIgError as error:
-        found = "a message of several lines" if "\n" in str(error) else None
-    except Exception as error:  # noqa: BLE001  what a reader must not raise is what is looked for
+        finding = "a message of several lines" if "\n" in str(error) else None
+    except Exception as error:  # noqa: BLE001  errors that a reader must not raise are the findings
         where = traceback.extract_tb(error.__traceback__)
         own = [frame for frame in where if "dvf_ig" in frame.filename]
-        found = (
+        finding = (
             f"{type(error).__name__} in {Path(own[-1].filename).name}:{own[-1].name}" if own else repr(error)
         )
-    taken, more = time.process_time() - began, _peak_bytes(reset=False) - in_use
-    if found is None and more > MEMORY_BYTES:
+    seconds, more = time.process_time() - began, _peak_bytes(reset=False) - in_use
+    if finding is None and more > MEMORY_BYTES:
         return f"memory: {more >> 20} MiB"
-    return f"slow: {taken:.1f} s" if found is None and taken > SLOW_S else found
+    return f"slow: {seconds:.1f} s" if finding is None and seconds > SLOW_S else finding
 
 
 def _peak_bytes(*, reset: bool) -> int:
-    """The most memory this process has had in use since the last reset (proc(5): VmHWM); 0 where unknown."""
+    """Return the peak memory of this process since the last reset (proc(5): VmHWM); 0 if unknown."""
     try:
         if reset:
             Path("/proc/self/clear_refs").write_text("5")
@@ -71,7 +71,7 @@ def _peak_bytes(*, reset: bool) -> int:
 
 
 def case(reader: str, seed: int, number: int, seeds: Path) -> tuple[str, bytes]:
-    """Name and content of one damaged file."""
+    """Draw name and content of one damaged file."""
     rng = random.Random(f"{seed} {reader} {number}")
     name = rng.choice(READERS[reader][0])
     data = damaged((seeds / name).read_bytes(), rng)
@@ -80,7 +80,7 @@ def case(reader: str, seed: int, number: int, seeds: Path) -> tuple[str, bytes]:
 
 def child(reader: str, seed: int, first: int, count: int, seeds: Path) -> None:
     """Read `count` damaged files; each begins with its number on stdout and ends with what is wrong."""
-    for name in READERS[reader][0]:  # loads and compiles what reading needs, once
+    for name in READERS[reader][0]:  # loads and compiles everything once
         outcome(reader, seeds / name)
     used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
     resource.setrlimit(resource.RLIMIT_AS, (used + ADDRESS_BYTES, used + ADDRESS_BYTES))
@@ -90,18 +90,18 @@ def child(reader: str, seed: int, first: int, count: int, seeds: Path) -> None:
         whole = (seeds / name).read_bytes()
         (seeds / name).write_bytes(data)
         print(f"begin {number}", flush=True)
-        found = outcome(reader, seeds / name)
+        finding = outcome(reader, seeds / name)
         (seeds / name).write_bytes(whole)
-        if found:
-            print(f"found {number} {json.dumps(found)}", flush=True)
+        if finding:
+            print(f"found {number} {json.dumps(finding)}", flush=True)
     print("end", flush=True)
 
 
 def run_batch(reader: str, seed: int, first: int, count: int, seeds: Path) -> tuple[int, dict[int, str]]:
-    """Where to go on, and what was found by number."""
+    """Run a batch; return the next number and the findings by number."""
     arguments = ["--child", reader, "--seed", str(seed), "--first", str(first), "--count", str(count)]
     command = [sys.executable, "-m", "scripts.fuzz_run", *arguments, "--seeds", str(seeds)]
-    found: dict[int, str] = {}
+    findings: dict[int, str] = {}
     with tempfile.TemporaryDirectory(dir=MEMORY_DISK if MEMORY_DISK.is_dir() else None) as scratch:
         copy = Path(scratch) / "seeds"
         shutil.copytree(seeds, copy)
@@ -120,21 +120,21 @@ def run_batch(reader: str, seed: int, first: int, count: int, seeds: Path) -> tu
     for line in lines:
         if line.startswith("found"):
             _, number, text = line.split(" ", 2)
-            found[int(number)] = json.loads(text)
+            findings[int(number)] = json.loads(text)
     if lines[-1:] == ["end"]:
-        return first + count, found
+        return first + count, findings
     begun = [int(line.split()[1]) for line in lines if line.startswith("begin")]
     if not begun:
         raise SystemExit(f"the child for {reader} did not start; run: {' '.join(command)}")
-    found[begun[-1]] = f"the process ended ({process.returncode})"
-    return begun[-1] + 1, found
+    findings[begun[-1]] = f"the process ended ({process.returncode})"
+    return begun[-1] + 1, findings
 
 
-def keep(reader: str, seed: int, number: int, found: str, seeds: Path) -> Path:
-    """A finding as a file that a test reads from now on; made smaller where it stays one."""
+def keep(reader: str, seed: int, number: int, finding: str, seeds: Path) -> Path:
+    """Keep a finding as a file that a test reads from now on, made smaller if it stays a finding."""
     name, data = case(reader, seed, number, seeds)
-    if "process ended" not in found and "slow" not in found:
-        data = smaller(reader, name, data, found, seeds)
+    if "process ended" not in finding and "slow" not in finding:
+        data = smaller(reader, name, data, finding, seeds)
     digest = hashlib.sha256(data).hexdigest()[:8]
     folder = FOUND / reader / digest
     folder.mkdir(parents=True, exist_ok=True)
@@ -142,8 +142,8 @@ def keep(reader: str, seed: int, number: int, found: str, seeds: Path) -> Path:
     return folder
 
 
-def smaller(reader: str, name: str, data: bytes, found: str, seeds: Path) -> bytes:
-    """Put back what the seed has, a stretch after another, as long as the finding stays the same."""
+def smaller(reader: str, name: str, data: bytes, finding: str, seeds: Path) -> bytes:
+    """Restore the seed's content, a stretch after another, as long as the finding stays the same."""
     whole = (seeds / name).read_bytes()
     if len(whole) != len(data):
         return data
@@ -154,7 +154,7 @@ def smaller(reader: str, name: str, data: bytes, found: str, seeds: Path) -> byt
             for begin in range(0, len(data), max(step, 1)):
                 tried = data[:begin] + whole[begin : begin + step] + data[begin + step :]
                 (seeds / name).write_bytes(tried)
-                if tried != data and outcome(reader, seeds / name) == found:
+                if tried != data and outcome(reader, seeds / name) == finding:
                     data = tried
     finally:
         (seeds / name).write_bytes(whole)
@@ -184,74 +184,74 @@ def main() -> int:
         "--live", type=int, metavar="N", help="every live fault of `serve` N times, and no files"
     )
     parser.add_argument("--fault", action="append", metavar="NAME", help="of --live; default: all")
-    given = parser.parse_args()
-    if given.child == "cli":
-        fuzz_cli.child(given.seed, given.first, given.count, Path(given.seeds))
+    options = parser.parse_args()
+    if options.child == "cli":
+        fuzz_cli.child(options.seed, options.first, options.count, Path(options.seeds))
         return 0
-    if given.child:
-        child(given.child, given.seed, given.first, given.count, Path(given.seeds))
+    if options.child:
+        child(options.child, options.seed, options.first, options.count, Path(options.seeds))
         return 0
-    if given.live:
+    if options.live:
         from scripts.fuzz_live import fuzz_live
 
-        return 1 if fuzz_live(given.live, given.fault or []) else 0
-    if given.kill:
+        return 1 if fuzz_live(options.live, options.fault or []) else 0
+    if options.kill:
         from scripts.fuzz_kill import WRITERS, fuzz_kill
 
-        return 1 if fuzz_kill(given.kill, given.seed, given.command or list(WRITERS)) else 0
-    if given.cli:
-        return 1 if fuzz_cli.fuzz_cli(given.cli, given.seed) else 0
-    if given.forces:
+        return 1 if fuzz_kill(options.kill, options.seed, options.command or list(WRITERS)) else 0
+    if options.cli:
+        return 1 if fuzz_cli.fuzz_cli(options.cli, options.seed) else 0
+    if options.forces:
         from scripts.fuzz_forces import fuzz_forces
 
-        return 1 if fuzz_forces(given.forces, given.seed) else 0
+        return 1 if fuzz_forces(options.forces, options.seed) else 0
     with tempfile.TemporaryDirectory(dir=MEMORY_DISK if MEMORY_DISK.is_dir() else None) as scratch:
         seeds = Path(scratch) / "seeds"
         seeds.mkdir()
         write_seeds(seeds)
-        return _once(given, seeds) if given.once else _for_minutes(given, seeds)
+        return _once(options, seeds) if options.once else _for_minutes(options, seeds)
 
 
-def _once(given: Any, seeds: Path) -> int:
-    """In this process, for the test suite: what was found before, then N new files of each reader."""
+def _once(options: Any, seeds: Path) -> int:
+    """Read earlier findings, then N new files of each reader, in this process, for the test suite."""
     for name, (files, read) in READERS.items():
         for file in files:
-            if wrong := unfit(read(seeds / file)):  # what is damaged must have been whole
+            if wrong := unfit(read(seeds / file)):  # a file must be valid before it is damaged
                 print(f"{name}: the whole {file} is accepted with {wrong} out of range")
                 return 1
-    kept = [(path.parts[-3], path.name, path.read_bytes()) for path in sorted(FOUND.glob("*/*/*"))]
-    readers = given.reader or sorted(READERS)
-    new = ((r, *case(r, given.seed, number, seeds)) for r in readers for number in range(given.once))
+    earlier = [(path.parts[-3], path.name, path.read_bytes()) for path in sorted(FOUND.glob("*/*/*"))]
+    readers = options.reader or sorted(READERS)
+    new = ((r, *case(r, options.seed, number, seeds)) for r in readers for number in range(options.once))
     bad = 0
-    for reader, name, data in itertools.chain(kept, new):
-        place = next(seeds / known for known in READERS[reader][0] if known.endswith(name))
+    for reader, name, data in itertools.chain(earlier, new):
+        place = next(seeds / file for file in READERS[reader][0] if file.endswith(name))
         whole = place.read_bytes()
         place.write_bytes(data)
-        found = outcome(reader, place)
+        finding = outcome(reader, place)
         place.write_bytes(whole)
-        if found:
-            print(f"{reader} {name}: {found}")
+        if finding:
+            print(f"{reader} {name}: {finding}")
             bad += 1
     return 1 if bad else 0
 
 
-def _for_minutes(given: Any, seeds: Path) -> int:
+def _for_minutes(options: Any, seeds: Path) -> int:
     state: dict[str, int] = json.loads(STATE.read_text()) if STATE.is_file() else {}
-    until, kinds = time.monotonic() + 60 * given.minutes, dict[str, str]()
-    readers = given.reader or sorted(READERS)
+    until, kinds = time.monotonic() + 60 * options.minutes, dict[str, str]()
+    readers = options.reader or sorted(READERS)
     while time.monotonic() < until:
         for reader in readers:
             if time.monotonic() >= until:
                 break
-            key = f"{reader} {given.seed}"
-            state[key], found = run_batch(reader, given.seed, state.get(key, 0), BATCH, seeds)
-            for number, what in found.items():
+            key = f"{reader} {options.seed}"
+            state[key], findings = run_batch(reader, options.seed, state.get(key, 0), BATCH, seeds)
+            for number, what in findings.items():
                 if f"{reader}: {what}" not in kinds:
-                    kinds[f"{reader}: {what}"] = str(keep(reader, given.seed, number, what, seeds))
+                    kinds[f"{reader}: {what}"] = str(keep(reader, options.seed, number, what, seeds))
                     print(f"{reader} {number}: {what}; kept in {kinds[f'{reader}: {what}']}", flush=True)
             STATE.parent.mkdir(parents=True, exist_ok=True)
             STATE.write_text(json.dumps(state, indent=1, sort_keys=True))
-    counts = {reader: state.get(f"{reader} {given.seed}", 0) for reader in readers}
+    counts = {reader: state.get(f"{reader} {options.seed}", 0) for reader in readers}
     print(f"{sum(counts.values())} files read, {min(counts.values())} or more a reader, {len(kinds)} kinds")
     return 1 if kinds else 0
 

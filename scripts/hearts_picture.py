@@ -27,7 +27,7 @@ for _tissue in Tissue:
 
 
 def plane(anatomy: PhantomAnatomy, model_phase: float, place: Callable[..., FloatArray]) -> FloatArray:
-    """MR contrast over a plane; `place` takes its two coordinates to the heart frame."""
+    """Compute MR contrast over a plane; `place` maps its two coordinates to the heart frame."""
     axis = np.arange(-HALF_MM, HALF_MM, STEP_MM)
     u, v = np.meshgrid(axis, axis, indexing="xy")
     local = place(u.ravel(), v.ravel())
@@ -37,16 +37,16 @@ def plane(anatomy: PhantomAnatomy, model_phase: float, place: Callable[..., Floa
 
 
 def sizes(anatomy: PhantomAnatomy) -> str:
-    """Volumes, ejection fractions and wall."""
+    """Describe volumes, ejection fractions and wall."""
     axes = [np.arange(low, high, VOLUME_STEP_MM) for low, high in anatomy.box_mm.T]
     nodes = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     codes = tissue_at(anatomy.shapes, nodes, ultrasound=False)
     ml = VOLUME_STEP_MM**3 / 1e3
     full, empty = {}, {}
     for tissue in (Tissue.LV_BLOOD, Tissue.RV_BLOOD, Tissue.LA_BLOOD):
-        held = nodes[codes == tissue]
-        full[tissue] = len(held) * ml
-        empty[tissue] = float(jacobian_determinant(anatomy, held, anatomy.es_fraction).sum() * ml)
+        voxels = nodes[codes == tissue]
+        full[tissue] = len(voxels) * ml
+        empty[tissue] = float(jacobian_determinant(anatomy, voxels, anatomy.es_fraction).sum() * ml)
     radii = lv.radii(48.0, anatomy.shapes.heart.lv_cavity)
     walls = []
     for side in (1.0, -1.0):
@@ -62,7 +62,7 @@ def sizes(anatomy: PhantomAnatomy) -> str:
 
 
 def row(anatomy: PhantomAnatomy, axes: list[Axes]) -> None:
-    """Short and long axis at both phases."""
+    """Draw short and long axis at both phases."""
     apex, base = anatomy.shapes.mr_from_heart.inverse().apply_array(anatomy.long_axis_mm)
     middle = apex + 0.55 * (base - apex)
     tilt = (base - apex) / np.linalg.norm(base - apex)
@@ -88,7 +88,7 @@ def main() -> None:
         int([*sys.argv, "1001"][2]) if len(sys.argv) > 2 else 1001,
         int(sys.argv[3]) if len(sys.argv) > 3 else 12,
     )
-    kind: HeartKind = next((known for known in HEART_KINDS if known in sys.argv[4:]), "varied")
+    kind: HeartKind = next((name for name in HEART_KINDS if name in sys.argv[4:]), "varied")
     rows = (count + 2) // 3
     figure, grid = plt.subplots(rows, 12, figsize=(18, 2.1 * rows), squeeze=False)
     for ax in grid.ravel():

@@ -18,12 +18,12 @@ REPO = Path(__file__).resolve().parent.parent
 COPIED = ("pyproject.toml", "dvf_ig", "data_synth", "tests")
 WANTED_SHARE = 0.9
 SECONDS = 600
-"""A test run that takes longer is counted as failed: the mutant made it hang."""
+"""Time above which a test run counts as failed: the mutant made it hang."""
 
 
 @dataclass(frozen=True, slots=True)
 class Mutant:
-    """One change to the code, and the tests that should notice it."""
+    """Change to the code, and the tests that should notice it."""
 
     name: str
     file: str
@@ -66,21 +66,21 @@ def _arguments() -> argparse.Namespace:
 
 def _mutants(names: list[str]) -> list[Mutant]:
     document = tomllib.loads((REPO / "scripts" / "mutants.toml").read_text())
-    found = [Mutant(**{**entry, "tests": tuple(entry["tests"])}) for entry in document["mutant"]]
-    known = {mutant.name for mutant in found}
-    if unknown := sorted(set(names) - known):
+    mutants = [Mutant(**{**entry, "tests": tuple(entry["tests"])}) for entry in document["mutant"]]
+    defined = {mutant.name for mutant in mutants}
+    if unknown := sorted(set(names) - defined):
         sys.exit(f"mutate: no mutant is called {', '.join(unknown)}; --list names them all")
-    return [mutant for mutant in found if not names or mutant.name in names]
+    return [mutant for mutant in mutants if not names or mutant.name in names]
 
 
 def _refuse_stale(mutants: list[Mutant]) -> None:
-    """A mutant whose text is not in its file exactly once, or whose tests are gone, would prove nothing."""
+    """Refuse mutants whose text is not in its file exactly once, or whose tests are gone."""
     stale = []
     for mutant in mutants:
         path = REPO / mutant.file
         count = path.read_text().count(mutant.old) if path.is_file() else 0
         if count != 1:
-            stale.append(f"{mutant.name}: its text stands {count} times in {mutant.file}")
+            stale.append(f"{mutant.name}: its text occurs {count} times in {mutant.file}")
         stale += [f"{mutant.name}: there is no {t}" for t in mutant.tests if not (REPO / t).exists()]
     if stale:
         sys.exit("mutate: bring scripts/mutants.toml up to date:\n  " + "\n  ".join(stale))
@@ -98,7 +98,7 @@ def _copy(tree: Path) -> Path:
 
 
 def _refuse_broken(trees: "Queue[Path]", mutants: list[Mutant]) -> None:
-    """Tests that fail without any mutant would be counted as having noticed."""
+    """Refuse tests that fail without any mutant, as these would count as having noticed."""
     tree = trees.get()
     tests = sorted({test for mutant in mutants for test in mutant.tests})
     fell = _failed_tests(tree, tests, 10 * SECONDS)
@@ -122,7 +122,7 @@ def _outcome(trees: "Queue[Path]", mutant: Mutant) -> Outcome:
 
 
 def _failed_tests(tree: Path, tests: list[str], timeout_s: float = SECONDS) -> list[str]:
-    """Tests that failed; "(hangs)" where they did not end."""
+    """List the tests that failed; "(hangs)" if they did not end."""
     data = os.environ.get("DVF_IG_DATA", str(REPO / ".." / "shared" / "data"))
     command = [
         sys.executable,
@@ -156,7 +156,7 @@ def _words(outcome: Outcome) -> str:
 
 
 def _report(outcomes: list[Outcome], *, complete: bool) -> int:
-    """Print the share, and write it where no mutant was left out."""
+    """Print the share, and write it if no mutant was left out."""
     killed = [o for o in outcomes if o.fell]
     share = len(killed) / len(outcomes)
     print(f"{len(killed)} of {len(outcomes)} mutants were killed")

@@ -93,7 +93,7 @@ def _scan_conversion() -> list[Gate]:
 
 
 def _rates(heart: PhantomAnatomy, frames: int = 24) -> list[Gate]:
-    """Medians on this machine's first two cores, kernels and tables warm."""
+    """Measure median rates on this machine's first two cores, with warm kernels and tables."""
     pose = standard_view("epicardial short-axis", heart.reference)
     phases = np.tile(np.linspace(0, 1, frames)[:, None], (1, STANDARD.lines))
     times: list[float] = []

@@ -1,4 +1,4 @@
-"""Runs the tours of the guide: ``bash`` blocks line by line in a folder, ``python`` blocks as one program."""
+"""Run the tours of the guide: ``bash`` blocks line by line in a folder, ``python`` blocks as one program."""
 
 import os
 import re
@@ -17,7 +17,7 @@ BLOCK = re.compile(r"^```(bash|python)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 
 @dataclass(frozen=True, slots=True)
 class Program:
-    """What is run at once: commands of a shell, or Python."""
+    """Program that is run at once: a shell command, or Python."""
 
     page: str
     language: str
@@ -25,22 +25,22 @@ class Program:
 
 
 def programs_of(page: str, markdown: str) -> list[Program]:
-    """Each command of a page, and all of its Python together."""
-    found: list[Program] = []
+    """List each command of a page, and all of its Python together."""
+    programs: list[Program] = []
     python: list[str] = []
     for language, text in BLOCK.findall(markdown):
         if language == "python":
             python.append(text)
         else:
             joined = text.replace("\\\n", " ")
-            found += [Program(page, "bash", line) for line in joined.splitlines() if line.strip()]
+            programs += [Program(page, "bash", line) for line in joined.splitlines() if line.strip()]
     if python:
-        found.append(Program(page, "python", "\n".join(python)))
-    return found
+        programs.append(Program(page, "python", "\n".join(python)))
+    return programs
 
 
 def run(program: Program, folder: Path) -> Path:
-    """Run it, and return the folder in which it ends.
+    """Run a program and return the folder in which it ends.
 
     Raises:
         subprocess.CalledProcessError: it ended with another exit code than 0.
@@ -58,8 +58,8 @@ def run(program: Program, folder: Path) -> Path:
 
 
 def main() -> None:
-    with tempfile.TemporaryDirectory() as made:
-        base = Path(sys.argv[1] if len(sys.argv) > 1 else made).resolve()
+    with tempfile.TemporaryDirectory() as scratch:
+        base = Path(sys.argv[1] if len(sys.argv) > 1 else scratch).resolve()
         base.mkdir(parents=True, exist_ok=True)
         for page in TOURS:
             folder = base

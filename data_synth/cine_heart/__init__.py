@@ -1,1 +1,1 @@
-"""A beating heart made of the expert's labels of a real cine; the cine itself is what MR shows of it."""
+"""Beating heart built from the expert's labels of a real cine, which is itself its MR."""

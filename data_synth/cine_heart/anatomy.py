@@ -1,4 +1,4 @@
-"""The heart of a real cine: surfaces of the expert's labels carried through the cycle, and stubs of atria."""
+"""Heart of a real cine: surfaces of the expert's labels carried through the cycle, and stubs of atria."""
 
 from dataclasses import dataclass, replace
 
@@ -23,29 +23,29 @@ from .label_depth import Caps, StackDepth, stack_depth
 
 RV_LABEL, MYOCARDIUM_LABEL, LV_LABEL = 1, 2, 3
 LABEL_NAMES = ((RV_LABEL, "rv_blood"), (MYOCARDIUM_LABEL, "myocardium"), (LV_LABEL, "lv_blood"))
-"""As the ACDC experts number them."""
+"""Label values of the ACDC experts."""
 RV_WALL_MM = 3.0
 CAPS = {
     LV: Caps(base_mm=8.0, apex_widths=0.8, apex_mm=0.0),
     RV: Caps(base_mm=8.0, apex_widths=0.7, apex_mm=0.0),
     EPICARDIAL: Caps(base_mm=34.0, apex_widths=0.75, apex_mm=6.0),
 }
-"""The epicardium goes on around the atria, the cavities end at their valves."""
+"""Caps by surface: the epicardium continues around the atria, the cavities end at their valves."""
 STRIDE = {LV: 1, RV: 1, EPICARDIAL: 2}
-"""Of the pixels between vertices."""
+"""Pixels between vertices, by surface."""
 VALVE_PLANE_MM = 11.0
-"""From the basal slice to the atria."""
+"""Distance from the basal slice to the atria."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CineHeart:
-    """What is known of one patient, all on the grid of the cine.
+    """Data of one patient, all on the grid of the cine.
 
     Attributes:
-        patient_id: whose heart.
+        patient_id: identifier of the patient.
         cine: the real grey levels; its first phase is end-diastole.
-        ed_labels: the expert's, with RV_LABEL, MYOCARDIUM_LABEL and LV_LABEL.
-        es_labels, es_phase: the same at end-systole, and which phase of the cine that is.
+        ed_labels: the expert's labels, with RV_LABEL, MYOCARDIUM_LABEL and LV_LABEL.
+        es_labels, es_phase: the same at end-systole, and its phase of the cine.
     """
 
     patient_id: str
@@ -65,7 +65,7 @@ class CineHeart:
             )
 
     def preop(self) -> Preop:
-        """The real cine with the expert's end-diastolic labels: what a laboratory would have."""
+        """Real cine with the expert's end-diastolic labels, the data that a laboratory would have."""
         values = np.asarray(self.ed_labels.values).astype(np.uint8)
         return Preop(
             patient_id=self.patient_id,
@@ -77,13 +77,13 @@ class CineHeart:
 
 
 def cine_anatomy(heart: CineHeart, *, mismatch_mm: float, seed: int) -> SurfaceAnatomy:
-    """The beating anatomy that the ultrasound of `heart` is simulated of.
+    """Build the beating anatomy from which the ultrasound of `heart` is simulated.
 
-    Surfaces of end-diastole are drawn to those of end-systole at the pace that the cine shows. Motion along
-    the surfaces, twist above all, is not in the labels, and not in the anatomy.
+    Surfaces of end-diastole are moved to those of end-systole at the pace that the cine shows. Motion along
+    the surfaces, twist above all, is in neither labels nor anatomy.
 
     Args:
-        mismatch_mm, seed: as `surface_anatomy`.
+        mismatch_mm, seed: as for `surface_anatomy`.
     Raises:
         InvalidInputError: labels of fewer than three slices.
     """
@@ -98,8 +98,8 @@ def cine_anatomy(heart: CineHeart, *, mismatch_mm: float, seed: int) -> SurfaceA
         surfaces[name] = SurfaceSeries(
             name, "mr", vertices + pace[:, None, None] * moved, triangles, heart.cine.timing, heart.patient_id
         )
-    made = surface_anatomy(surfaces, mismatch_mm=mismatch_mm, seed=seed)
-    return replace(made, atria=_atria(heart, ed, base_first))
+    anatomy = surface_anatomy(surfaces, mismatch_mm=mismatch_mm, seed=seed)
+    return replace(anatomy, atria=_atria(heart, ed, base_first))
 
 
 def _depth(name: str, labels: AnyArray, heart: CineHeart, base_first: bool) -> StackDepth:
@@ -113,24 +113,24 @@ def _depth(name: str, labels: AnyArray, heart: CineHeart, base_first: bool) -> S
     return stack_depth(left | _grown(right, grid.spacing_mm), grid, CAPS[name], base_first=base_first)
 
 
-def _grown(held: NDArray[np.bool_], spacing_mm: FloatArray) -> NDArray[np.bool_]:
-    """The right ventricle's cavity with its wall, slice by slice."""
-    out = np.zeros_like(held)
-    for k in range(held.shape[2]):
-        if held[:, :, k].any():
-            out[:, :, k] = distance_transform_edt(~held[:, :, k], sampling=spacing_mm[:2]) <= RV_WALL_MM
+def _grown(mask: NDArray[np.bool_], spacing_mm: FloatArray) -> NDArray[np.bool_]:
+    """Add the wall to the right ventricle's cavity, slice by slice."""
+    out = np.zeros_like(mask)
+    for k in range(mask.shape[2]):
+        if mask[:, :, k].any():
+            out[:, :, k] = distance_transform_edt(~mask[:, :, k], sampling=spacing_mm[:2]) <= RV_WALL_MM
     return out
 
 
 def _base_first(labels: AnyArray) -> bool:
-    """Whether slice 0 is the basal end: the heart is wider there."""
+    """Return whether slice 0 is the basal end, where the heart is wider."""
     area = (labels > 0).sum(axis=(0, 1))
     half = len(area) // 2
     return bool(area[:half].sum() > area[-half:].sum())
 
 
 def _atria(heart: CineHeart, labels: AnyArray, base_first: bool) -> AtrialStub:
-    """Where the atria begin: beyond the basal slice, across the stack's axis."""
+    """Place the start of the atria beyond the basal slice, across the stack's axis."""
     index = np.argwhere(labels > 0)
     end = index[:, 2].min() if base_first else index[:, 2].max()
     middle = np.array([*index[index[:, 2] == end, :2].mean(axis=0), float(end)])
@@ -140,5 +140,5 @@ def _atria(heart: CineHeart, labels: AnyArray, base_first: bool) -> AtrialStub:
     return AtrialStub(start, along, left, right)
 
 
-def _middle(heart: CineHeart, held: NDArray[np.bool_]) -> FloatArray:
-    return np.asarray(heart.cine.grid.to_mm(np.argwhere(held).mean(axis=0)[None])[0])
+def _middle(heart: CineHeart, mask: NDArray[np.bool_]) -> FloatArray:
+    return np.asarray(heart.cine.grid.to_mm(np.argwhere(mask).mean(axis=0)[None])[0])

@@ -1,4 +1,4 @@
-"""Surfaces of end-diastole drawn to those of end-systole, and the pace at which the cine shows it."""
+"""Surfaces of end-diastole moved to those of end-systole, at the pace of the cine."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,15 +12,15 @@ from .label_depth import StackDepth
 
 ROUNDS = 40
 SMOOTH_ROUNDS = 12
-"""Of averaging the displacement over neighbours after a step towards the other surface; fewer at the end."""
+"""Rounds of averaging the displacement over neighbours after a step; fewer at the end."""
 LONGEST_STEP_MM = 1.0
 ROI_PIXELS = 8
 
 
 def outline(depth: StackDepth, stride: int = 1) -> tuple[FloatArray, IntArray]:
-    """Vertices (v, 3), frame "mr", and outward triangles (m, 3) of the surface of zero depth.
+    """Extract vertices (v, 3), frame "mr", and outward triangles (m, 3) of the surface of zero depth.
 
-    `stride`: of the nodes used in a slice.
+    `stride`: step of the nodes used in a slice.
     """
     from skimage.measure import marching_cubes
 
@@ -35,10 +35,10 @@ def outline(depth: StackDepth, stride: int = 1) -> tuple[FloatArray, IntArray]:
 
 
 def displacement(vertices_mm: FloatArray, triangles: IntArray, target: StackDepth) -> FloatArray:
-    """(v, 3) smooth displacement that takes a surface onto that of `target`.
+    """Find the (v, 3) smooth displacement of a surface onto that of `target`.
 
     Each round moves along the target's gradient by its depth, 1 mm at most, and averages over neighbours,
-    less and less; motion along the surface is what the averaging makes of that.
+    less and less; motion along the surface results from the averaging alone.
     """
     mean = _averaging(triangles, len(vertices_mm))
     out = np.zeros_like(vertices_mm)
@@ -54,16 +54,16 @@ def displacement(vertices_mm: FloatArray, triangles: IntArray, target: StackDept
     return out
 
 
-def contraction(cine: VolumeSeries, held: NDArray[np.bool_], es_phase: int) -> FloatArray:
-    """(n,) how far each phase of the cine is on the way from the first to end-systole, 0…1.
+def contraction(cine: VolumeSeries, mask: NDArray[np.bool_], es_phase: int) -> FloatArray:
+    """Measure (n,) the progress of each phase of the cine from the first to end-systole, 0…1.
 
     The image's difference from end-diastole is projected on that of end-systole, over the labels and
     ROI_PIXELS around them, and smoothed over a frame.
 
     Args:
-        held: (nx, ny, nz) voxels of the heart at end-diastole.
+        mask: (nx, ny, nz) voxels of the heart at end-diastole.
     """
-    near = binary_dilation(held, np.ones((3, 3, 1), dtype=np.bool_), ROI_PIXELS)
+    near = binary_dilation(mask, np.ones((3, 3, 1), dtype=np.bool_), ROI_PIXELS)
     grey = np.asarray(cine.values, dtype=np.float64)[:, near]
     way = grey[es_phase] - grey[0]
     share = (grey - grey[0]) @ way / (way @ way)
@@ -73,7 +73,7 @@ def contraction(cine: VolumeSeries, held: NDArray[np.bool_], es_phase: int) -> F
 
 
 def _averaging(triangles: IntArray, count: int) -> csr_matrix:
-    """Half the vertex itself, half the mean of its neighbours."""
+    """Build the average of half the vertex itself and half the mean of its neighbours."""
     a, b, c = triangles.T
     rows, columns = np.concatenate([a, b, c, b, c, a]), np.concatenate([b, c, a, a, b, c])
     near = csr_matrix((np.ones(len(rows)), (rows, columns)), shape=(count, count))

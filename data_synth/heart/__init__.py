@@ -1,1 +1,1 @@
-"""The beating heart: anatomy, motion, breathing, mismatch between MR and patient."""
+"""Beating heart: anatomy, motion, breathing, mismatch between MR and patient."""

@@ -21,7 +21,7 @@ TOUCHABLE = (
 
 
 def heart_landmarks(h: HeartShape) -> tuple[tuple[str, ...], FloatArray]:
-    """Names and (n, 3) places of anatomical points in the standard heart at end-diastole, heart frame."""
+    """List names and (n, 3) positions of anatomical points of the standard heart at end-diastole."""
     base = lv.BASE
     mitral = np.array([h.la_center[0] * 0.7, h.la_center[1] * 0.7, base])
     tricuspid = np.array([h.ra_center[0], h.ra_center[1], base])
@@ -47,7 +47,7 @@ def heart_landmarks(h: HeartShape) -> tuple[tuple[str, ...], FloatArray]:
 
 
 def with_box_grid(frame: str, names: tuple[str, ...], points: FloatArray, box_mm: FloatArray) -> Landmarks:
-    """Named points followed by the 27 nodes (corners, mid-edges, faces, centre) of the heart box."""
+    """Append to named points the 27 nodes (corners, mid-edges, faces, centre) of the heart box."""
     axes = [np.linspace(box_mm[0, k], box_mm[1, k], 3) for k in range(3)]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     labels = tuple(f"box_{i}{j}{k}" for i in range(3) for j in range(3) for k in range(3))

@@ -1,4 +1,4 @@
-"""The four-chamber phantom: the standard heart in closed form, or one person's."""
+"""Four-chamber phantom: the standard heart in closed form, or one person's."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
@@ -35,14 +35,14 @@ TURN_DEG, VARIED_TURN_DEG = 8.0, 14.0
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class PhantomShapes:
-    """The heart's implicit shapes and its neighbours, in frame "mr".
+    """Implicit shapes of the heart and its neighbours, in frame "mr".
 
     Depths of a person's heart are those of the standard heart at W⁻¹(x), in the standard heart's mm.
 
     Attributes:
-        heart: in the standard heart's frame.
+        heart: shapes in the standard heart's frame.
         mr_from_heart: pose of the heart.
-        center_mm: of the heart.
+        center_mm: centre of the heart.
         standard: W⁻¹; None: this is the standard heart.
         base: tissue between the parts.
     """
@@ -73,21 +73,21 @@ class PhantomShapes:
 @read_only_arrays
 @dataclass(frozen=True, eq=False)
 class PhantomAnatomy:
-    """A four-chamber heart whose motion is known everywhere (see `kernels.lv` and `kernels.flow`).
+    """Four-chamber heart whose motion is known everywhere (see `kernels.lv` and `kernels.flow`).
 
     In the standard heart the wall of the left ventricle moves exactly incompressibly; right ventricle, atria
     and great vessels ride on the extension of that map after a smooth flow, which empties the right ventricle
-    and fills the atria. A person's heart is W(standard heart), and so is all that rides on it.
+    and fills the atria. A person's heart is W(standard heart), with all that moves with it.
 
     Attributes:
         shapes: implicit shapes at end-diastole.
         scale: factor on the activation.
         mismatch: pre-operative to intra-operative difference.
-        seeds: what it was drawn from.
-        kind: of heart; never "varied".
-        pump: how it beats; None: as the standard heart.
+        seeds: seeds it was drawn from.
+        kind: kind of heart, never "varied".
+        pump: pump function; None: that of the standard heart.
         warp: W; None: the standard heart.
-        resting: the same heart without mismatch, which lends what no mismatch changes; None: this one.
+        resting: the same heart without mismatch, whose unchanged parts are shared; None: this one.
     """
 
     shapes: PhantomShapes
@@ -119,7 +119,7 @@ class PhantomAnatomy:
 
     @cached_property
     def long_axis_mm(self) -> FloatArray:
-        """(2, 3) epicardial apex of the left ventricle and middle of its base at end-diastole."""
+        """Epicardial apex (2, 3) of the left ventricle and middle of its base at end-diastole."""
         return self.placed(np.array([[0.0, 0.0, 0.0], [0.0, 0.0, BASE]]))
 
     @cached_property
@@ -130,21 +130,21 @@ class PhantomAnatomy:
 
     @cached_property
     def resting_motion(self) -> PhantomMotion:
-        """χ of the pre-operative anatomy."""
+        """Motion χ of the pre-operative anatomy."""
         if self.resting is not None:
             return self.resting.resting_motion
         return self._motion(self.shapes.standard)
 
     @cached_property
     def inverse_motion(self) -> PhantomMotion:
-        """χ of the intra-operative anatomy."""
+        """Motion χ of the intra-operative anatomy."""
         if self.mismatch.rms_mm == 0:
             return self.resting_motion
         spacing_mm = MISMATCH_TABLE_MM if self.warp is None else TABLE_MM
         return self._motion(tabulated(self._standard_from_now, _wide(self.box_mm), spacing_mm))
 
     def deformed(self, xyz_mm: FloatArray, model_phase: float) -> FloatArray:
-        """χ: (n, 3) positions at a phase of (n, 3) reference points, without mismatch."""
+        """Apply χ: (n, 3) positions at a phase of (n, 3) reference points, without mismatch."""
         return self.resting_motion.push_forward(xyz_mm, model_phase)
 
     def material(self, xyz_mm: FloatArray, model_phase: float) -> FloatArray:
@@ -168,19 +168,19 @@ class PhantomAnatomy:
 
     @cached_property
     def _standard_vertices_mm(self) -> FloatArray:
-        """(v, 3) of the outline in the standard heart."""
+        """Vertices (v, 3) of the outline in the standard heart."""
         return self.ed_vertices_mm if self.warp is None else self.warp.inverse(self.ed_vertices_mm)
 
     def with_mismatch(self, mismatch_mm: float, seed: int) -> "PhantomAnatomy":
-        """The same heart under another mismatch, drawn as `phantom_anatomy` does.
+        """Apply another mismatch to this heart, drawn as by `phantom_anatomy`.
 
-        They share what was worked out of the heart at rest.
+        Both share the results computed for the heart at rest.
         """
         seeds = replace(self.seeds, mismatch=seed)
         return _under_mismatch(self if self.resting is None else self.resting, mismatch_mm, seeds)
 
     def placed(self, points: FloatArray) -> FloatArray:
-        """(n, 3) positions of points of the standard heart's frame."""
+        """Map points of the standard heart's frame to (n, 3) positions."""
         standard = self.shapes.mr_from_heart.apply_array(points)
         return standard if self.warp is None else self.warp.forward(standard)
 
@@ -204,13 +204,14 @@ class PhantomAnatomy:
 def phantom_anatomy(
     *, motion: MotionPreset, mismatch_mm: float, seed: int, heart: HeartSpec | None = None
 ) -> PhantomAnatomy:
-    """The four-chamber phantom.
+    """Draw a four-chamber phantom.
 
     Args:
         motion: "paper5mm" (largest epicardial motion of the standard heart 4.96 mm) or "physiological"
             (13.9 mm).
         mismatch_mm: RMS over the heart box of the smooth non-rigid difference to the pre-operative anatomy.
-        seed: draws what `heart` leaves open; the same seed gives the same heart for either motion.
+        seed: seed of everything that `heart` leaves open; the same seed gives the same heart for either
+            motion.
         heart: kind of heart and separate seeds; None is the standard heart.
     Raises:
         InvalidInputError: unknown motion, or a mismatch outside 0 … 8 mm.
@@ -228,7 +229,7 @@ def _under_mismatch(resting: PhantomAnatomy, mismatch_mm: float, seeds: HeartSee
 
 @lru_cache(maxsize=2)
 def _at_rest(kind: HeartKind, motion: MotionPreset, anatomy_seed: int, motion_seed: int) -> PhantomAnatomy:
-    """The heart without mismatch: what images of one heart share, and costs most of their time."""
+    """Build the heart without mismatch, the expensive part that images of one heart share."""
     scale = preset_scale(motion)
     shape_seed, place_seed, _ = _seed_sequences(anatomy_seed)
     place_rng = np.random.default_rng(place_seed)
@@ -263,7 +264,7 @@ def _no_mismatch(vertices_mm: FloatArray) -> SmoothField:
 
 
 def _seed_sequences(seed: int) -> list[np.random.SeedSequence]:
-    """Of shape, place and mismatch."""
+    """Derive the seed sequences of shape, position and mismatch."""
     return np.random.SeedSequence([seed, 0x4EA7]).spawn(3)
 
 
@@ -276,7 +277,7 @@ def _wide(box_mm: FloatArray) -> FloatArray:
 
 
 def _place_in_thorax(rng: np.random.Generator, turn_deg: float) -> Rigid:
-    """mr_from_heart: apex to the left, front and below (LPS); up to `turn_deg` about each axis, and 12 mm."""
+    """Draw mr_from_heart: apex left, front and below (LPS); up to `turn_deg` about each axis, and 12 mm."""
     z = np.array([-0.65, 0.55, 0.52])
     z /= np.linalg.norm(z)
     x = np.array([-0.63, -0.77, 0.03])

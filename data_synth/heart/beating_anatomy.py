@@ -1,4 +1,4 @@
-"""The contract that every synthetic heart fulfils."""
+"""Protocol of every synthetic heart."""
 
 from typing import Protocol
 
@@ -12,11 +12,11 @@ from .reference import ReferenceMap
 
 REFERENCE_SPACING_MM = 1.25
 MARGIN_MM = 32.0
-"""How far beyond the heart box tissue is known."""
+"""Width around the heart box in which tissue is known."""
 
 
 class BeatingAnatomy(Protocol):
-    """One beating heart: the anatomy that the intervention meets.
+    """Beating heart: the anatomy during the intervention.
 
     Frame "mr" throughout. `model_phase`: fraction of the pre-operative cycle, cyclic; 0 is end-diastole.
 
@@ -43,21 +43,21 @@ class BeatingAnatomy(Protocol):
     def inverse_motion(self) -> PullBack: ...
 
     def tissue(self, xyz_mm: FloatArray, model_phase: float) -> NDArray[np.uint8]:
-        """(n,) tissue codes of the intra-operative anatomy at (n, 3) points."""
+        """Return (n,) tissue codes of the intra-operative anatomy at (n, 3) points."""
         ...
 
     def material(self, xyz_mm: FloatArray, model_phase: float) -> FloatArray:
-        """(n, 3) reference positions X = χ⁻¹(x) that scatterers ride on."""
+        """Return (n, 3) reference positions X = χ⁻¹(x), with which scatterers move."""
         ...
 
     def surface_vertices(self, model_phase: float) -> FloatArray:
-        """(v, 3) true epicardial surface of the intra-operative anatomy."""
+        """Return the (v, 3) true epicardial surface of the intra-operative anatomy."""
         ...
 
     def targets(self) -> Landmarks:
-        """Named points and a 27-point grid of the heart box at which registration errors are declared."""
+        """Return named points and 27 grid points of the heart box at which registration errors are stated."""
         ...
 
     def landmarks(self) -> Landmarks:
-        """Points on the pre-operative end-diastolic surface that a stylus could touch."""
+        """Return points on the pre-operative end-diastolic surface that a stylus could touch."""
         ...

@@ -1,4 +1,4 @@
-"""The true clock of the beating heart: time to RR fraction to phase of the pre-operative cycle."""
+"""True clock of the beating heart: from time to RR fraction to phase of the pre-operative cycle."""
 
 from dataclasses import dataclass
 
@@ -8,10 +8,10 @@ from dvf_ig.core import FloatArray, IntArray, InvalidInputError, read_only_array
 from dvf_ig.core.arrays import frozen_floats
 
 SYSTOLE_S_PER_BPM = 0.002
-"""How much systole shortens per beat/min (k about 2 ms; docs/theory/synthetic.md)."""
+"""Shortening of systole per beat/min (k about 2 ms; docs/theory/synthetic.md)."""
 
 SYSTOLE_SHARE = (0.25, 0.65)
-"""Systole stays within this share of the running RR interval."""
+"""Bounds of systole as a share of the running RR interval."""
 
 
 @read_only_arrays
@@ -44,7 +44,7 @@ class HeartClock:
         object.__setattr__(self, "r_peaks_s", peaks)
 
     def beat(self, t_s: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
-        """Index of the running beat (clipped to the known ones), fraction of it in [0, 1), its RR in s."""
+        """Find the running beat's index (clipped to the known ones), the fraction of it, its RR in s."""
         t = np.asarray(t_s, dtype=np.float64)
         peaks, rr = self.r_peaks_s, np.diff(self.r_peaks_s)
         index = np.clip(np.searchsorted(peaks, t, side="right") - 1, 0, len(rr) - 1)
@@ -54,11 +54,11 @@ class HeartClock:
         return index, np.where(fraction >= 1.0, 0.0, fraction), rr[index]
 
     def phi(self, t_s: FloatArray) -> FloatArray:
-        """Fraction of the running RR interval since its R peak, in [0, 1)."""
+        """Compute the fraction of the running RR interval since its R peak, in [0, 1)."""
         return self.beat(t_s)[1]
 
     def model_phase(self, t_s: FloatArray) -> FloatArray:
-        """Where in the pre-operative cycle the heart is, in [0, 1)."""
+        """Compute the heart's phase in the pre-operative cycle, in [0, 1)."""
         _, phi, rr = self.beat(t_s)
         return two_segment_phase(phi, rr, self.model_rr_s, self.es_fraction, self.systole_s_per_bpm)
 
@@ -70,7 +70,7 @@ def two_segment_phase(
     es_fraction: float,
     systole_s_per_bpm: float = SYSTOLE_S_PER_BPM,
 ) -> FloatArray:
-    """Model phase in [0, 1) at fraction `phi` of a beat of length `rr_s`.
+    """Compute the model phase in [0, 1) at fraction `phi` of a beat of length `rr_s`.
 
     Systole lasts S = clip(S0 + k(HR0 − HR), 0.25 RR, 0.65 RR), S0 = es_fraction · model_rr_s, with the
     bounds widened to include es_fraction: the model's own rate maps to itself. The knots (0, 0),
@@ -78,9 +78,9 @@ def two_segment_phase(
     slopes, so the map is C1 within a beat and at the wrap.
     """
     rr = np.asarray(rr_s, dtype=np.float64)
-    wanted = es_fraction * model_rr_s + systole_s_per_bpm * (60.0 / model_rr_s - 60.0 / rr)
+    systole_s = es_fraction * model_rr_s + systole_s_per_bpm * (60.0 / model_rr_s - 60.0 / rr)
     lower, upper = min(SYSTOLE_SHARE[0], es_fraction), max(SYSTOLE_SHARE[1], es_fraction)
-    x = np.clip(wanted / rr, lower, upper)
+    x = np.clip(systole_s / rr, lower, upper)
     rise, fall = es_fraction / x, (1.0 - es_fraction) / (1.0 - x)
     slope_es = 3.0 / ((2.0 - x) / rise + (1.0 + x) / fall)
     slope_ed = 3.0 / ((1.0 + x) / fall + (2.0 - x) / rise)

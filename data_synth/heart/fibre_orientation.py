@@ -1,4 +1,4 @@
-"""Orientation of the heart's muscle fibres: muscle returns less of a beam that runs along its wall.
+"""Orientation of the heart's muscle fibres: muscle returns less of a beam along its wall.
 
 Fibres lie in the plane of the wall and turn through its thickness: the normal of the wall describes them.
 """
@@ -15,20 +15,20 @@ STRIDE = 2
 """Nodes of the tissue fields for each node of the orientations; walls turn slowly."""
 _SMOOTH_MM = 1.5
 _REACH_MM = 4.0
-"""About half a wall: the middle of a wall takes its direction from both of its faces."""
+"""Reach of the smoothing, about half a wall: its middle takes the direction of both faces."""
 _TENSOR = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 
 
 def no_fibres() -> NDArray[np.float32]:
-    """Of a medium without walls: one node that holds everywhere."""
+    """Return the orientation of a medium without walls: one node that applies everywhere."""
     return np.zeros((1, 1, 1, 3), dtype=np.float32)
 
 
 def fibre_orientation(codes: NDArray[np.uint8], spacing_mm: float) -> NDArray[np.float32]:
-    """Wall normals on every second node, each as long as the square root of the drop along the wall in dB.
+    """Estimate wall normals on every second node, as long as the root of the drop along the wall in dB.
 
-    The normal is the main direction of the smoothed structure tensor of the muscle, so it has no sign and
-    none is needed; where no direction prevails (apex, junctions) the drop is less.
+    The normal is the main direction of the smoothed structure tensor of the muscle; its sign has no meaning.
+    Without a prevailing direction (apex, junctions) the drop is less.
 
     Args:
         codes: (nx, ny, nz) tissue codes at end-diastole.
@@ -41,8 +41,8 @@ def fibre_orientation(codes: NDArray[np.uint8], spacing_mm: float) -> NDArray[np
         return orientation
     pitch_mm = STRIDE * spacing_mm
     margin = int(np.ceil(2 * _REACH_MM / pitch_mm)) + 1
-    held = np.argwhere(muscle)
-    low, high = np.maximum(held.min(axis=0) - margin, 0), held.max(axis=0) + margin + 1
+    voxels = np.argwhere(muscle)
+    low, high = np.maximum(voxels.min(axis=0) - margin, 0), voxels.max(axis=0) + margin + 1
     box = tuple(slice(a, b) for a, b in zip(low, high, strict=True))
     soft = gaussian_filter(muscle[box].astype(np.float32), _SMOOTH_MM / pitch_mm)
     slope = np.gradient(soft)
@@ -55,7 +55,7 @@ def fibre_orientation(codes: NDArray[np.uint8], spacing_mm: float) -> NDArray[np
 
 
 def _main_directions(tensor: FloatArray) -> FloatArray:
-    """(n, 3) first eigenvectors of (n, 6) tensors, as long as the share by which they prevail is large."""
+    """Compute (n, 3) first eigenvectors of (n, 6) tensors, as long as they prevail."""
     matrix = np.empty((len(tensor), 3, 3))
     for k, (a, b) in enumerate(_TENSOR):
         matrix[:, a, b] = matrix[:, b, a] = tensor[:, k]

@@ -1,4 +1,4 @@
-"""Which heart is meant: its kind, and the seeds of what varies between people and between interventions."""
+"""Specification of a heart: its kind, and the seeds of variation between people and interventions."""
 
 from dataclasses import dataclass
 from typing import Literal, get_args
@@ -13,7 +13,7 @@ HEART_KINDS: tuple[HeartKind, ...] = get_args(HeartKind)
 
 @dataclass(frozen=True, slots=True)
 class HeartSeeds:
-    """The seed of each thing that is drawn; see `HeartSpec`."""
+    """Seeds of all random parts; see `HeartSpec`."""
 
     anatomy: int
     motion: int
@@ -23,15 +23,16 @@ class HeartSeeds:
 
 @dataclass(frozen=True, slots=True)
 class HeartSpec:
-    """A heart and its images; each seed that is left None is the seed of the scenario or pair.
+    """Heart and its images; each seed left None is the seed of the scenario or pair.
 
-    Two specifications that agree in `kind` and in a seed agree in what that seed draws, whatever the others
-    are: the same anatomy under another mismatch, the same heart in other speckle.
+    Two specifications that agree in `kind` and in a seed agree in what that seed draws, independent of the
+    other
+    seeds: the same anatomy under another mismatch, the same heart in other speckle.
 
     Attributes:
-        kind: of heart.
-        anatomy_seed: size and shape at end-diastole, and place in the thorax.
-        motion_seed: contractility, timing and twist; of no effect on the standard heart.
+        kind: kind of heart.
+        anatomy_seed: size and shape at end-diastole, and position in the thorax.
+        motion_seed: contractility, timing and twist; without effect on the standard heart.
         mismatch_seed: difference between pre-operative and intra-operative anatomy.
         speckle_seed: scatterers and noise of the ultrasound images.
     """
@@ -47,16 +48,16 @@ class HeartSpec:
             raise InvalidInputError(
                 f"there is no kind of heart '{self.kind}'; choose from {', '.join(HEART_KINDS)}"
             )
-        if any(given is not None and given < 0 for given in self._given()):
+        if any(seed_given is not None and seed_given < 0 for seed_given in self._given()):
             raise InvalidInputError(f"the heart's seeds are {self._given()}; needed non-negative integers")
 
     def seeds(self, seed: int) -> HeartSeeds:
-        """Every seed, those left open being `seed`."""
-        return HeartSeeds(*(seed if given is None else given for given in self._given()))
+        """Return all seeds, with `seed` for those left open."""
+        return HeartSeeds(*(seed if seed_given is None else seed_given for seed_given in self._given()))
 
     def _given(self) -> tuple[int | None, ...]:
         return self.anatomy_seed, self.motion_seed, self.mismatch_seed, self.speckle_seed
 
 
 STANDARD_HEART = HeartSpec()
-"""The standard heart, every seed that of the scenario or pair."""
+"""Standard heart with all seeds those of the scenario or pair."""

@@ -1,4 +1,4 @@
-"""The non-rigid difference between the heart that was imaged and the heart that is operated on."""
+"""Non-rigid difference between the imaged heart and the heart during the intervention."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ _FIT_CELLS = 16
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class SmoothField:
-    """A smooth random displacement m(x) = Σ A cos(k·x) + B sin(k·x) − t − ω×(x − c), frame "mr".
+    """Smooth random displacement m(x) = Σ A cos(k·x) + B sin(k·x) − t − ω×(x − c), frame "mr".
 
     Attributes:
         waves: (m, 3) wave vectors, rad/mm.
@@ -38,7 +38,7 @@ class SmoothField:
     rms_mm: float
 
     def at(self, xyz_mm: FloatArray) -> FloatArray:
-        """(n, 3) displacement at (n, 3) points."""
+        """Evaluate the (n, 3) displacement at (n, 3) points."""
         if self.rms_mm == 0:
             return np.zeros_like(xyz_mm)
         relative = np.ascontiguousarray(xyz_mm - self.center_mm)
@@ -47,11 +47,11 @@ class SmoothField:
         return np.asarray(wave - self.shift_mm - np.cross(self.turn_rad, relative))
 
     def forward(self, xyz_mm: FloatArray) -> FloatArray:
-        """Pre-operative to intra-operative positions."""
+        """Map pre-operative to intra-operative positions."""
         return np.asarray(xyz_mm + self.at(xyz_mm))
 
     def inverse(self, xyz_mm: FloatArray, tolerance_mm: float = 1e-4) -> FloatArray:
-        """Intra-operative to pre-operative positions, by fixed-point iteration."""
+        """Map intra-operative to pre-operative positions by fixed-point iteration."""
         if self.rms_mm == 0:
             return np.array(xyz_mm, dtype=np.float64)
         out = np.array(xyz_mm, dtype=np.float64)
@@ -66,7 +66,7 @@ class SmoothField:
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class TabulatedMap:
-    """A smooth map of space on a grid, cubic between nodes: x + displacement(x).
+    """Smooth map of space on a grid, cubic between nodes: x + displacement(x).
 
     Attributes:
         displacement_mm: (nx, ny, nz, 3).
@@ -79,7 +79,7 @@ class TabulatedMap:
     spacing_mm: float
 
     def at(self, xyz_mm: FloatArray) -> FloatArray:
-        """(n, 3) images of (n, 3) points."""
+        """Map (n, 3) points."""
         points = np.ascontiguousarray(xyz_mm, dtype=np.float64)
         out = np.empty_like(points)
         cubic_at(points, self.displacement_mm, self.origin_mm, 1.0 / self.spacing_mm, out)
@@ -89,7 +89,7 @@ class TabulatedMap:
 def tabulated(
     image: Callable[[FloatArray], FloatArray], box_mm: FloatArray, spacing_mm: float = TABLE_MM
 ) -> TabulatedMap:
-    """A map of (n, 3) points over `box_mm` (2, 3) and one node around it."""
+    """Tabulate a map of (n, 3) points over `box_mm` (2, 3) and one node around it."""
     origin = box_mm[0] - spacing_mm
     count = np.ceil((box_mm[1] - box_mm[0]) / spacing_mm).astype(int) + 3
     axes = [origin[k] + spacing_mm * np.arange(count[k]) for k in range(3)]
@@ -99,7 +99,7 @@ def tabulated(
 
 
 def tabulated_inverse(field: SmoothField, box_mm: FloatArray) -> TabulatedMap:
-    """`field.inverse` over `box_mm` (2, 3); to about 0.001 mm for a 5 mm field."""
+    """Tabulate `field.inverse` over `box_mm` (2, 3); to about 0.001 mm for a 5 mm field."""
     return tabulated(field.inverse, box_mm)
 
 
@@ -110,7 +110,7 @@ def random_mismatch(
     correlation_mm: float = CORRELATION_MM,
     modes: int = MODES,
 ) -> SmoothField:
-    """A smooth random field of exactly `rms_mm` over the heart box, without any rigid part there.
+    """Draw a smooth random field of exactly `rms_mm` over the heart box, without any rigid part there.
 
     The rigid part (shift and small rotation) is removed by least squares over a uniform grid of the box, so
     that the true pose stays the best rigid pose.
@@ -144,10 +144,10 @@ def random_mismatch(
 
 
 def _rigid_part(relative_mm: FloatArray, field_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Least-squares shift (3,) and small rotation vector (3,) of a displacement field.
+    """Fit shift (3,) and small rotation vector (3,) to a displacement field by least squares.
 
     The nodes are those of a box about its centre: their first and mixed second moments vanish, and the normal
-    equations fall apart into one quotient for each unknown, summed in an order no thread count changes.
+    equations separate into one quotient for each unknown, summed in an order independent of threads.
     """
     moments = (relative_mm**2).sum(axis=0)
     torque = np.cross(relative_mm, field_mm).sum(axis=0)

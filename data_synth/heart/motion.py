@@ -1,4 +1,4 @@
-"""When and how far the synthetic heart contracts, and the tabulated inverse of its motion."""
+"""Contraction of the synthetic heart over the cycle, and the tabulated inverse of its motion."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -17,7 +17,7 @@ PRESET_SCALE: dict[str, float] = {"physiological": 1.0, "paper5mm": 0.35}
 """Factor on the activation: largest epicardial motion 13.9 mm and 4.96 mm."""
 
 ES_FRACTION = 0.36
-"""Where the activation curve peaks, as a fraction of the cycle."""
+"""Peak of the activation curve, as a fraction of the cycle."""
 
 _TIMES = (0, 0.08, 0.16, 0.20, 0.28, 0.36, 0.40, 0.48, 0.52, 0.56, 0.60, 0.64, 0.72, 0.84, 0.88, 0.92, 0.96)
 _LEVELS = (0, 0.21, 0.52, 0.66, 0.92, 1, 0.94, 0.84, 0.68, 0.54, 0.38, 0.31, 0.27, 0.29, 0.22, 0.07, 0)
@@ -26,19 +26,19 @@ _LEVELS = (0, 0.21, 0.52, 0.66, 0.92, 1, 0.94, 0.84, 0.68, 0.54, 0.38, 0.31, 0.2
 @lru_cache(maxsize=1)
 def _activation_curve() -> PchipInterpolator:
     times, levels = np.array(_TIMES, dtype=np.float64), np.array(_LEVELS, dtype=np.float64)
-    # SciPy's PCHIP knows no period: a padded period on each side makes slopes agree at the wrap
+    # SciPy's PCHIP is not periodic: a padded period on each side makes slopes agree at the wrap
     return PchipInterpolator(
         np.concatenate([times - 1, times, times + 1]), np.concatenate([levels, levels, levels])
     )
 
 
 def activation(model_phase: FloatArray | float) -> FloatArray:
-    """Activation 0…1 of the ventricles at a model phase (cyclic): measured on a real left ventricle."""
+    """Evaluate activation 0…1 of the ventricles (cyclic), as measured on a real left ventricle."""
     return np.asarray(_activation_curve()(np.asarray(model_phase, dtype=np.float64) % 1.0))
 
 
 def preset_scale(motion: str) -> float:
-    """Factor on the activation for a named motion.
+    """Return the factor on the activation for a named motion.
 
     Raises:
         InvalidInputError: unknown name.
@@ -49,20 +49,20 @@ def preset_scale(motion: str) -> float:
 
 
 class PullBack(Protocol):
-    """Where what is at a place now was at end-diastole: all that imaging needs of a motion."""
+    """Map from current positions to those at end-diastole, the only part of a motion that imaging needs."""
 
     def pull_back(self, xyz_mm: FloatArray, model_phase: FloatArray | float) -> FloatArray:
-        """(n, 3) reference positions X = χ⁻¹(x) of points, at one phase or each at its own (n,)."""
+        """Return (n, 3) reference positions X = χ⁻¹(x), at one phase or each at its own (n,)."""
         ...
 
 
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class InverseMotion:
-    """χ⁻¹ on a grid, tabulated at knots: X = x + displacement(x, knot), trilinear in space, linear in knots.
+    """Inverse motion χ⁻¹ tabulated on a grid: X = x + displacement(x, knot), linear in space and knots.
 
-    As good as the grid is fine where the motion is smooth; creases (the walls of a heart) are rounded off by
-    some tenths of a millimetre. `PhantomMotion` and `SurfaceMotion` are exact there.
+    As exact as the grid is fine if the motion is smooth; creases (the walls of a heart) are rounded off by
+    some tenths of a millimetre, where `PhantomMotion` and `SurfaceMotion` are exact.
 
     Attributes:
         displacement_mm: (k, nx, ny, nz, 3) float32, frame "mr"; knots lie at i/k of the cycle.
@@ -75,14 +75,14 @@ class InverseMotion:
     spacing_mm: float
 
     def knots(self, model_phase: FloatArray | float, count: int) -> tuple[IntArray, IntArray, FloatArray]:
-        """Neighbouring knots and weight of the second, (count,) each, at one phase or at (count,) of them."""
+        """Find neighbouring knots and the second's weight, (count,) each, at one phase or at (count,)."""
         phase = np.array(np.broadcast_to(model_phase, (count,)), dtype=np.float64) % 1.0
         position = phase * len(self.displacement_mm)
         first = np.minimum(position.astype(np.int64), len(self.displacement_mm) - 1)
         return first, (first + 1) % len(self.displacement_mm), position - first
 
     def pull_back(self, xyz_mm: FloatArray, model_phase: FloatArray | float) -> FloatArray:
-        """(n, 3) reference positions of points, at one phase or each at its own (n,)."""
+        """Return (n, 3) reference positions of points, at one phase or each at its own (n,)."""
         points = np.ascontiguousarray(xyz_mm, dtype=np.float64)
         out = np.empty_like(points)
         gridded_motion.pull_back(

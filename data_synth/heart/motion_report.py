@@ -1,4 +1,4 @@
-"""What a phantom's motion amounts to, measured on the motion itself."""
+"""Measures of a phantom's motion, taken on the motion itself."""
 
 from dataclasses import dataclass
 
@@ -19,13 +19,13 @@ LEFT_ATRIUM = (Tissue.LA_BLOOD, Tissue.LAA_BLOOD)
 
 @dataclass(frozen=True, slots=True)
 class MotionReport:
-    """End-systole against end-diastole, without mismatch unless said otherwise.
+    """Measures of end-systole relative to end-diastole, without mismatch unless stated.
 
     Attributes:
-        lv_ejection_fraction, rv_ejection_fraction: of the blood inside, ∫ det ∇χ over it.
+        lv_ejection_fraction, rv_ejection_fraction: ejection fractions of the blood inside, ∫ det ∇χ over it.
         la_expansion: end-systolic over end-diastolic volume of the left atrium, minus 1.
-        wall_thickening: of the left ventricle's wall half-way up, relative.
-        long_axis_shortening: of the distance between epicardial apex and mitral plane, relative.
+        wall_thickening: relative thickening of the left ventricle's wall half-way up.
+        long_axis_shortening: relative shortening of the distance between epicardial apex and mitral plane.
         largest_surface_motion_mm: over the whole epicardial surface.
         largest_lv_motion_mm: over the left ventricle's epicardium below the mitral plane.
         wall_det_error: largest |det ∇χ − 1| in the left ventricle's wall, from 2 mm above the apex on.
@@ -73,7 +73,7 @@ def motion_report(anatomy: PhantomAnatomy, *, points: int = 40_000) -> MotionRep
 
 
 def jacobian_determinant(anatomy: PhantomAnatomy, xyz_mm: FloatArray, model_phase: float) -> FloatArray:
-    """(n,) det ∇χ at (n, 3) reference points, five-point differences: truncation and rounding below 1e-9."""
+    """Compute (n,) det ∇χ at (n, 3) reference points by five-point differences, to below 1e-9."""
     columns = []
     for axis in DET_STEP_MM * np.eye(3):
         near, far = (
@@ -86,9 +86,9 @@ def jacobian_determinant(anatomy: PhantomAnatomy, xyz_mm: FloatArray, model_phas
 
 
 def lv_wall_points(anatomy: PhantomAnatomy, rng: np.random.Generator, count: int) -> FloatArray:
-    """(count, 3) random points of the left ventricle's wall at end-diastole, frame "mr".
+    """Draw (count, 3) points of the left ventricle's wall at end-diastole, frame "mr".
 
-    They keep clear of its two surfaces, and of the lowest 2 mm of the pointed apex.
+    They stay away from its two surfaces and from the lowest 2 mm of the pointed apex.
     """
     z, angle = rng.uniform(2.0, lv.BASE - 0.01, count), rng.uniform(0.0, 2 * np.pi, count)
     cavity = anatomy.shapes.heart.lv_cavity
@@ -97,7 +97,7 @@ def lv_wall_points(anatomy: PhantomAnatomy, rng: np.random.Generator, count: int
 
 
 def inverse_error(anatomy: PhantomAnatomy, rng: np.random.Generator, count: int) -> float:
-    """Largest ‖χ(χ⁻¹(x)) − x‖ in mm at random points of the imaged neighbourhood and random phases."""
+    """Measure the largest ‖χ(χ⁻¹(x)) − x‖ in mm at random points and phases of the neighbourhood."""
     box = anatomy.box_mm + np.array([[-20.0], [20.0]])
     worst = 0.0
     for phase in (0.0, 0.1, 0.25, anatomy.es_fraction, 0.6, 0.9):
@@ -112,7 +112,7 @@ def _volume_ratio(det: FloatArray, codes: NDArray[np.uint8], *tissues: Tissue) -
 
 
 def _lv_wall(anatomy: PhantomAnatomy, model_phase: float) -> tuple[float, float]:
-    """Mean thickness of the wall's material half-way up, and height of the mitral plane above the apex."""
+    """Measure the wall's mean thickness half-way up, and the mitral plane's height above the apex."""
     angle = np.linspace(0.0, 2 * np.pi, 24, endpoint=False)
     height = np.full(24, lv.BASE / 2)
     outer, inner = (

@@ -1,4 +1,4 @@
-"""The epicardial surface as a watertight mesh of an implicit depth."""
+"""Epicardial surface as a watertight mesh of an implicit depth."""
 
 from collections.abc import Callable
 
@@ -14,7 +14,7 @@ REACH_MM = 115.0
 
 
 def outline(depth: Depth, center_mm: FloatArray, step_mm: float = STEP_MM) -> tuple[FloatArray, IntArray]:
-    """Vertices (v, 3) and outward triangles (m, 3) of the surface depth = 0 around `center_mm`.
+    """Extract vertices (v, 3) and outward triangles (m, 3) of the surface depth = 0 around `center_mm`.
 
     Marching cubes, then Newton steps along the gradient put every vertex on the surface to below 1e-4 mm.
     """
@@ -33,7 +33,7 @@ def outline(depth: Depth, center_mm: FloatArray, step_mm: float = STEP_MM) -> tu
 
 
 def project_to_outline(depth: Depth, points: FloatArray, steps: int = 12) -> FloatArray:
-    """(n, 3) points moved along the gradient of the depth until it vanishes."""
+    """Move (n, 3) points along the gradient of the depth until it vanishes."""
     out = np.array(points, dtype=np.float64)
     h = 1e-3
     for _ in range(steps):

@@ -1,4 +1,4 @@
-"""The four-chamber phantom's motion: closed form in the left ventricle, a smooth flow around it."""
+"""Motion of the four-chamber phantom: closed form in the left ventricle, a smooth flow around it."""
 
 from dataclasses import dataclass
 
@@ -15,7 +15,7 @@ from .warp import PlacedWarp
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class PhantomMotion:
-    """χ and χ⁻¹ of the phantom in frame "mr", for any phase.
+    """Motion χ and χ⁻¹ of the phantom in frame "mr", for any phase.
 
     A person's heart W(standard heart) moves by W ∘ χ_standard ∘ W⁻¹. ‖χ(χ⁻¹(x)) − x‖ stays below 0.01 mm for
     the standard heart and below 0.05 mm for others, creases at the walls included (see `motion_report`).
@@ -24,10 +24,10 @@ class PhantomMotion:
         mr_from_heart: pose of the heart.
         lobes: (n, 7) swelling atria, see `kernels.flow.velocity`.
         scale: factor on the activation.
-        cavity: (6,) of the left ventricle, see `kernels.lv`.
-        es_fraction: where the activation peaks, as a fraction of the cycle.
+        cavity: (6,) cavity of the left ventricle, see `kernels.lv`.
+        es_fraction: peak of the activation, as a fraction of the cycle.
         warp: W; None: the standard heart.
-        before: where a point now was in the standard heart's contracted state, mismatch undone; None: there.
+        before: map of a point to the standard heart's contracted state, mismatch undone; None: identity.
     """
 
     mr_from_heart: Rigid
@@ -39,17 +39,17 @@ class PhantomMotion:
     before: TabulatedMap | None = None
 
     def levels(self, model_phase: FloatArray | float, count: int) -> FloatArray:
-        """(count,) activations at one phase, or at (count,) of them."""
+        """Compute (count,) activations at one phase, or at (count,) of them."""
         phase = model_phase if self.es_fraction == ES_FRACTION else self._usual_phase(model_phase)
         return np.array(np.broadcast_to(self.scale * activation(phase), (count,)))
 
     def push_forward(self, xyz_mm: FloatArray, model_phase: FloatArray | float) -> FloatArray:
-        """χ: (n, 3) positions of (n, 3) reference points, without mismatch."""
+        """Apply χ: (n, 3) positions of (n, 3) reference points, without mismatch."""
         start = xyz_mm if self.warp is None else self.warp.inverse(xyz_mm)
         return self.push_standard(start, model_phase)
 
     def push_standard(self, xyz_mm: FloatArray, model_phase: FloatArray | float) -> FloatArray:
-        """Positions of (n, 3) points of the standard heart at end-diastole, W⁻¹(reference points)."""
+        """Move (n, 3) points of the standard heart from end-diastole, W⁻¹(reference points)."""
         points = np.ascontiguousarray(xyz_mm, dtype=np.float64)
         out = np.empty_like(points)
         place = (self.mr_from_heart.rotation, self.mr_from_heart.translation_mm, self.lobes, self.cavity)
@@ -57,7 +57,7 @@ class PhantomMotion:
         return out if self.warp is None else self.warp.forward(out)
 
     def pull_back(self, xyz_mm: FloatArray, model_phase: FloatArray | float) -> FloatArray:
-        """χ⁻¹ behind the inverse mismatch: (n, 3) reference positions of (n, 3) points."""
+        """Apply χ⁻¹ after the inverse mismatch: (n, 3) reference positions of (n, 3) points."""
         points = np.ascontiguousarray(xyz_mm, dtype=np.float64)
         out = np.empty_like(points)
         field = _NO_FIELD if self.before is None else self.before
@@ -76,7 +76,7 @@ class PhantomMotion:
         return out if self.warp is None else self.warp.table.at(out)
 
     def _usual_phase(self, model_phase: FloatArray | float) -> FloatArray:
-        """Phase at which the activation curve has the level of this heart at `model_phase`."""
+        """Find the phase at which the activation curve has this heart's level at `model_phase`."""
         phase = np.asarray(model_phase, dtype=np.float64) % 1.0
         return np.interp(phase, [0.0, self.es_fraction, 1.0], [0.0, ES_FRACTION, 1.0])
 

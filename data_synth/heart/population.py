@@ -1,11 +1,11 @@
-"""How hearts differ between people: sizes and pump function of each kind, and draws of them.
+"""Variation of hearts between people: sizes and pump function of each kind, and draws of them.
 
 Sources: S. E. Petersen et al., JCMR 19:18, 2017 (volumes and ejection fractions of all chambers, UK Biobank);
 N. Kawel et al., Circ. Cardiovasc. Imaging 5:500, 2012 (wall thickness: 5.3 ± 0.9 mm in women, 6.3 ± 1.1 mm in
 men in the mean over the mid-cavity, 7 and 8 mm at its thickest); N. Kawel-Boehm et al., JCMR 22:87, 2020
 (great vessels, atria); O. Bernard et al., IEEE TMI 37:2514, 2018 ("dilated": ejection fraction below 0.40,
 more than 100 ml/m², wall below 12 mm; "hypertrophic": segments of 15 mm and more, normal ejection fraction).
-The shares of POPULATION are a choice: sick hearts are those that are operated on.
+The shares of POPULATION are chosen, as mostly sick hearts are operated on.
 """
 
 from dataclasses import dataclass
@@ -28,7 +28,7 @@ POPULATION: tuple[tuple[HeartKind, float], ...] = (
 
 @dataclass(frozen=True, slots=True)
 class Spread:
-    """A normal distribution cut off at both ends."""
+    """Normal distribution truncated at both ends."""
 
     mean: float
     sd: float
@@ -41,16 +41,16 @@ class Spread:
 
 @dataclass(frozen=True, slots=True)
 class KindSpread:
-    """How one kind of heart varies.
+    """Variation of one kind of heart.
 
     Attributes:
         lv_edv_ml: end-diastolic volume of the left ventricle.
         wall_mm: mean thickness of its wall half-way up at end-diastole.
         elongation: length over width of the left ventricle, relative to the standard heart.
-        septal_excess_mm: how much thicker the septum is than the mean wall.
+        septal_excess_mm: thickness of the septum above that of the mean wall.
         rv_scale, la_scale, ra_scale: linear size relative to the left ventricle's epicardium, standard 1.
-        ejection_fraction: of the left ventricle, with the motion "physiological".
-        twist: relative to the standard heart.
+        ejection_fraction: ejection fraction of the left ventricle with the motion "physiological".
+        twist: twist relative to the standard heart.
     """
 
     lv_edv_ml: Spread
@@ -107,7 +107,7 @@ LONGITUDINAL = Spread(1.0, 0.12, 0.75, 1.25)
 """Longitudinal shortening relative to the standard heart, at the same activation."""
 HEART_RATE_BPM = Spread(68.0, 9.0, 50.0, 92.0)
 SYSTOLE_S, SYSTOLE_S_PER_BPM = Spread(0.31, 0.015, 0.28, 0.34), 0.0015
-"""R peak to end-systole at 70 beats/min, and how much it shortens with the rate (Weissler 1968)."""
+"""Time from R peak to end-systole at 70 beats/min, and its shortening with the rate (Weissler 1968)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,7 +126,7 @@ class LeftVentricle:
 
 
 def left_ventricle(edv_ml: float, wall_mm: float, elongation: float) -> LeftVentricle:
-    """The left ventricle with this volume, wall half-way up and elongation."""
+    """Size the left ventricle by volume, wall half-way up and elongation."""
 
     def sized(inner_mm: float) -> LeftVentricle:
         apex_mm = lv.CAVITY_APEX * (lv.OUTER - inner_mm) / (lv.OUTER - lv.INNER)
@@ -144,14 +144,14 @@ def left_ventricle(edv_ml: float, wall_mm: float, elongation: float) -> LeftVent
 
 
 def cavity_of(ventricle: LeftVentricle) -> FloatArray:
-    """(6,) `cavity` of `kernels.lv` that contracts as the standard one."""
+    """Build the (6,) `cavity` of `kernels.lv` that contracts as the standard one."""
     out = lv.STANDARD_CAVITY.copy()
     out[:2] = ventricle.inner_mm, ventricle.apex_mm
     return out
 
 
 def ejection_fraction(cavity: FloatArray, level: float) -> float:
-    """Of the closed form at an activation."""
+    """Compute the ejection fraction of the closed form at an activation."""
     z = np.linspace(cavity[1], lv.BASE, 400)
     inner = np.array([lv.radii(height, cavity)[1] for height in z])
     moved = z - level * cavity[2] * z**2 / lv.BASE
@@ -161,11 +161,11 @@ def ejection_fraction(cavity: FloatArray, level: float) -> float:
 
 @dataclass(frozen=True, slots=True)
 class PumpFunction:
-    """How one heart beats.
+    """Pump function of one heart.
 
     Attributes:
         contractility: factor on the activation.
-        longitudinal, twist: relative to the standard heart.
+        longitudinal, twist: shortening and twist relative to the standard heart.
         rr_s: RR interval of the pre-operative acquisition.
         es_fraction: end-systole as a fraction of it.
     """
@@ -177,25 +177,25 @@ class PumpFunction:
     es_fraction: float
 
     def cavity(self, cavity: FloatArray) -> FloatArray:
-        """The cavity with this heart's way of contracting."""
+        """Give a cavity this heart's contraction."""
         factors = np.array([1.0, 1.0, self.longitudinal, 1.0, self.twist, self.twist])
         return np.asarray(cavity * factors)
 
 
 def draw_pump_function(kind: HeartKind, cavity: FloatArray, rng: np.random.Generator) -> PumpFunction:
-    """Contractility that gives the ejection fraction drawn for a left ventricle, timing and twist."""
+    """Draw timing, twist, and the contractility that gives a drawn ejection fraction."""
     spread = KINDS[kind]
-    wanted, longitudinal = spread.ejection_fraction.draw(rng), LONGITUDINAL.draw(rng)
+    target, longitudinal = spread.ejection_fraction.draw(rng), LONGITUDINAL.draw(rng)
     twist, rate_bpm = spread.twist.draw(rng), HEART_RATE_BPM.draw(rng)
     rr_s = 60.0 / rate_bpm
     systole_s = SYSTOLE_S.draw(rng) - SYSTOLE_S_PER_BPM * (rate_bpm - 70.0)
     start = PumpFunction(1.0, longitudinal, twist, rr_s, systole_s / rr_s).cavity(cavity)
-    level = brentq(lambda a: ejection_fraction(start, a) - wanted, *ACTIVATION_RANGE, xtol=1e-6)
+    level = brentq(lambda a: ejection_fraction(start, a) - target, *ACTIVATION_RANGE, xtol=1e-6)
     return PumpFunction(float(level), longitudinal, twist, rr_s, systole_s / rr_s)
 
 
 def draw_kind(kind: HeartKind, rng: np.random.Generator) -> HeartKind:
-    """The kind itself, or one of POPULATION for "varied"; one number is drawn either way."""
+    """Return the kind itself, or draw one of POPULATION for "varied"; one number is drawn either way."""
     share = rng.uniform()
     if kind != "varied":
         return kind

@@ -1,4 +1,4 @@
-"""The heart at end-diastole as grids: what MR and ultrasound look up after going back through the motion."""
+"""Heart at end-diastole as grids, which MR and ultrasound look up after undoing the motion."""
 
 from dataclasses import dataclass
 from typing import Protocol
@@ -20,7 +20,7 @@ CHANNELS = 5
 
 REFLECTORS = (Tissue.LUNG, Tissue.BONE)
 _REFLECTOR_EDGE = 3.0
-"""Wider by this: a tenth of their edge reflects all, and must not be a staircase of nodes."""
+"""Widening of edges: a tenth of them reflects all, and must not be a staircase of nodes."""
 
 
 class ReferenceShapes(Protocol):
@@ -30,19 +30,19 @@ class ReferenceShapes(Protocol):
     def base(self) -> Tissue: ...
 
     def organ(self, xyz_mm: FloatArray) -> FloatArray:
-        """(n,) depth below the epicardial surface."""
+        """Compute the (n,) depth below the epicardial surface."""
         ...
 
     def inside(self, xyz_mm: FloatArray, organ: FloatArray) -> Layers:
-        """Parts of the heart, painted in order over `base`."""
+        """List parts of the heart, painted in order over `base`."""
         ...
 
     def inside_ultrasound_only(self, xyz_mm: FloatArray) -> Layers:
-        """Parts that pre-operative images do not show, painted last."""
+        """List parts that pre-operative images do not show, painted last."""
         ...
 
     def outside(self, xyz_mm: FloatArray, organ: FloatArray) -> Layers:
-        """Neighbours of the heart, painted in order over MEDIASTINUM."""
+        """List neighbours of the heart, painted in order over MEDIASTINUM."""
         ...
 
 
@@ -55,7 +55,7 @@ class ReferenceMap:
         origin_mm: (3,) first node.
         spacing_mm: node pitch.
         organ_mm: (nx, ny, nz) float32 depth below the epicardium.
-        inner, outer: (nx, ny, nz) uint8 codes that hold where the organ depth is positive, or not.
+        inner, outer: (nx, ny, nz) uint8 codes for positive organ depth, and for others.
         signal: (nx, ny, nz) float32 noise-free bSSFP signal.
         acoustics: (nx, ny, nz, CHANNELS) float32.
         fibre_orientation: wall normals on a coarser grid from the same origin, see the function of that name.
@@ -71,7 +71,7 @@ class ReferenceMap:
     fibre_orientation: NDArray[np.float32]
 
     def sample(self, xyz_mm: FloatArray, signal: NDArray[np.float32], codes: NDArray[np.uint8]) -> None:
-        """MR signal and tissue code at (n, 3) reference positions, into `signal` and `codes` (n,)."""
+        """Sample MR signal and tissue code at (n, 3) reference positions into `signal` and `codes` (n,)."""
         tissue_map.sample_mr(
             xyz_mm, self.organ_mm, self.inner, self.outer, self.signal, self.origin_mm,
             1.0 / self.spacing_mm, signal, codes,
@@ -79,7 +79,7 @@ class ReferenceMap:
 
 
 def tissue_at(shapes: ReferenceShapes, xyz_mm: FloatArray, *, ultrasound: bool = True) -> NDArray[np.uint8]:
-    """(n,) exact tissue codes of reference points; with or without the parts only ultrasound sees."""
+    """Compute (n,) exact tissue codes of reference points, with or without ultrasound-only parts."""
     organ = shapes.organ(xyz_mm)
     inner, outer = _codes(shapes, xyz_mm, organ)
     if ultrasound:
@@ -144,7 +144,7 @@ def _codes(
 def _painted(
     layers: Layers, base: Tissue, count: int, edge_mm: float
 ) -> tuple[FloatArray, NDArray[np.uint8]]:
-    """(count, CHANNELS) property rows and (count,) codes of layers painted over `base`."""
+    """Paint layers over `base`: (count, CHANNELS) property rows and (count,) codes."""
     rows = np.repeat(_PROPERTIES[int(base)][None], count, axis=0)
     codes = np.full(count, base, dtype=np.uint8)
     _paint(rows, codes, layers, edge_mm)
@@ -164,7 +164,7 @@ def _paint(rows: FloatArray, codes: NDArray[np.uint8], layers: Layers, edge_mm: 
 
 
 def _property_row(tissue: Tissue) -> list[float]:
-    """ln Z, α, echo of tissue, echo of blood, MR signal."""
+    """Return ln Z, α, echo of tissue, echo of blood, MR signal."""
     a = ACOUSTICS[tissue]
     amplitude = 10 ** (a.echo_db / 20)
     is_blood = tissue in BLOOD
@@ -178,7 +178,7 @@ def _property_row(tissue: Tissue) -> list[float]:
 
 
 def _property_table() -> FloatArray:
-    """(codes, CHANNELS) rows indexed by tissue code."""
+    """Build (codes, CHANNELS) rows indexed by tissue code."""
     table = np.zeros((max(Tissue) + 1, CHANNELS))
     for tissue in Tissue:
         table[int(tissue)] = _property_row(tissue)

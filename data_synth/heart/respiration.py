@@ -7,7 +7,7 @@ import numpy as np
 from dvf_ig.core import FloatArray, InvalidInputError
 
 Breathing = Callable[[FloatArray], FloatArray]
-"""Times (n,) s to displacements (n, 3) mm in frame "mr"."""
+"""Function from times (n,) s to displacements (n, 3) mm in frame "mr"."""
 
 SHARPNESS = 2
 DIRECTION = np.array([0.0, -0.29, -0.957])
@@ -15,7 +15,7 @@ DIRECTION = np.array([0.0, -0.29, -0.957])
 
 
 def respiration_mm(t_s: FloatArray, excursion_mm: float, per_minute: float, phase: float = 0.0) -> FloatArray:
-    """(n,) mm from end-expiration at (n,) s: A cos⁴(π (f t + phase)), which lingers at end-expiration.
+    """Compute (n,) mm from end-expiration at (n,) s: A cos⁴(π (f t + phase)), longest near end-expiration.
 
     Args:
         excursion_mm: A, from end-expiration to end-inspiration.
@@ -28,7 +28,7 @@ def respiration_mm(t_s: FloatArray, excursion_mm: float, per_minute: float, phas
 
 
 def breathing(excursion_mm: float, per_minute: float, rng: np.random.Generator) -> Breathing:
-    """Steady breathing from a random phase; an excursion of 0 (high-frequency ventilation) is none.
+    """Draw steady breathing from a random phase; an excursion of 0 (high-frequency ventilation) is none.
 
     Raises:
         InvalidInputError: negative excursion, or a rate that is not positive.

@@ -17,13 +17,13 @@ from .tissue import Tissue
 
 BLEND_MM = 6.0
 GROOVE_MM = 20.0
-"""Blend between ventricles and atria: the fat-filled atrioventricular groove is a shallow one."""
+"""Blend between ventricles and atria, whose fat-filled groove is shallow."""
 RIM_MM = 6.0
 SKELETON_CENTER = np.array([0.0, 0.0, BASE + 3.0])
 SKELETON_SEMI = np.array([28.0, 28.0, 12.0])
 """Fibrous skeleton and fat between the valve rings."""
 LOBE = float(np.sqrt(3.0))
-"""Size of the motion's lobes re the chambers: their divergence changes sign at a chamber's outer wall."""
+"""Size of the motion's lobes relative to the chambers: the divergence changes sign at the outer wall."""
 RV_RATE = -0.46
 LA_RATE = 0.2
 RA_RATE = 0.18
@@ -38,21 +38,21 @@ PERICARDIUM_MM = 1.0
 
 
 def ellipsoid_depth(p: FloatArray, center: FloatArray, semi: FloatArray) -> FloatArray:
-    """First-order signed distance to an ellipsoid."""
+    """Compute the first-order signed distance to an ellipsoid."""
     out = np.empty(len(p))
     ellipsoid_depths(p, center, semi, out)
     return out
 
 
 def tube_depth(p: FloatArray, path: FloatArray, radii: FloatArray) -> FloatArray:
-    """Signed distance to a chain of round cones approximated by interpolated radii along `path`."""
+    """Compute the signed distance to a chain of round cones of interpolated radii along `path`."""
     out = np.empty(len(p))
     tube_depths(p, path, radii, out)
     return out
 
 
 def bullet_depth(p: FloatArray, apex_z: float, radius: float, round_mm: float = 0.0) -> FloatArray:
-    """Approximate depth inside R = radius √(1 − (1 − s)^2.2), s from `apex_z` to the base, cut at the base.
+    """Compute approximate depth inside R = radius √(1 − (1 − s)^2.2), s from `apex_z` to the base's cut.
 
     `round_mm` rounds the rim of the cut.
     """
@@ -67,7 +67,7 @@ def bullet_depth(p: FloatArray, apex_z: float, radius: float, round_mm: float = 
 
 
 def smooth_union(a: FloatArray, b: FloatArray, blend_mm: float = BLEND_MM) -> FloatArray:
-    """Union of two depths with a C1 blend of compact support (polynomial smooth maximum)."""
+    """Unite two depths with a C1 blend of compact support (polynomial smooth maximum)."""
     overlap = np.maximum(blend_mm - np.abs(a - b), 0.0) / blend_mm
     return np.asarray(np.maximum(a, b) + overlap**2 * blend_mm / 4)
 
@@ -75,9 +75,9 @@ def smooth_union(a: FloatArray, b: FloatArray, blend_mm: float = BLEND_MM) -> Fl
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class HeartShape:
-    """Sizes and places of the left ventricle's cavity and of the parts around it, heart frame, mm.
+    """Sizes and positions of the left ventricle's cavity and of the parts around it, heart frame, mm.
 
-    `lv_cavity` is the (6,) cavity of `kernels.lv`; the left ventricle's epicardium is that of every heart.
+    `lv_cavity` is the (6,) cavity of `kernels.lv`; the left ventricle's epicardium is the same in all hearts.
     """
 
     rv_center: FloatArray
@@ -104,7 +104,7 @@ class HeartShape:
     )
 
     def organ(self, p: FloatArray) -> FloatArray:
-        """Depth below the epicardial surface of the whole heart: one smooth closed surface."""
+        """Compute depth below the whole heart's epicardial surface, which is smooth and closed."""
         depth = smooth_union(self._lv(p), ellipsoid_depth(p, self.rv_center, self.rv_semi))
         depth = smooth_union(depth, ellipsoid_depth(p, SKELETON_CENTER, SKELETON_SEMI))
         depth = smooth_union(depth, ellipsoid_depth(p, self.la_center, self.la_semi), GROOVE_MM)
@@ -115,7 +115,7 @@ class HeartShape:
         return smooth_union(depth, np.maximum(*self._veins(p)))
 
     def inside(self, p: FloatArray, organ: FloatArray) -> Layers:
-        """Parts of the heart, painted in this order over ATRIAL_WALL; no valves, no papillaries."""
+        """List parts of the heart, painted in order over ATRIAL_WALL, without valves and papillaries."""
         lv = self._lv(p)
         rv = ellipsoid_depth(p, self.rv_center, self.rv_semi)
         aorta = tube_depth(p, self.aorta_path, self._radii(self.aorta_radius_mm))
@@ -144,7 +144,7 @@ class HeartShape:
         ]
 
     def inside_ultrasound_only(self, p: FloatArray) -> Layers:
-        """Valve leaflets and papillary muscles: seen by ultrasound, absent from the pre-operative images."""
+        """List valve leaflets and papillary muscles, shown by ultrasound but not by pre-operative images."""
         papillary = np.full(len(p), -np.inf)
         for path in self.papillary:
             papillary = np.maximum(papillary, tube_depth(p, path, np.array([4.0, 2.5])))
@@ -159,7 +159,7 @@ class HeartShape:
         ]
 
     def _veins(self, p: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Depths in the pulmonary veins and in the venae cavae."""
+        """Compute depths in the pulmonary veins and in the venae cavae."""
         veins, cavae = (
             np.max([tube_depth(p, path, np.full(2, radius)) for path in paths], axis=0)
             for paths, radius in (
@@ -170,7 +170,7 @@ class HeartShape:
         return veins, cavae
 
     def lobes(self) -> FloatArray:
-        """(3, 7) lobes of the motion around the left ventricle, see `kernels.flow.velocity`."""
+        """Return (3, 7) lobes of the motion around the left ventricle, see `kernels.flow.velocity`."""
         parts = (
             (self.rv_center, self.rv_semi, RV_RATE),
             (self.la_center, self.la_semi, LA_RATE),
@@ -189,7 +189,7 @@ class HeartShape:
 
 
 def heart_shape(rng: np.random.Generator) -> HeartShape:
-    """An adult heart whose right ventricle and atria vary by some mm; the left ventricle is closed form."""
+    """Draw an adult heart whose right ventricle and atria vary by some mm; the left ventricle is fixed."""
 
     def near(*values: float, spread: float = 1.5) -> FloatArray:
         return np.array(values) + rng.uniform(-spread, spread, 3)
@@ -217,7 +217,7 @@ def heart_shape(rng: np.random.Generator) -> HeartShape:
 
 
 def with_vessels(heart: HeartShape, turn: FloatArray) -> HeartShape:
-    """`heart` with pulmonary veins and venae cavae that leave its atria in directions turned by `turn`."""
+    """Add pulmonary veins and venae cavae that leave the atria in directions turned by `turn`."""
     return replace(
         heart,
         vein_paths=_outward(heart.la_center, PULMONARY_VEINS @ turn.T, 12.0, 40.0),
@@ -226,13 +226,13 @@ def with_vessels(heart: HeartShape, turn: FloatArray) -> HeartShape:
 
 
 def _outward(center: FloatArray, directions: FloatArray, start_mm: float, stop_mm: float) -> FloatArray:
-    """(n, 2, 3) straight paths from a centre along directions."""
+    """Build (n, 2, 3) straight paths from a centre along directions."""
     unit = directions / np.linalg.norm(directions, axis=1, keepdims=True)
     return np.asarray(center + unit[:, None] * np.array([[start_mm], [stop_mm]]))
 
 
 def outside_layers(relative_mm: FloatArray, organ: FloatArray) -> Layers:
-    """Neighbours of the heart, painted over MEDIASTINUM.
+    """List neighbours of the heart, painted over MEDIASTINUM.
 
     Acoustic windows: the whole anterior side (open chest) and a posterior gap between the lungs.
 

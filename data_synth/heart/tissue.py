@@ -1,4 +1,4 @@
-"""Tissues of the synthetic thorax: codes, names, and what MR and ultrasound see of each."""
+"""Tissues of the synthetic thorax: codes, names, and their appearance in MR and ultrasound."""
 
 from dataclasses import dataclass
 from enum import IntEnum
@@ -48,10 +48,10 @@ MUSCLE = (Tissue.LV_MYOCARDIUM, Tissue.RV_WALL, Tissue.ATRIAL_WALL)
 """Tissues whose fibres lie in the plane of the wall."""
 
 ANISOTROPY_DB = 12.0
-"""How much less a beam gets back that runs along a wall than one that meets it squarely.
+"""Loss of a beam along a wall compared with one that meets it at a right angle, dB.
 
 Myofibres return least along themselves, by 14.5 dB in fixed human muscle (Hoffmeister 1995); they turn
-through the thickness of a wall, so less of it is left on average. Walls drop out where they run along the
+through the thickness of a wall, so the average loss is smaller. Walls drop out where they are parallel to the
 beam for this reason (Aygen and Popp 1987).
 """
 
@@ -97,7 +97,8 @@ ACOUSTICS: dict[Tissue, Acoustics] = {
     Tissue.LUNG: Acoustics(0.0004, 40.0, 0.0),
     Tissue.BONE: Acoustics(7.8, 10.0, 6.0),
 }
-"""Table of the synthetic world. MEDIASTINUM is the loose tissue and coupling fluid around the heart."""
+"""MR properties of the synthetic world. MEDIASTINUM is the loose tissue and coupling fluid around the
+heart."""
 
 RELAXATION: dict[Tissue, Relaxation] = {
     **dict.fromkeys(Tissue, _MUSCLE_MR),
@@ -118,11 +119,11 @@ LABEL_NAMES: tuple[tuple[int, str], ...] = tuple(
     for code in Tissue
     if 0 < code < FIRST_OUTSIDE and code not in (Tissue.VALVE, Tissue.PAPILLARY)
 )
-"""Labels of the pre-operative segmentation; all of them lie inside the epicardial surface."""
+"""Labels of the pre-operative segmentation, all inside the epicardial surface."""
 
 
 def bssfp_signal(tissue: Tissue, flip_rad: float = np.pi / 3, echo_time_ms: float = 1.5) -> float:
-    """Steady-state signal ρ sinα e^(−TE/T2) / [(T1/T2 + 1) − cosα (T1/T2 − 1)], times the inflow factor."""
+    """Compute ρ sinα e^(−TE/T2) / [(T1/T2 + 1) − cosα (T1/T2 − 1)], times the inflow factor."""
     r = RELAXATION[tissue]
     ratio = r.t1_ms / r.t2_ms
     level = r.density * np.sin(flip_rad) * np.exp(-echo_time_ms / r.t2_ms)

@@ -1,4 +1,4 @@
-"""One person's anatomy at end-diastole: sizes, great vessels, and the warp of the standard heart."""
+"""Anatomy of one person at end-diastole: sizes, great vessels, and the warp of the standard heart."""
 
 from dataclasses import dataclass, replace
 
@@ -14,9 +14,9 @@ from .shapes import HeartShape, heart_shape, with_vessels
 from .warp import AnatomicalWarp
 
 CENTER_MM = np.array([6.0, 2.0, 68.0])
-"""Of the heart, heart frame; the warp's affine part leaves it in place."""
+"""Centre of the heart, heart frame; the warp's affine part leaves it in place."""
 BOX_MM = np.array([[-52.0, -55.0, -4.0], [72.0, 58.0, 142.0]])
-"""Of the standard heart, heart frame."""
+"""Box of the standard heart, heart frame."""
 SHEAR_SD = 0.05
 ELLIPTIC_SD = 0.04
 INDIVIDUAL_MM = 1.3
@@ -33,7 +33,7 @@ ATTEMPTS = 50
 
 @dataclass(frozen=True, slots=True, eq=False)
 class VariedShape:
-    """The standard heart's parts with this person's proportions, and the warp to this person."""
+    """Standard heart's parts with a person's proportions, and the warp to this person."""
 
     kind: HeartKind
     heart: HeartShape
@@ -41,7 +41,7 @@ class VariedShape:
 
 
 def varied_shape(kind: HeartKind, rng: np.random.Generator) -> VariedShape:
-    """Draw until the warp is sound: det ∇W at least MIN_DETERMINANT all over the heart's neighbourhood."""
+    """Draw until the warp is valid: det ∇W at least MIN_DETERMINANT all over the heart's neighbourhood."""
     spread = KINDS[kind]
     for _ in range(ATTEMPTS):
         ventricle = left_ventricle(
@@ -51,13 +51,13 @@ def varied_shape(kind: HeartKind, rng: np.random.Generator) -> VariedShape:
         warp = _warp(ventricle, spread.septal_excess_mm.draw(rng), rng)
         if warp.determinant(_nodes(BOX_MM + np.array([[-30.0], [30.0]]))).min() > MIN_DETERMINANT:
             return VariedShape(kind, heart, warp)
-    raise RuntimeError(f"no sound warp of a {kind} heart in {ATTEMPTS} draws")
+    raise RuntimeError(f"no valid warp of a {kind} heart in {ATTEMPTS} draws")
 
 
 def _proportions(
     heart: HeartShape, ventricle: LeftVentricle, spread: KindSpread, rng: np.random.Generator
 ) -> HeartShape:
-    """Chambers and vessels relative to the left ventricle's epicardium."""
+    """Scale chambers and vessels relative to the left ventricle's epicardium."""
     rv, la, ra = spread.rv_scale.draw(rng), spread.la_scale.draw(rng), spread.ra_scale.draw(rng)
     lift = np.array([0.0, 0.0, 0.5])
     cavity = cavity_of(ventricle)
@@ -82,7 +82,7 @@ def _proportions(
 
 
 def _turned(path: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """A path turned about its first point."""
+    """Turn a path about its first point."""
     turn = Rotation.from_rotvec(_small_turn(rng)).as_matrix()
     return np.asarray(path[0] + (path - path[0]) @ turn.T)
 
@@ -97,7 +97,7 @@ def _warp(ventricle: LeftVentricle, septal_excess_mm: float, rng: np.random.Gene
     size = np.array(
         [ventricle.across * np.exp(elliptic), ventricle.across * np.exp(-elliptic), ventricle.along]
     )
-    # the excess at the septum's two surfaces: what the eccentric cavity moves of one but not of the other
+    # the excess at the septum's two surfaces, of which the eccentric cavity moves one and not the other
     inner, outer = 0.85 * ventricle.inner_mm, 29.0
     width = ECCENTRIC_WIDTH_MM[0]
     share = np.exp(-0.5 * (inner / width) ** 2) - np.exp(-0.5 * (outer / width) ** 2)

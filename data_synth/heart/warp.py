@@ -1,4 +1,4 @@
-"""The anatomical warp W: a smooth map of space that turns the standard heart into one person's."""
+"""Anatomical warp W: a smooth map of space from the standard heart to one person's."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -12,7 +12,7 @@ from .mismatch import SmoothField, TabulatedMap, tabulated
 TOLERANCE_MM = 1e-4
 STEP_MM = 1e-2
 TABLE_MM = 4.0
-"""Node pitch of tabulated warps: what interpolation leaves between nodes stays below 0.05 mm."""
+"""Node pitch of tabulated warps: the interpolation error stays below 0.05 mm."""
 
 
 @read_only_arrays
@@ -20,13 +20,13 @@ TABLE_MM = 4.0
 class AnatomicalWarp:
     """W(p) = c + A (p + Σ v exp(−½ Σ ((p − b)/σ)²) + m(p) − c) in the heart frame, mm.
 
-    The affine part keeps the motion of the wall incompressible; the rest is gentle, and does so nearly.
+    The affine part keeps the motion of the wall incompressible; the small rest nearly does.
 
     Attributes:
         affine: (3, 3) A: size along the axes, tilt and shear.
-        center_mm: (3,) c, which A leaves in place.
+        center_mm: (3,) c, the fixed point of A.
         bump_center_mm, bump_width_mm, bump_mm: (k, 3) b, σ and v: septum, apex, eccentric cavity.
-        field: m, the rest of what makes hearts differ.
+        field: m, the remaining individual variation.
     """
 
     affine: FloatArray
@@ -37,11 +37,11 @@ class AnatomicalWarp:
     field: SmoothField
 
     def forward(self, points: FloatArray) -> FloatArray:
-        """(n, 3) positions in the person's heart of (n, 3) points of the standard heart."""
+        """Map (n, 3) points of the standard heart to the person's."""
         return np.asarray(self.center_mm + (points + self._local(points) - self.center_mm) @ self.affine.T)
 
     def inverse(self, points: FloatArray) -> FloatArray:
-        """(n, 3) points of the standard heart, by fixed-point iteration to TOLERANCE_MM."""
+        """Map (n, 3) points back to the standard heart, by fixed-point iteration to TOLERANCE_MM."""
         moved = self.center_mm + (points - self.center_mm) @ np.linalg.inv(self.affine).T
         out = np.array(moved)
         going = np.arange(len(out))
@@ -54,7 +54,7 @@ class AnatomicalWarp:
         return out
 
     def determinant(self, points: FloatArray) -> FloatArray:
-        """(n,) det ∇W at (n, 3) points of the standard heart."""
+        """Compute (n,) det ∇W at (n, 3) points of the standard heart."""
         columns = [
             (self.forward(points + step) - self.forward(points - step)) / (2 * STEP_MM)
             for step in STEP_MM * np.eye(3)
@@ -72,12 +72,12 @@ class AnatomicalWarp:
 @read_only_arrays
 @dataclass(frozen=True, eq=False)
 class PlacedWarp:
-    """W about a heart in frame "mr": exact, and tabulated for imaging.
+    """Warp W about a heart in frame "mr": exact, and tabulated for imaging.
 
     Attributes:
-        warp: in the heart frame.
+        warp: W in the heart frame.
         mr_from_heart: pose of the heart.
-        box_mm: (2, 3) of the standard heart in frame "mr", where the table holds.
+        box_mm: (2, 3) box of the standard heart in frame "mr", covered by the table.
     """
 
     warp: AnatomicalWarp
@@ -89,13 +89,13 @@ class PlacedWarp:
         return tabulated(self.forward, self.box_mm, TABLE_MM)
 
     def forward(self, xyz_mm: FloatArray) -> FloatArray:
-        """(n, 3) positions in the person's heart of (n, 3) points of the standard heart."""
+        """Map (n, 3) points of the standard heart to the person's."""
         return self.mr_from_heart.apply_array(self.warp.forward(self.local(xyz_mm)))
 
     def inverse(self, xyz_mm: FloatArray) -> FloatArray:
-        """(n, 3) points of the standard heart of (n, 3) positions in the person's."""
+        """Map (n, 3) positions in the person's heart to the standard heart."""
         return self.mr_from_heart.apply_array(self.warp.inverse(self.local(xyz_mm)))
 
     def local(self, xyz_mm: FloatArray) -> FloatArray:
-        """(n, 3) points in the heart frame."""
+        """Map (n, 3) points to the heart frame."""
         return np.asarray((xyz_mm - self.mr_from_heart.translation_mm) @ self.mr_from_heart.rotation)

@@ -1,8 +1,8 @@
 """Exact signed distance from points to a deforming triangle mesh (numba).
 
 The nearest point of the nearest triangle decides the distance; its sign comes from the angle-weighted
-pseudo-normal of the feature it lies on (face, edge or vertex), which is right for every closed mesh.
-The mesh samples a smooth organ: facets turn by several degrees from one to the next where the organ does not.
+pseudo-normal of its feature (face, edge or vertex), which is right for every closed mesh.
+The mesh samples a smooth organ: facets turn by several degrees from one to the next, unlike the organ.
 The gradient is therefore the vertex pseudo-normals interpolated at the nearest point, not a facet's normal.
 Triangles are grouped in small clusters; bounding spheres skip clusters, never a nearest triangle.
 
@@ -24,7 +24,7 @@ VERTEX, EDGE, FACE = 0, 3, 6
 
 
 class Mesh(NamedTuple):
-    """A closed mesh at cached phases, with what finds its nearest point quickly.
+    """Closed mesh at cached phases, with an index for the search of nearest points.
 
     Attributes:
         vertices: (phases, v, 3) mm.
@@ -46,7 +46,7 @@ class Mesh(NamedTuple):
 
 
 class Phase(NamedTuple):
-    """Between two cached phases: their indices, and the weight of the second."""
+    """Interval between two cached phases: their indices, and the weight of the second."""
 
     low: int
     high: int
@@ -55,7 +55,7 @@ class Phase(NamedTuple):
 
 @kernel()
 def _closest(p: AnyArray, a: AnyArray, b: AnyArray, c: AnyArray, out: AnyArray) -> int:
-    """Nearest point of triangle abc to p, written to `out`; returns the feature code."""
+    """Find the point of triangle abc nearest to p, written to `out`; return the feature code."""
     ab, ac, ap = _from_to(a, b), _from_to(a, c), _from_to(a, p)
     d1, d2 = _dot(ab, ap), _dot(ac, ap)
     if d1 <= 0.0 and d2 <= 0.0:
@@ -133,7 +133,7 @@ def _vertex(mesh: Mesh, phase: Phase, index: int, out: AnyArray) -> None:
 
 @kernel()
 def _normal(mesh: Mesh, phase: Phase, triangle: int, corners: AnyArray) -> Vector:
-    """Unit normal of a triangle between two cached phases; fills `corners` (3, 3)."""
+    """Compute a triangle's unit normal between two cached phases; fill `corners` (3, 3)."""
     for k in range(3):
         _vertex(mesh, phase, mesh.triangles[triangle, k], corners[k])
     x, y, z = _cross(_from_to(corners[0], corners[1]), _from_to(corners[0], corners[2]))
@@ -145,7 +145,7 @@ def _normal(mesh: Mesh, phase: Phase, triangle: int, corners: AnyArray) -> Vecto
 
 @kernel()
 def _pseudo_normal(mesh: Mesh, phase: Phase, triangle: int, feature: int, out: AnyArray) -> None:
-    """Outward pseudo-normal (not of unit length) of a feature of `triangle`."""
+    """Compute the outward pseudo-normal (not of unit length) of a feature of `triangle`."""
     corners = np.empty((3, 3))
     if feature >= EDGE:
         _set(_normal(mesh, phase, triangle, corners), out)
@@ -167,7 +167,7 @@ def _pseudo_normal(mesh: Mesh, phase: Phase, triangle: int, feature: int, out: A
 
 @kernel()
 def _smooth_normal(mesh: Mesh, phase: Phase, triangle: int, point: AnyArray, out: AnyArray) -> None:
-    """Outward unit normal at a point of `triangle`: its corners' unit pseudo-normals by area weights."""
+    """Compute the outward unit normal at a point of `triangle` from its corners', by area weights."""
     corners, vertex_normal = np.empty((3, 3)), np.empty(3)
     face = _normal(mesh, phase, triangle, corners)
     _set((0.0, 0.0, 0.0), out)
@@ -185,7 +185,7 @@ def _smooth_normal(mesh: Mesh, phase: Phase, triangle: int, point: AnyArray, out
 
 @kernel()
 def _nearest(p: AnyArray, mesh: Mesh, phase: Phase, best_point: AnyArray) -> tuple[float, int, int]:
-    """Distance, triangle and feature of the mesh point nearest to p (written to `best_point`)."""
+    """Find distance, triangle and feature of the mesh point nearest to p (written to `best_point`)."""
     clusters = mesh.clusters
     gap, first = _gaps(p, mesh, phase)
     corners, candidate = np.empty((3, 3)), np.empty(3)
@@ -209,7 +209,7 @@ def _nearest(p: AnyArray, mesh: Mesh, phase: Phase, best_point: AnyArray) -> tup
 
 @kernel()
 def _gaps(p: AnyArray, mesh: Mesh, phase: Phase) -> tuple[AnyArray, int]:
-    """(c,) least distance from p to each cluster's sphere, and the cluster whose centre is nearest."""
+    """Compute (c,) least distances from p to clusters' spheres; find the cluster of the nearest centre."""
     low, high = mesh.centers[phase.low], mesh.centers[phase.high]
     count = len(mesh.clusters) - 1
     gap, first, nearest = np.empty(count), 0, np.inf
@@ -235,7 +235,7 @@ def signed_distances(
     distance: AnyArray,
     gradient: AnyArray,
 ) -> None:
-    """Signed distance (positive inside) and its unit gradient for every point.
+    """Compute signed distance (positive inside) and its unit gradient for every point.
 
     Args:
         points: (n, 3) mm.

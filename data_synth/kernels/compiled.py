@@ -9,10 +9,10 @@ from . import SOURCES
 
 
 def kernel(**options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """A function called from Python or from other kernels; `options` are those of `numba.njit`."""
+    """Compile a function called from Python or from other kernels; `options` are those of `numba.njit`."""
     return lambda function: compile_kernel(function, SOURCES, **options)
 
 
 def callback(signature: Any) -> Callable[[Callable[..., Any]], Any]:
-    """A function called from C by its `address`."""
+    """Compile a function called from C by its `address`."""
     return lambda function: compile_callback(function, SOURCES, signature)

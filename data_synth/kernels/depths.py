@@ -9,7 +9,7 @@ from .compiled import kernel
 
 @kernel(nogil=True, error_model="numpy")
 def ellipsoid_depths(points: AnyArray, center: AnyArray, semi: AnyArray, out: AnyArray) -> None:
-    """First-order signed distance of (n, 3) points to an ellipsoid into `out`, positive inside."""
+    """Compute first-order signed distances of (n, 3) points to an ellipsoid into `out`, positive inside."""
     least = min(semi[0], semi[1], semi[2])
     for i in range(len(points)):
         k0, k1 = 0.0, 0.0
@@ -24,7 +24,7 @@ def ellipsoid_depths(points: AnyArray, center: AnyArray, semi: AnyArray, out: An
 
 @kernel(nogil=True, error_model="numpy")
 def tube_depths(points: AnyArray, path: AnyArray, radii: AnyArray, out: AnyArray) -> None:
-    """Signed distance of (n, 3) points to a chain of round cones about `path` into `out`, positive inside."""
+    """Compute signed distances of (n, 3) points to round cones along `path` into `out`, positive inside."""
     for i in range(len(points)):
         best = -np.inf
         for j in range(len(path) - 1):

@@ -9,7 +9,7 @@ from .compiled import kernel
 
 @kernel(nogil=True, error_model="numpy")
 def squared_distance(px: float, py: float, pz: float, a: AnyArray, b: AnyArray, c: AnyArray) -> float:
-    """Squared distance from a point to triangle abc (Ericson, Real-Time Collision Detection, 5.1.5)."""
+    """Compute the squared distance from a point to triangle abc (Ericson, 5.1.5)."""
     abx, aby, abz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
     acx, acy, acz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
     apx, apy, apz = px - a[0], py - a[1], pz - a[2]
@@ -46,7 +46,7 @@ def squared_distance(px: float, py: float, pz: float, a: AnyArray, b: AnyArray, 
 def band_distance(
     vertices: AnyArray, triangles: AnyArray, origin: AnyArray, spacing: float, band: float, out: AnyArray
 ) -> None:
-    """Squared distance to the mesh at nodes nearer than `band`; `out` (nx, ny, nz) starts at band²."""
+    """Compute squared distances to the mesh at nodes nearer than `band`; `out` starts at band²."""
     shape = out.shape
     low, high = np.zeros(3, np.int64), np.zeros(3, np.int64)
     for t in range(len(triangles)):
@@ -72,7 +72,7 @@ def mark_crossings(
 ) -> None:
     """Toggle `flips` (nx, ny, nz + 1) at the first node above each crossing of a z column with the mesh.
 
-    Columns are shifted by an irrational share of a micrometre so that none runs through an edge.
+    Columns are shifted by an irrational share of a micrometre so that none passes through an edge.
     """
     ox, oy = origin[0] + 1e-6 * np.sqrt(2.0), origin[1] + 1e-6 * np.sqrt(3.0)
     nx, ny, nz = flips.shape[0], flips.shape[1], flips.shape[2] - 1
@@ -102,7 +102,7 @@ def mark_crossings(
 def radial_field(
     nodes: AnyArray, centers: AnyArray, weights: AnyArray, affine: AnyArray, out: AnyArray
 ) -> None:
-    """Σ w |x − c| + affine part at (n, 3) nodes; weights (c, k), affine (4, k) and out (n, k) float32."""
+    """Compute Σ w |x − c| + affine part at (n, 3) nodes; weights (c, k), affine (4, k), out (n, k)."""
     width = weights.shape[1]
     for n in range(len(nodes)):
         x, y, z = nodes[n, 0], nodes[n, 1], nodes[n, 2]

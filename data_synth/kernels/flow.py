@@ -1,9 +1,9 @@
-"""The smooth part of the heart's motion: the flow of a steady velocity field outside the left ventricle.
+"""Smooth part of the heart's motion: the flow of a steady velocity field outside the left ventricle.
 
 Heart frame, mm; "time" is the activation a. The field vanishes inside the left ventricle, so that composing
 its flow with `lv.forward_point` leaves the closed form there untouched:
     χ_a = LV_a ∘ Ψ_a,   χ_a⁻¹ = Ψ_{−a} ∘ LV_a⁻¹.
-The right ventricle is drawn towards the septum; each atrium swells about its centre, above the valve plane.
+The right ventricle moves towards the septum; each atrium swells about its centre, above the valve plane.
 """
 
 import numpy as np
@@ -16,24 +16,24 @@ from .lv import BASE, outer_radius
 
 STEPS = 2
 SEPTUM_MM = 14.0
-"""The right ventricle's part rises from 0 to its full size over this distance outside the left ventricle."""
+"""Distance outside the left ventricle over which the right ventricle's part rises from 0 to its full size."""
 APEX_MM = 20.0
-"""It rises over this height above the apex, which is pointed and bears no steeper field."""
+"""Height above the pointed apex over which it rises; a steeper field would fold there."""
 RV_ABOVE = 12.0
-"""The right ventricle's part fades over twice this height about the valve plane."""
+"""Half the height about the valve plane over which the right ventricle's part fades."""
 ATRIUM_ONSET = 22.0
 
 
 @kernel(nogil=True, error_model="numpy", inline="always")
 def smooth_step(u: float) -> float:
-    """0 below 0, 1 above 1, twice differentiable."""
+    """Compute a twice differentiable step: 0 below 0, 1 above 1."""
     t = min(max(u, 0.0), 1.0)
     return t * t * t * (10.0 + t * (6.0 * t - 15.0))
 
 
 @kernel(nogil=True, error_model="numpy", inline="always")
 def _lobe(dx: float, dy: float, dz: float, lobe: AnyArray) -> float:
-    """Rate of swelling (1 − d²)³ inside an ellipsoid; its divergence changes sign at d = 1/√3."""
+    """Compute the rate of swelling (1 − d²)³ inside an ellipsoid; its divergence changes sign at d = 1/√3."""
     d2 = (dx * lobe[3]) ** 2 + (dy * lobe[4]) ** 2 + (dz * lobe[5]) ** 2
     if d2 >= 1.0:
         return 0.0
@@ -43,7 +43,7 @@ def _lobe(dx: float, dy: float, dz: float, lobe: AnyArray) -> float:
 
 @kernel(nogil=True, error_model="numpy")
 def velocity(x: float, y: float, z: float, lobes: AnyArray) -> Point:
-    """Displacement per unit of activation at one point.
+    """Compute the displacement per unit of activation at one point.
 
     Args:
         lobes: (3, 7) centre, reciprocal semi-axes and rate of right ventricle, left and right atrium.
@@ -71,12 +71,12 @@ def velocity(x: float, y: float, z: float, lobes: AnyArray) -> Point:
 
 @kernel(nogil=True, error_model="numpy")
 def flow_point(x: float, y: float, z: float, a: float, lobes: AnyArray) -> Point:
-    """Ψ_a of one point, fourth-order Runge-Kutta; Ψ_{−a} is its inverse."""
+    """Compute Ψ_a of one point by fourth-order Runge-Kutta; Ψ_{−a} is its inverse."""
     h = a / STEPS
     for _ in range(STEPS):
         ax, ay, az = velocity(x, y, z, lobes)
         if ax == 0.0 and ay == 0.0 and az == 0.0:
-            # a resting point of a steady field stays where it is
+            # a resting point of a steady field does not move
             return x, y, z
         bx, by, bz = velocity(x + 0.5 * h * ax, y + 0.5 * h * ay, z + 0.5 * h * az, lobes)
         cx, cy, cz = velocity(x + 0.5 * h * bx, y + 0.5 * h * by, z + 0.5 * h * bz, lobes)

@@ -1,4 +1,4 @@
-"""A motion on a grid with knots over the cycle, and its inverse: trilinear in space, linear between knots."""
+"""Motion on a grid with knots over the cycle, and its inverse: trilinear in space, linear between knots."""
 
 from dvf_ig.core import AnyArray
 
@@ -18,7 +18,7 @@ def reference_point(
     second: int,
     weight: float,
 ) -> Point:
-    """X = χ⁻¹(x) by linear interpolation in space and between two knots."""
+    """Compute X = χ⁻¹(x) by linear interpolation in space and between two knots."""
     nx, ny, nz = displacement.shape[1], displacement.shape[2], displacement.shape[3]
     i, fx = cell((x - origin[0]) * inverse_spacing, nx)
     j, fy = cell((y - origin[1]) * inverse_spacing, ny)
@@ -54,7 +54,7 @@ def pull_back(
     weight: AnyArray,
     out: AnyArray,
 ) -> None:
-    """Reference positions of (n, 3) points, each at its own pair of knots (n,)."""
+    """Compute reference positions of (n, 3) points, each at its own pair of knots (n,)."""
     for i in range(len(points)):
         out[i, 0], out[i, 1], out[i, 2] = reference_point(
             points[i, 0],

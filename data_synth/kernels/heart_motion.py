@@ -1,4 +1,4 @@
-"""The whole heart's motion χ_a in frame "mr", and its inverse behind a mismatch, for many points."""
+"""Motion χ_a of the whole heart in frame "mr", and its inverse behind a mismatch, for many points."""
 
 from dvf_ig.core import AnyArray
 
@@ -27,7 +27,7 @@ def forward(
     cavity: AnyArray,
     out: AnyArray,
 ) -> None:
-    """χ of (n, 3) points at (n,) activations into `out`; `rotation`, `translation`: mr_from_heart."""
+    """Compute χ of (n, 3) points at (n,) activations into `out`; `rotation`, `translation`: mr_from_heart."""
     back = rotation.T
     for i in range(len(points)):
         x, y, z = _turned(
@@ -52,9 +52,9 @@ def inverse(
     mismatch_inverse_spacing: float,
     out: AnyArray,
 ) -> None:
-    """χ⁻¹ after the inverse mismatch of (n, 3) points at (n,) activations into `out`.
+    """Compute χ⁻¹ after the inverse mismatch of (n, 3) points at (n,) activations into `out`.
 
-    Neighbouring points should follow each other: each one's displacement starts the search of the next.
+    Consecutive points should be neighbours: each displacement starts the search of the next.
 
     Args:
         mismatch: (nx, ny, nz, 3) displacement of the inverse mismatch, cubic between nodes; empty: none.

@@ -1,8 +1,8 @@
-"""A hand on a haptic device, free or through a fulcrum, behind the two C functions of a servo's device.
+"""Hand on a haptic device, free or through a fulcrum, behind the two C functions of a servo's device.
 
     int32 read(void *context, int64 now_ns, double *tip_mm)         int32 write(…, const double *tip_force_n)
 
-Mass m of hand and device; stiffness K, damping B of the hand about its intended place p:
+Mass m of hand and device; stiffness K, damping B of the hand about its intended position p:
 
     m a = K (p − x) − (B + b) v + push + Jᵀ F − dry friction,       J = ∂tip/∂x
 
@@ -23,9 +23,9 @@ from .compiled import callback, kernel
 HAND_MM = 0
 HAND_MM_S = 3
 FORCE_N = 6
-"""At the tip, acting now."""
+"""Force at the tip, acting now."""
 FELT_N = 9
-"""At the hand, of the force acting now."""
+"""Force at the hand, due to the force acting now."""
 LAST_S = 12
 MASS_KG = 13
 STIFFNESS_N_PER_MM = 14
@@ -44,11 +44,11 @@ QUEUED = 31
 QUEUE = 32
 QUEUE_LENGTH = 128
 CONTEXT_SIZE = QUEUE + 4 * QUEUE_LENGTH
-"""The queue holds forces on their way: when each begins to act (s), and 3 numbers in N."""
+"""Size of the context. The queue holds delayed forces: start of action (s), and 3 numbers in N."""
 
 STEP_S = 1e-4
 LONGEST_S = 0.1
-"""Longer silence of the servo is not caught up with."""
+"""Longest silence of the servo that is caught up with."""
 MM_PER_M = 1000.0
 
 _types: Any = core.types
@@ -57,7 +57,7 @@ _device_function = callback(_types.int32(_types.voidptr, _types.int64, _types.CP
 
 @kernel(error_model="numpy")
 def tip_of(x: Any, y: Any, z: Any, length_mm: float, fulcrum_mm: Any) -> Any:
-    """The tip's coordinates for the hand's."""
+    """Compute the tip's coordinates from the hand's."""
     if length_mm <= 0.0:
         return x, y, z
     dx, dy, dz = x - fulcrum_mm[0], y - fulcrum_mm[1], z - fulcrum_mm[2]
@@ -80,7 +80,7 @@ def force_at_hand(hand_mm: Any, fx: float, fy: float, fz: float, length_mm: floa
 
 @kernel(error_model="numpy")
 def move(d: Any, h: float) -> None:
-    """One sub-step: springs and pushes explicit, damping implicit, dry friction at most stops the hand."""
+    """Advance one sub-step: springs and pushes explicit, damping implicit, dry friction at most stops."""
     fulcrum = d[FULCRUM_MM : FULCRUM_MM + 3]
     felt = force_at_hand(d, d[FORCE_N], d[FORCE_N + 1], d[FORCE_N + 2], d[LENGTH_MM], fulcrum)
     push = h * MM_PER_M / d[MASS_KG]
@@ -92,15 +92,15 @@ def move(d: Any, h: float) -> None:
         d[HAND_MM_S + k] = slowed * (d[HAND_MM_S + k] + push * force)
         square += d[HAND_MM_S + k] ** 2
     speed, stopped = math.sqrt(square), slowed * push * d[DRY_N]
-    kept = 1.0 - stopped / speed if speed > stopped else 0.0
+    share = 1.0 - stopped / speed if speed > stopped else 0.0
     for k in range(3):
-        d[HAND_MM_S + k] *= kept
+        d[HAND_MM_S + k] *= share
         d[HAND_MM + k] += h * d[HAND_MM_S + k]
 
 
 @_device_function
 def read_instrument(context: Any, now_ns: int, out: Any) -> int:
-    """Move until now, then measure at the hand and compute the tip."""
+    """Advance until now, then measure at the hand and compute the tip."""
     d, tip = carray(context, CONTEXT_SIZE, np.float64), carray(out, 3)
     now_s = now_ns * 1e-9
     if d[LAST_S] == 0.0:
@@ -128,7 +128,7 @@ def read_instrument(context: Any, now_ns: int, out: Any) -> int:
 
 @_device_function
 def write_instrument(context: Any, now_ns: int, force_n: Any) -> int:
-    """Take a force at the tip; what reaches the hand is limited to the device's, after its delay."""
+    """Accept a force at the tip; it reaches the hand limited to the device's, after its delay."""
     d, force = carray(context, CONTEXT_SIZE, np.float64), carray(force_n, 3)
     fulcrum = d[FULCRUM_MM : FULCRUM_MM + 3]
     hx, hy, hz = force_at_hand(d, force[0], force[1], force[2], d[LENGTH_MM], fulcrum)

@@ -1,6 +1,6 @@
-"""What returns to the probe from along each scan line: absorption, interfaces, muscle fibres, reverberation.
+"""Echo amplitudes along each scan line: absorption, interfaces, muscle fibres, reverberation.
 
-The first kernels of a frame; `speckle` and `receive` follow.
+These are the first kernels of a frame; `speckle` and `receive` follow.
 """
 
 from typing import NamedTuple
@@ -13,7 +13,7 @@ from .compiled import kernel
 from .interpolation import Point, channels_at, nearest
 
 TOTAL_REFLECTION = 0.5
-"""An interface whose reflection coefficient exceeds this one is a total reflector: lung or bone."""
+"""Reflection coefficient above which an interface is a total reflector: lung or bone."""
 
 ECHO_REACH = 8
 """Samples before and after a reflector that belong to its echo."""
@@ -22,7 +22,7 @@ _DIRTY_SHADOW_MM = 20.0
 
 
 class TissueFields(NamedTuple):
-    """The tissue map as kernels read it.
+    """Tissue map in the form that kernels read.
 
     Attributes:
         acoustics: (nx, ny, nz, 5) float32: ln Z, α in dB/cm/MHz, echo amplitude of tissue and of blood, and
@@ -42,12 +42,12 @@ class TissueFields(NamedTuple):
 
 
 class Pulse(NamedTuple):
-    """What is sent along a line.
+    """Pulse that is sent along a line.
 
     Attributes:
         step_mm: depth between samples.
         frequency_mhz: centre frequency.
-        specular: amplitude factor of an interface's echo, re its reflection coefficient.
+        specular: amplitude factor of an interface's echo relative to its reflection coefficient.
         specular_power: exponent of the cosine between beam and interface normal.
     """
 
@@ -58,13 +58,13 @@ class Pulse(NamedTuple):
 
 
 class Amplitudes(NamedTuple):
-    """What returns from each sample of each line.
+    """Amplitudes that return from each sample of each line.
 
     Attributes:
         tissue, blood: (lines, samples) float32 scatter amplitudes.
         interface: (lines, samples) float32 specular amplitude.
         reflector: (lines, 3) sample of the first total reflector (−1: none), its reflection coefficient, and
-            the two-way amplitude of what reaches it.
+            the two-way amplitude that reaches it.
     """
 
     tissue: AnyArray
@@ -75,7 +75,7 @@ class Amplitudes(NamedTuple):
 
 @kernel(nogil=True, error_model="numpy")
 def insonify(path: AnyArray, fields: TissueFields, pulse: Pulse, out: Amplitudes) -> None:
-    """Amplitudes that return to the probe from each sample of each line, into `out`.
+    """Compute the amplitudes that return from each sample of each line into `out`.
 
     Args:
         path: (lines, samples + 1, 3) reference positions of the ends of the samples.
@@ -97,11 +97,11 @@ def _insonify_line(
     interface: AnyArray,
     reflector: AnyArray,
 ) -> None:
-    """One line of `insonify`.
+    """Compute one line of `insonify`.
 
     Loss accumulates along the line: absorption 2αf, and at each interface the transmission 1 − R² once, with
     R = tanh(½ Δ ln Z) over the whole monotone rise of ln Z. The integral of ∇ln Z along a line does not
-    depend on the angle at which it crosses an interface, so what is reflected returns in proportion to the
+    depend on the angle at which it crosses an interface, so the reflected part returns in proportion to the
     cosine between beam and interface normal, to the given power.
     """
     # arrays are taken out of the tuple once: each access counts a reference
@@ -158,7 +158,7 @@ def _fibre_factor(
     origin: AnyArray,
     fibres_per_mm: float,
 ) -> float:
-    """Amplitude factor of muscle: its scatter drops by the sine squared of beam and wall normal, in dB."""
+    """Compute muscle's amplitude factor: scatter drops by sin² of beam and wall normal, in dB."""
     a = nearest((x - origin[0]) * fibres_per_mm, fibres.shape[0])
     b = nearest((y - origin[1]) * fibres_per_mm, fibres.shape[1])
     c = nearest((z - origin[2]) * fibres_per_mm, fibres.shape[2])
@@ -178,15 +178,15 @@ def _fibre_factor(
 
 @kernel(nogil=True, error_model="numpy")
 def reverberate(amplitudes: Amplitudes, step_mm: float, face: float, dirty: float) -> None:
-    """Add what a total reflector returns late to the amplitudes of tissue and interfaces.
+    """Add the late echoes of a total reflector to the amplitudes of tissue and interfaces.
 
     The pulse bounces between reflector and transducer, so its echo comes back at every multiple of the
-    reflector's depth, each time smaller by the face's reflection and the way there and back. Air also sends
-    clutter out of itself that dies out over some 20 mm (a dirty shadow); the shadow of bone stays clean.
+    reflector's depth, each time reduced by the face's reflection and the two-way path. Air also returns
+    clutter that dies out over some 20 mm (a dirty shadow); the shadow of bone stays clean.
 
     Args:
         face: amplitude that the transducer's face reflects.
-        dirty: amplitude of the clutter behind air, re what reaches it.
+        dirty: amplitude of the clutter behind air, relative to the amplitude that reaches it.
     """
     reflector, tissue, interface = amplitudes.reflector, amplitudes.tissue, amplitudes.interface
     samples = interface.shape[1]

@@ -1,4 +1,4 @@
-"""Sampling a grid between its nodes: nearest, trilinear and tricubic, clamped at the border."""
+"""Sampling of a grid between its nodes: nearest, trilinear and tricubic, clamped at the border."""
 
 from dvf_ig.core import AnyArray
 
@@ -9,7 +9,7 @@ Point = tuple[float, float, float]
 
 @kernel(nogil=True, error_model="numpy", inline="always")
 def cell(u: float, count: int) -> tuple[int, float]:
-    """Lower node and weight of a continuous index, clamped to the grid."""
+    """Find the lower node and weight of a continuous index, clamped to the grid."""
     u = min(max(u, 0.0), count - 1.0)
     i = int(u)
     if i > count - 2:
@@ -19,7 +19,7 @@ def cell(u: float, count: int) -> tuple[int, float]:
 
 @kernel(nogil=True, error_model="numpy")
 def nearest(u: float, count: int) -> int:
-    """Index of the node of a line that is nearest to `u`, in [0, count)."""
+    """Find the index of the node nearest to `u`, in [0, count)."""
     return min(max(int(u + 0.5), 0), count - 1)
 
 
@@ -27,7 +27,7 @@ def nearest(u: float, count: int) -> int:
 def scalar_at(
     x: float, y: float, z: float, values: AnyArray, origin: AnyArray, inverse_spacing: float
 ) -> float:
-    """Trilinear value of a scalar grid, clamped at its border."""
+    """Interpolate a scalar grid trilinearly, clamped at its border."""
     i, fx = cell((x - origin[0]) * inverse_spacing, values.shape[0])
     j, fy = cell((y - origin[1]) * inverse_spacing, values.shape[1])
     k, fz = cell((z - origin[2]) * inverse_spacing, values.shape[2])
@@ -44,7 +44,7 @@ def scalar_at(
 def channels_at(
     x: float, y: float, z: float, values: AnyArray, origin: AnyArray, inverse_spacing: float
 ) -> tuple[float, float, float, float, float]:
-    """Trilinear value of a grid of five channels, (nx, ny, nz, 5), clamped at its border."""
+    """Interpolate a grid of five channels, (nx, ny, nz, 5), trilinearly, clamped at its border."""
     i, fx = cell((x - origin[0]) * inverse_spacing, values.shape[0])
     j, fy = cell((y - origin[1]) * inverse_spacing, values.shape[1])
     k, fz = cell((z - origin[2]) * inverse_spacing, values.shape[2])
@@ -66,7 +66,7 @@ def channels_at(
 
 @kernel(nogil=True, error_model="numpy", inline="always")
 def _catmull_rom(f: float) -> tuple[float, float, float, float]:
-    """Catmull-Rom weights of the four nodes around a fraction."""
+    """Compute Catmull-Rom weights of the four nodes around a fraction."""
     return (
         f * (-0.5 + f * (1.0 - 0.5 * f)),
         1.0 + f * f * (-2.5 + 1.5 * f),
@@ -79,7 +79,7 @@ def _catmull_rom(f: float) -> tuple[float, float, float, float]:
 def cubic_point(
     x: float, y: float, z: float, field: AnyArray, origin: AnyArray, inverse_spacing: float
 ) -> Point:
-    """Tricubic (Catmull-Rom) value of a (nx, ny, nz, 3) field, clamped one node inside its border."""
+    """Interpolate a (nx, ny, nz, 3) field by tricubic Catmull-Rom, clamped one node inside its border."""
     u = min(max((x - origin[0]) * inverse_spacing, 1.0), field.shape[0] - 2.000001)
     v = min(max((y - origin[1]) * inverse_spacing, 1.0), field.shape[1] - 2.000001)
     w = min(max((z - origin[2]) * inverse_spacing, 1.0), field.shape[2] - 2.000001)
@@ -102,7 +102,7 @@ def cubic_point(
 def cubic_at(
     points: AnyArray, field: AnyArray, origin: AnyArray, inverse_spacing: float, out: AnyArray
 ) -> None:
-    """`cubic_point` of (n, 3) points."""
+    """Compute `cubic_point` of (n, 3) points."""
     for i in range(len(points)):
         out[i, 0], out[i, 1], out[i, 2] = cubic_point(
             points[i, 0], points[i, 1], points[i, 2], field, origin, inverse_spacing

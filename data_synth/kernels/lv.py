@@ -8,8 +8,8 @@ Blood scales with the endocardium, r = R r_i/R_i. Outside the epicardium the wal
 exp(-(R - R_o)/ℓ), its longitudinal part more slowly on the right-ventricular side. Above the base the motion
 tapers, which stretches the atria in systole.
 
-The epicardium R_o(Z) is that of every heart (`heart.warp` gives it its size and shape). The cavity and how it
-contracts are in a `cavity` array: radius at the base, height of the apex, H, κ, twist at apex and base.
+The epicardium R_o(Z) is the same in all hearts (`heart.warp` gives it its size and shape). The cavity and its
+contraction are in a `cavity` array: radius at the base, height of the apex, H, κ, twist at apex and base.
 """
 
 import numpy as np
@@ -29,7 +29,7 @@ KAPPA = 0.32
 TWIST_APEX = np.deg2rad(-10.0)
 TWIST_BASE = np.deg2rad(4.0)
 STANDARD_CAVITY = np.array([INNER, CAVITY_APEX, H, KAPPA, TWIST_APEX, TWIST_BASE])
-"""The `cavity` array of the standard heart; angles in rad."""
+"""`cavity` array of the standard heart; angles in rad."""
 DECAY = 25.0
 RV_EXTRA_DECAY = 35.0
 AXIAL_TAPER = 45.0
@@ -41,21 +41,21 @@ TOLERANCE2 = 2.5e-5
 
 @kernel(nogil=True, error_model="numpy")
 def outer_radius(z: float) -> float:
-    """Epicardial radius at ED height z; constant above the base, zero below the apex."""
+    """Compute the epicardial radius at ED height z; constant above the base, zero below the apex."""
     u = min(max(1.0 - z / BASE, 0.0), 1.0)
     return float(OUTER * np.sqrt(1.0 - u**POWER))
 
 
 @kernel(nogil=True, error_model="numpy")
 def radii(z: float, cavity: AnyArray) -> tuple[float, float]:
-    """Epicardial and endocardial radius at ED height z; constant above the base, zero below the apices."""
+    """Compute epicardial and endocardial radius at ED height z; constant above the base, 0 below apices."""
     s = min(max(1.0 - (z - cavity[1]) / (BASE - cavity[1]), 0.0), 1.0)
     return outer_radius(z), cavity[0] * np.sqrt(1.0 - s**POWER)
 
 
 @kernel(nogil=True, error_model="numpy")
 def _axial(z: float, cavity: AnyArray) -> tuple[float, float, float, float]:
-    """Longitudinal shape s(Z), slope measure for incompressibility, twist (rad) and taper at height Z."""
+    """Compute longitudinal shape s(Z), slope for incompressibility, twist (rad) and taper at height Z."""
     if z < 0.0:
         return 0.0, 0.0, cavity[4] * np.exp(-((z / 20.0) ** 2)), 1.0
     if z <= BASE:
@@ -69,7 +69,7 @@ def _axial(z: float, cavity: AnyArray) -> tuple[float, float, float, float]:
 
 @kernel(nogil=True, error_model="numpy")
 def rv_side(cos_theta: float, z: float) -> float:
-    """How far a direction and height belong to the right ventricle's side, 0…1."""
+    """Compute the degree, 0…1, to which a direction and height belong to the right ventricle's side."""
     if z <= 0.0:
         return 0.0
     lobe = 0.5 * (1.0 + cos_theta)
@@ -80,7 +80,7 @@ def rv_side(cos_theta: float, z: float) -> float:
 
 @kernel(nogil=True, error_model="numpy")
 def forward_point(x: float, y: float, z: float, a: float, cavity: AnyArray) -> Point:
-    """χ_a of one reference point of the heart frame."""
+    """Compute χ_a of one reference point of the heart frame."""
     radius = np.sqrt(x * x + y * y)
     r_out, r_in = radii(z, cavity)
     s, slope, twist, taper = _axial(z, cavity)
@@ -109,7 +109,7 @@ def forward_point(x: float, y: float, z: float, a: float, cavity: AnyArray) -> P
 def _closed_inverse(
     x: float, y: float, z: float, a: float, cavity: AnyArray
 ) -> tuple[bool, float, float, float]:
-    """Whether (x, y, z) comes from the left ventricle's wall or blood, and from where: closed form."""
+    """Find in closed form whether (x, y, z) comes from the left ventricle's wall or blood, and from where."""
     root = 1.0 - 4.0 * a * cavity[2] * z / BASE
     if z < 0.0 or root <= 0.0:
         return False, x, y, z
@@ -137,12 +137,12 @@ def _closed_inverse(
 def inverse_point(
     x: float, y: float, z: float, a: float, cavity: AnyArray, gx: float, gy: float, gz: float
 ) -> Point:
-    """Reference point that χ_a carries to (x, y, z).
+    """Find the reference point that χ_a carries to (x, y, z).
 
     Closed form in the left ventricle; elsewhere damped Newton from the guess (gx, gy, gz), to 5 µm.
     """
-    found, hx, hy, hz = _closed_inverse(x, y, z, a, cavity)
-    if found:
+    closed, hx, hy, hz = _closed_inverse(x, y, z, a, cavity)
+    if closed:
         return hx, hy, hz
     fx, fy, fz = forward_point(gx, gy, gz, a, cavity)
     ex, ey, ez = x - fx, y - fy, z - fz

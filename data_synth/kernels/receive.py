@@ -10,7 +10,7 @@ from .speckle import lattice_hash
 
 @kernel(nogil=True, error_model="numpy", fastmath=False)
 def axial_blur(halves: AnyArray, taps: AnyArray, out: AnyArray) -> None:
-    """Axial pulse: (m, 2·samples) as `scatter` has them to (m, samples).
+    """Apply the axial pulse: (m, 2·samples) in the layout of `scatter` to (m, samples).
 
     `taps` has even length, centred between the two halves of a sample.
     """
@@ -28,7 +28,7 @@ def axial_blur(halves: AnyArray, taps: AnyArray, out: AnyArray) -> None:
 
 @kernel(nogil=True, error_model="numpy", fastmath=False)
 def lateral_blur(signal: AnyArray, taps: AnyArray, fine: int, out: AnyArray) -> None:
-    """Beam pattern: (lines·fine, n) to (lines, n); `taps` (k, n), k even."""
+    """Apply the beam pattern: (lines·fine, n) to (lines, n); `taps` (k, n), k even."""
     reach = taps.shape[0] // 2
     rows = signal.shape[0]
     for line in range(out.shape[0]):
@@ -53,7 +53,7 @@ def detect(
     frame_seed: np.uint64,
     envelope: AnyArray,
 ) -> None:
-    """Receiver noise, then time-gain compensation, then the envelope, which is added to `envelope`."""
+    """Add receiver noise, compensate gain, and add the envelope to `envelope`."""
     for line in range(real.shape[0]):
         for i in range(real.shape[1]):
             h = lattice_hash(line, i, 3 + band, frame_seed)
@@ -64,7 +64,7 @@ def detect(
 
 @kernel(nogil=True, error_model="numpy")
 def decibel(envelope: AnyArray, scale: float) -> None:
-    """In place: 20 log10 of the scaled envelope, at least −200."""
+    """Convert in place to 20 log10 of the scaled envelope, at least −200."""
     for line in range(envelope.shape[0]):
         for i in range(envelope.shape[1]):
             envelope[line, i] = 20.0 * np.log10(max(envelope[line, i] * scale, 1e-10))

@@ -9,7 +9,7 @@ from .compiled import kernel
 
 @kernel(nogil=True, error_model="numpy")
 def scan_convert(grey: AnyArray, line_index: AnyArray, sample_index: AnyArray, out: AnyArray) -> None:
-    """Bilinear interpolation of (lines, samples) to pixels; pixels with a negative line index become 0."""
+    """Interpolate (lines, samples) bilinearly to pixels; pixels with a negative line index become 0."""
     lines, samples = grey.shape
     for row in range(out.shape[0]):
         for column in range(out.shape[1]):
@@ -38,7 +38,7 @@ def scan_convert_slab(
     out: AnyArray,
     mask: AnyArray,
 ) -> None:
-    """Trilinear interpolation of a pyramid (elevation lines, lateral lines, samples) to voxels.
+    """Interpolate a pyramid (elevation lines, lateral lines, samples) trilinearly to voxels.
 
     Voxels start <= i < stop along the first axis of `out` (lateral, depth, elevation), in the probe's plane
     frame; the two line angles are atan(lateral/depth) and atan(elevation/depth).

@@ -11,10 +11,10 @@ from .insonification import ECHO_REACH, Amplitudes
 from .interpolation import Point
 
 TABLE = 8192
-"""Entries in the table of complex normal deviates that lattice hashes point into."""
+"""Entries in the table of complex normal deviates, which lattice hashes index."""
 
 _SAME_REFLECTOR = 24
-"""Samples by which a reflector may jump between neighbouring lines and still be one surface."""
+"""Largest jump, in samples, of a reflector between neighbouring lines that is still one surface."""
 
 _U1 = np.uint64(0xFF51AFD7ED558CCD)
 _U2 = np.uint64(0xC4CEB9FE1A85EC53)
@@ -26,13 +26,13 @@ _MASK = np.uint64(TABLE - 1)
 
 
 class Scatterers(NamedTuple):
-    """Which deviate each lattice cell holds.
+    """Assignment of deviates to lattice cells.
 
     Attributes:
         per_mm: (3,) cells a millimetre along the lattice's axes.
         deviates: (TABLE, 2) float32 complex normal deviates of unit power.
-        tissue_seed: of the scatterers of tissue, which move with it.
-        blood_seed: of those of blood, which are drawn for each frame.
+        tissue_seed: seed of the scatterers of tissue, which move with it.
+        blood_seed: seed of those of blood, which are drawn for each frame.
     """
 
     per_mm: AnyArray
@@ -43,7 +43,7 @@ class Scatterers(NamedTuple):
 
 @kernel(nogil=True, error_model="numpy", inline="always")
 def lattice_hash(i: int, j: int, k: int, seed: np.uint64) -> int:
-    """Index into the deviate table for a lattice cell: a 64-bit finaliser, the same on every machine."""
+    """Compute a lattice cell's index in the deviate table by a 64-bit finaliser, equal on all machines."""
     h = np.uint64(i) * _UX ^ np.uint64(j) * _UY ^ np.uint64(k) * _UZ ^ seed
     h ^= h >> _S33
     h *= _U1
@@ -62,7 +62,7 @@ def scatter(
     real: AnyArray,
     imaginary: AnyArray,
 ) -> None:
-    """Complex echoes of the scatterers on a laterally and axially finer raster.
+    """Compute complex echoes of the scatterers on a laterally and axially finer raster.
 
     Tissue scatterers are fixed to lattice cells of the reference heart and move with it; blood is redrawn
     with every frame.
@@ -113,9 +113,9 @@ def scatter(
 
 @kernel(nogil=True, error_model="numpy")
 def _deeper(reflector: AnyArray, left: int, g: float, near: int) -> int:
-    """Samples by which a total reflector lies deeper on a fine line than on the scan line nearest to it.
+    """Compute by how many samples a total reflector is deeper on a fine line than on the nearest scan line.
 
-    It is as deep as the neighbouring scan lines say, so that an oblique one is a line and no comb.
+    Its depth is interpolated between scan lines, so that an oblique one is a line, not a comb.
     """
     one, other = reflector[left, 0], reflector[left + 1, 0]
     if one >= 0.0 and other >= 0.0 and abs(other - one) < _SAME_REFLECTOR:
@@ -125,7 +125,7 @@ def _deeper(reflector: AnyArray, left: int, g: float, near: int) -> int:
 
 @kernel(nogil=True, error_model="numpy", inline="always")
 def _between(path: AnyArray, left: int, i: int, g: float, f: float) -> Point:
-    """Bilinear between scan lines `left` and the next (share g) and between ends i and i + 1 (share f)."""
+    """Interpolate between scan lines `left` and the next (share g) and between ends i and i + 1 (share f)."""
     n1, f1 = (1.0 - g) * (1.0 - f), (1.0 - g) * f
     n2, f2 = g * (1.0 - f), g * f
     near1, far1 = path[left, i], path[left, i + 1]
@@ -147,10 +147,10 @@ def add_clutter(
     real: AnyArray,
     imaginary: AnyArray,
 ) -> None:
-    """Add speckle that stands still before the probe, to rasters as `scatter` has them.
+    """Add speckle fixed in front of the probe to rasters in the layout of `scatter`.
 
     Args:
-        level: (samples,) its amplitude.
+        level: (samples,) amplitude of the speckle.
         arc_index: (samples,) lattice cells between two fine lines; `depth_index` cells per half sample.
         table: (TABLE, 2) deviates.
     """

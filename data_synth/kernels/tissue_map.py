@@ -20,7 +20,7 @@ def sample_mr(
     signal_out: AnyArray,
     code_out: AnyArray,
 ) -> None:
-    """MR signal and tissue code (n,) at (n, 3) reference positions."""
+    """Sample MR signal and tissue code (n,) at (n, 3) reference positions."""
     for i in range(len(positions)):
         u, v, w = positions[i, 0], positions[i, 1], positions[i, 2]
         signal_out[i] = scalar_at(u, v, w, signal, map_origin, map_inverse_spacing)

@@ -9,7 +9,7 @@ from dvf_ig.core import AnyArray
 from .compiled import kernel
 
 BLOCK = 64
-"""Points side by side: enough for the compiler to put several into one vector register."""
+"""Points processed together: enough for the compiler to put several into one vector register."""
 TURN_HIGH, TURN_LOW = 6.2831854820251465, -1.748455600074497e-07
 """2π in two parts, the first of 24 bits, so that whole multiples of it are exact."""
 _SINE = tuple((-1.0) ** k / math.factorial(2 * k + 1) for k in range(8))
@@ -20,9 +20,9 @@ C0, C2, C4, C6, C8, C10, C12, C14, C16 = _COSINE
 
 @kernel(nogil=True, error_model="numpy", inline="always")
 def cosine_and_sine(angle: float) -> tuple[float, float]:
-    """Both to 1e-14 for angles up to a million, without a branch or a call: a loop over it is vectorised.
+    """Compute both to 1e-14 for angles up to a million, without branch or call: a loop is vectorised.
 
-    Series of a quarter of the angle within ±π, doubled twice.
+    By series of a quarter of the angle within ±π, doubled twice.
     """
     turns = np.floor(angle / (TURN_HIGH + TURN_LOW) + 0.5)
     x = 0.25 * ((angle - turns * TURN_HIGH) - turns * TURN_LOW)
@@ -35,7 +35,7 @@ def cosine_and_sine(angle: float) -> tuple[float, float]:
 
 @kernel(nogil=True, error_model="numpy")
 def wave_sum(relative: AnyArray, waves: AnyArray, cosine: AnyArray, sine: AnyArray, out: AnyArray) -> None:
-    """Σ A cos(k·r) + B sin(k·r) of (n, 3) points into `out`, in a fixed order of summation."""
+    """Compute Σ A cos(k·r) + B sin(k·r) of (n, 3) points into `out`, in a fixed order of summation."""
     places, sums = np.empty((3, BLOCK)), np.empty((3, BLOCK))
     for begin in range(0, len(relative), BLOCK):
         count = min(BLOCK, len(relative) - begin)

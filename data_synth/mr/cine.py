@@ -19,7 +19,7 @@ FWHM_PER_SIGMA = 2.3548
 
 @dataclass(frozen=True, slots=True)
 class MrProtocol:
-    """Isotropic 3-D cine, balanced SSFP.
+    """Protocol of an isotropic 3-D cine, balanced SSFP.
 
     Attributes:
         phases: N, at i/N of the cycle.
@@ -41,9 +41,9 @@ class MrProtocol:
 def cine_preop(
     anatomy: PhantomAnatomy, rng: np.random.Generator, protocol: MrProtocol | None = None
 ) -> Preop:
-    """4-D MR (int16) and its labels (uint8) of the phantom's heart on one grid, frame "mr".
+    """Simulate 4-D MR (int16) and labels (uint8) of the phantom's heart on one grid, frame "mr".
 
-    It was acquired before the intervention, and knows nothing of the mismatch.
+    It is acquired before the intervention, without the mismatch.
 
     Args:
         rng: draws coil shading and noise.
@@ -80,7 +80,7 @@ def cine_preop(
 def _phase(
     grid: Grid, reference: ReferenceMap, motion: PullBack, model_phase: float
 ) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
-    """Noise-free signal and tissue codes of one phase."""
+    """Compute noise-free signal and tissue codes of one phase."""
     signal = np.empty(grid.shape, dtype=np.float32)
     codes = np.empty(grid.shape, dtype=np.uint8)
     y, z = (grid.origin_mm[k] + grid.spacing_mm[k] * np.arange(grid.shape[k]) for k in (1, 2))
@@ -93,14 +93,14 @@ def _phase(
 
 
 def heart_labels(codes: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Tissue codes of the heart; 0 elsewhere."""
+    """Keep tissue codes of the heart; 0 elsewhere."""
     return np.where((codes > 0) & (codes < FIRST_OUTSIDE), codes, np.uint8(0))
 
 
 def measured(
     signal: NDArray[np.float32], sigma_px: FloatArray, snr: float, rng: np.random.Generator
 ) -> NDArray[np.int16]:
-    """Point-spread function, Rician noise and the receiver's integer scale.
+    """Apply point-spread function, Rician noise and the receiver's integer scale.
 
     Args:
         sigma_px: SD of the point-spread function along each axis, in voxels.
@@ -115,7 +115,7 @@ def measured(
 
 
 def coil_shading(grid: Grid, bias: float, rng: np.random.Generator) -> NDArray[np.float32]:
-    """Smooth coil sensitivity 1 ± bias: a random second-order polynomial over the field of view."""
+    """Draw smooth coil sensitivity 1 ± bias: a second-order polynomial over the field of view."""
     axes = [np.linspace(-1, 1, n) for n in grid.shape]
     x, y, z = np.meshgrid(*axes, indexing="ij", sparse=True)
     terms = [x, y, z, x * y, y * z, x * z, x * x, y * y, z * z]

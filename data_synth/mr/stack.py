@@ -20,7 +20,7 @@ _SUBSLICES = 5
 
 @dataclass(frozen=True, slots=True)
 class StackProtocol:
-    """Short-axis stack, balanced SSFP, retrospectively gated slice by slice.
+    """Protocol of a short-axis stack, balanced SSFP, retrospectively gated slice by slice.
 
     Attributes:
         phases: N of each slice, at i/N of that slice's own RR interval.
@@ -28,7 +28,7 @@ class StackProtocol:
         thickness_mm: full width at half maximum of the slice profile (Gaussian); the rest is gap.
         psf_fwhm_mm: in-plane point-spread function.
         bias, snr: as in `MrProtocol`.
-        breath_hold_mm: slices lie up to this far from where they should, along the breathing motion.
+        breath_hold_mm: largest displacement of a slice along the breathing motion.
         rr_jitter: largest relative deviation of a slice's RR interval.
     """
 
@@ -53,7 +53,7 @@ class StackProtocol:
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class StackCine:
-    """One short-axis cine, and what is true of each of its k slices.
+    """Short-axis cine with the truth of each of its k slices.
 
     Attributes:
         image: int16, slices along the last axis; its timing holds for the mean RR interval.
@@ -73,7 +73,7 @@ class StackCine:
 def short_axis_cine(
     anatomy: PhantomAnatomy, rng: np.random.Generator, protocol: StackProtocol | None = None
 ) -> StackCine:
-    """A short-axis stack over the phantom's ventricles, from below the apex to above the mitral plane."""
+    """Acquire a short-axis stack over the ventricles, from below the apex to above the mitral plane."""
     chosen, margin_mm = protocol or StackProtocol(), MrProtocol().margin_mm
     pose = anatomy.shapes.mr_from_heart
     local = pose.inverse().apply_array(anatomy.ed_vertices_mm)
@@ -140,7 +140,7 @@ def stack_cine(
 
 
 def stack_grid(axes: FloatArray, corner_mm: FloatArray, size_mm: FloatArray, protocol: StackProtocol) -> Grid:
-    """Grid of a stack.
+    """Build the grid of a stack.
 
     Args:
         axes: (3, 3) rotation: two in-plane directions and the slice normal, as columns, frame "mr".
@@ -153,7 +153,7 @@ def stack_grid(axes: FloatArray, corner_mm: FloatArray, size_mm: FloatArray, pro
 
 
 def _slice_points(grid: Grid, k: int) -> FloatArray:
-    """(nx·ny, 3) pixel centres of slice k."""
+    """Compute (nx·ny, 3) pixel centres of slice k."""
     i, j = np.meshgrid(np.arange(grid.shape[0]), np.arange(grid.shape[1]), indexing="ij")
     return grid.to_mm(np.stack([i, j, np.full_like(i, k)], axis=-1).astype(np.float64)).reshape(-1, 3)
 
@@ -166,7 +166,7 @@ def _slice(
     model_phase: float,
     thickness_mm: float,
 ) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
-    """(n,) signal averaged over the slice profile, and the codes in the middle of the slice."""
+    """Average the (n,) signal over the slice profile; also return the codes in the middle of the slice."""
     sigma = thickness_mm / FWHM_PER_SIGMA
     offsets = np.linspace(-2.0, 2.0, _SUBSLICES) * sigma
     weights = np.exp(-0.5 * (offsets / sigma) ** 2)

@@ -1,1 +1,1 @@
-"""What the operator's hands do: probe path, tool path, contact with the heart; a hand that answers force."""
+"""Operator's hands: probe path, tool path, contact with the heart, and a hand that responds to force."""

@@ -1,4 +1,4 @@
-"""What a tool tip truly meets: exact signed distance to the true moving surface."""
+"""True contact of a tool tip: exact signed distance to the true moving surface."""
 
 from dataclasses import dataclass
 from itertools import pairwise
@@ -10,7 +10,7 @@ from data_synth.kernels.closest_triangle import Mesh, signed_distances
 from dvf_ig.core import FloatArray, IntArray, InvalidInputError, ToolTruth, read_only_arrays
 
 MAX_INTERPOLATION_ERROR_MM = 0.005
-"""The cached surface is closer than this to the anatomy at every phase."""
+"""Largest distance of the cached surface from the anatomy at any phase."""
 
 FIRST_SAMPLES = 48
 SMALLEST_STEP = 1.0 / 3072
@@ -18,19 +18,19 @@ _CLUSTER = 24
 
 
 class BeatClock(Protocol):
-    """The part of a true clock that contact and tool paths need."""
+    """Part of a true clock that contact and tool paths need."""
 
     def phi(self, t_s: FloatArray) -> FloatArray:
-        """Fraction of the running RR interval, in [0, 1)."""
+        """Compute the fraction of the running RR interval, in [0, 1)."""
         ...
 
     def model_phase(self, t_s: FloatArray) -> FloatArray:
-        """Where in the pre-operative cycle the heart is, in [0, 1)."""
+        """Compute the heart's phase in the pre-operative cycle, in [0, 1)."""
         ...
 
 
 class MovingMesh(Protocol):
-    """The part of a beating anatomy that contact needs."""
+    """Part of a beating anatomy that contact needs."""
 
     @property
     def surface_triangles(self) -> IntArray: ...
@@ -41,7 +41,7 @@ class MovingMesh(Protocol):
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class MovingSurface:
-    """A closed mesh at any phase of the cycle, and distances to it.
+    """Closed mesh at any phase of the cycle, with distances to it.
 
     Attributes:
         phases: (p,) cached phases, increasing from 0; their spacing follows the speed of the motion.
@@ -57,7 +57,7 @@ class MovingSurface:
     def of(cls, anatomy: MovingMesh) -> "MovingSurface":
         """Cache the surface of `anatomy` densely enough for linear interpolation.
 
-        The anatomy is sampled in steps that are halved where four-point cubic interpolation does not meet it
+        The anatomy is sampled in steps that are halved until four-point cubic interpolation matches it
         half-way between samples. The cubic then fills in phases until linear interpolation is as good.
 
         Raises:
@@ -70,7 +70,7 @@ class MovingSurface:
 
     @property
     def vertices_mm(self) -> FloatArray:
-        """(p, v, 3) at the cached phases."""
+        """Vertices (p, v, 3) at the cached phases."""
         return self.mesh.vertices
 
     @property
@@ -79,12 +79,12 @@ class MovingSurface:
         return self.mesh.triangles
 
     def at(self, model_phase: float) -> FloatArray:
-        """(v, 3) vertices at one phase."""
+        """Interpolate (v, 3) vertices at one phase."""
         low, high, weight = self._bracket(np.array([model_phase]))
         return np.asarray((1 - weight[0]) * self.vertices_mm[low[0]] + weight[0] * self.vertices_mm[high[0]])
 
     def distance(self, points_mm: FloatArray, model_phase: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Signed distance (n,) mm, positive inside, and its unit gradient (n, 3), each at its own phase."""
+        """Compute signed distances (n,) mm, positive inside, and unit gradients (n, 3), at each own phase."""
         points = np.array(points_mm, dtype=np.float64, order="C")
         low, high, weight = self._bracket(np.broadcast_to(model_phase, len(points)))
         distance, gradient = np.empty(len(points)), np.empty((len(points), 3))
@@ -92,7 +92,7 @@ class MovingSurface:
         return distance, gradient
 
     def _bracket(self, model_phase: FloatArray) -> tuple[IntArray, IntArray, FloatArray]:
-        """Neighbouring cached phases and the weight of the second."""
+        """Find neighbouring cached phases and the weight of the second."""
         phase = np.asarray(model_phase, dtype=np.float64) % 1.0
         low = np.searchsorted(self.phases, phase, side="right") - 1
         edges = np.append(self.phases, 1.0)
@@ -101,17 +101,17 @@ class MovingSurface:
 
 
 def tool_truth(surface: MovingSurface, clock: BeatClock, t_s: FloatArray, tip_mr_mm: FloatArray) -> ToolTruth:
-    """Contact of the tip at every tick."""
+    """Compute the contact of the tip at every tick."""
     phase = clock.model_phase(t_s)
     distance, gradient = surface.distance(tip_mr_mm, phase)
     return ToolTruth(t_s, tip_mr_mm, clock.phi(t_s), phase, distance, gradient)
 
 
 def _exact_samples(anatomy: MovingMesh) -> tuple[FloatArray, FloatArray, float]:
-    """Phases (n,), vertices (n, v, 3), and a bound on the error of cubic interpolation between them, mm.
+    """Sample phases (n,), vertices (n, v, 3), and a bound on the cubic interpolation's error, mm.
 
-    The error is measured half-way between samples, and those middles are then kept as samples: that divides
-    it by 4 where the acceleration jumps, by more elsewhere.
+    The error is measured half-way between samples, and those middles then become samples: that divides
+    it by 4 at jumps of the acceleration, by more elsewhere.
     """
     phases = np.arange(FIRST_SAMPLES) / FIRST_SAMPLES
     vertices = [anatomy.surface_vertices(phase) for phase in phases.tolist()]
@@ -120,15 +120,15 @@ def _exact_samples(anatomy: MovingMesh) -> tuple[FloatArray, FloatArray, float]:
         steps = np.diff(np.append(phases, 1.0))[waiting]
         lows = phases[waiting]
         middles = lows + 0.5 * steps
-        found = [anatomy.surface_vertices(phase) for phase in middles.tolist()]
+        middle_vertices = [anatomy.surface_vertices(phase) for phase in middles.tolist()]
         guesses = (_cubic(phases, vertices, i, 0.5) for i in waiting.tolist())
         errors = np.array(
-            [np.linalg.norm(g - f, axis=1).max() / 4.0 for g, f in zip(guesses, found, strict=True)]
+            [np.linalg.norm(g - f, axis=1).max() / 4.0 for g, f in zip(guesses, middle_vertices, strict=True)]
         )
         good = errors <= 0.5 * MAX_INTERPOLATION_ERROR_MM
         worst = max(worst, float(errors[good].max(initial=0.0)))
         order = np.argsort(np.append(phases, middles), kind="stable")
-        phases, joined = np.append(phases, middles)[order], vertices + found
+        phases, joined = np.append(phases, middles)[order], vertices + middle_vertices
         vertices = [joined[k] for k in order.tolist()]
         if good.all():
             return phases, np.stack(vertices), worst
@@ -144,7 +144,7 @@ def _exact_samples(anatomy: MovingMesh) -> tuple[FloatArray, FloatArray, float]:
 def _cubic(
     phases: FloatArray, vertices: list[FloatArray] | FloatArray, interval: int, u: float
 ) -> FloatArray:
-    """(v, 3) at fraction `u` of an interval, by the cubic through two samples on either side (cyclic)."""
+    """Interpolate (v, 3) at fraction `u` of an interval by the cubic through two samples on each side."""
     count = len(phases)
     around = [interval + k for k in (-1, 0, 1, 2)]
     at = np.array([phases[k % count] + k // count for k in around])
@@ -157,7 +157,7 @@ def _cubic(
 
 
 def _filled_in(sampled_at: FloatArray, exact: FloatArray) -> tuple[FloatArray, FloatArray, float]:
-    """Phases, vertices and the error of linear interpolation: each step split as its acceleration needs."""
+    """Fill in phases and vertices as the acceleration needs; also return the linear interpolation's error."""
     phases: list[float] = []
     vertices: list[FloatArray] = []
     worst, count = 0.0, len(sampled_at)
@@ -173,7 +173,7 @@ def _filled_in(sampled_at: FloatArray, exact: FloatArray) -> tuple[FloatArray, F
 
 
 def _indexed(vertices: FloatArray, triangles: IntArray) -> Mesh:
-    """The mesh sorted into clusters, with what surrounds each vertex and edge."""
+    """Sort the mesh into clusters, with the neighbours of each vertex and edge."""
     order, clusters = _clustered(vertices[0][triangles].mean(axis=1))
     triangles = np.ascontiguousarray(triangles[order])
     neighbour = _neighbours(triangles)
@@ -183,25 +183,25 @@ def _indexed(vertices: FloatArray, triangles: IntArray) -> Mesh:
 
 
 def _clustered(centroids: FloatArray) -> tuple[IntArray, IntArray]:
-    """Triangle order and cluster offsets: median splits along the longest axis."""
-    done: list[IntArray] = []
+    """Cluster triangles by median splits along the longest axis: their order and the clusters' offsets."""
+    clusters: list[IntArray] = []
     waiting = [np.arange(len(centroids))]
     while waiting:
         members = waiting.pop()
         if len(members) <= _CLUSTER:
-            done.append(members)
+            clusters.append(members)
             continue
         axis = int(np.ptp(centroids[members], axis=0).argmax())
         members = members[np.argsort(centroids[members, axis], kind="stable")]
         half = len(members) // 2
         waiting += [members[half:], members[:half]]
-    return np.concatenate(done), np.cumsum([0, *(len(members) for members in done)])
+    return np.concatenate(clusters), np.cumsum([0, *(len(members) for members in clusters)])
 
 
 def _bounding_spheres(
     vertices: FloatArray, triangles: IntArray, clusters: IntArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Sphere of each cluster at each phase; between phases, the lerped centre with the larger radius."""
+    """Compute each cluster's sphere at each phase; between phases its radius is the larger."""
     centers = np.empty((len(vertices), len(clusters) - 1, 3))
     radii = np.empty((len(vertices), len(clusters) - 1))
     for c, (first, last) in enumerate(pairwise(clusters.tolist())):
@@ -218,7 +218,7 @@ def _triangles_around(triangles: IntArray, vertices: int) -> tuple[IntArray, Int
 
 
 def _neighbours(triangles: IntArray) -> IntArray:
-    """(m, 3) triangle across edge k (corner k to k+1).
+    """Find the (m, 3) triangle across edge k (corner k to k+1).
 
     Raises:
         InvalidInputError: an edge without exactly one oppositely oriented partner.

@@ -1,4 +1,4 @@
-"""Places on the beating heart that a tool can reach and touch."""
+"""Sites on the beating heart that a tool can reach and touch."""
 
 from dataclasses import dataclass
 
@@ -13,7 +13,7 @@ from .hand import perpendicular
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class Site:
-    """A place on the heart: a point of the end-diastolic surface, its outward normal, a slide direction."""
+    """Site on the heart: a point of the end-diastolic surface, its outward normal, a slide direction."""
 
     point_mm: FloatArray
     normal: FloatArray
@@ -23,7 +23,7 @@ class Site:
 def contact_sites(
     surface: MovingSurface, access: FloatArray, count: int, rng: np.random.Generator
 ) -> list[Site]:
-    """Sites that a tool coming from direction `access` (3,) reaches, at the quieter parts of the surface.
+    """Choose sites that a tool from direction `access` (3,) reaches, at the quieter parts of the surface.
 
     Raises:
         InvalidInputError: no part of the surface faces `access`.
@@ -37,7 +37,7 @@ def contact_sites(
     facing = (normals @ access > 0.6) & (outward @ access > 0.5) & _finely_meshed(resting, surface.triangles)
     candidates = np.flatnonzero(facing)
     if len(candidates) == 0:
-        raise InvalidInputError("no part of the true surface faces the tool; the anatomy's surface is odd")
+        raise InvalidInputError("no part of the true surface faces the tool; check the anatomy's surface")
     quiet = candidates[travel[candidates] <= np.quantile(travel[candidates], 0.5)]
     chosen = [int(rng.choice(quiet))]
     while len(chosen) < count:
@@ -65,7 +65,7 @@ def _vertex_normals(vertices: FloatArray, triangles: IntArray) -> FloatArray:
 
 
 def _finely_meshed(vertices: FloatArray, triangles: IntArray) -> BoolArray:
-    """(v,) False at vertices of unusually large triangles: caps over openings, which nobody touches."""
+    """Flag (v,) vertices without unusually large triangles, which are caps over openings."""
     a, b, c = (vertices[triangles[:, k]] for k in range(3))
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
     fine = np.ones(len(vertices), dtype=np.bool_)

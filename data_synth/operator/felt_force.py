@@ -1,4 +1,4 @@
-"""What an operator who has practised with a fixture reads from its force."""
+"""Reading of a fixture's force by an operator who has practised with it."""
 
 from dataclasses import dataclass
 
@@ -11,11 +11,11 @@ from dvf_ig.core.arrays import frozen_floats
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class LearntForce:
-    """How far to move along a felt force, by its size.
+    """Learnt distance to move along a felt force, by its size.
 
     Attributes:
         force_n: (n,) increasing, n >= 2.
-        correction_mm: (n,) increasing: along the force to the wanted place; negative: against it.
+        correction_mm: (n,) increasing: along the force to the intended position; negative: against it.
     """
 
     force_n: FloatArray
@@ -30,7 +30,7 @@ class LearntForce:
         object.__setattr__(self, "correction_mm", correction)
 
     def read(self, force_n: float) -> tuple[float, float]:
-        """Correction in mm, and mm per N there; beyond the ends those of the ends."""
+        """Return the correction in mm and its slope in mm per N; constant beyond the ends."""
         i = int(np.clip(np.searchsorted(self.force_n, force_n) - 1, 0, len(self.force_n) - 2))
         low_n, high_n = self.force_n[i : i + 2].tolist()
         low_mm, high_mm = self.correction_mm[i : i + 2].tolist()

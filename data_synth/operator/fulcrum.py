@@ -1,4 +1,4 @@
-"""An instrument through a fixed point of the body wall: where tip and hand are, and what each feels."""
+"""Instrument through a fixed point of the body wall: positions of and forces on tip and hand."""
 
 from dataclasses import dataclass
 
@@ -11,7 +11,7 @@ from dvf_ig.core.arrays import frozen_floats
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class Fulcrum:
-    """A trocar that lets an instrument slide and turn, and nothing else.
+    """Trocar that lets an instrument only slide and turn.
 
     tip = P − (L − r)u and hand = P + r·u with u the unit vector from P to the hand: sideways motion of the
     hand is inverted and scaled by (L − r)/r, motion along the instrument is not.
@@ -30,24 +30,24 @@ class Fulcrum:
             raise InvalidInputError(f"the instrument is {self.length_mm:g} mm long; needed a positive length")
 
     def tip(self, hand_mm: FloatArray) -> FloatArray:
-        """(3,) tip for a hand (3,)."""
+        """Compute the tip (3,) for a hand (3,)."""
         out = hand_mm - self.point_mm
         r = float(np.linalg.norm(out))
         return np.asarray(self.point_mm - (self.length_mm / r - 1.0) * out)
 
     def hand(self, tip_mm: FloatArray) -> FloatArray:
-        """(3,) hand for a tip (3,)."""
+        """Compute the hand (3,) for a tip (3,)."""
         out = self.point_mm - tip_mm
         inside = float(np.linalg.norm(out))
         return np.asarray(self.point_mm + (self.length_mm / inside - 1.0) * out)
 
     def lever(self, tip_mm: FloatArray) -> float:
-        """(L − r)/r: how much faster than the hand the tip moves sideways."""
+        """Compute (L − r)/r, the tip's sideways speed over the hand's."""
         inside = float(np.linalg.norm(tip_mm - self.point_mm))
         return inside / (self.length_mm - inside)
 
     def tip_per_hand(self, tip_mm: FloatArray) -> FloatArray:
-        """(3, 3) J: velocity of the tip = J · that of the hand; force at the hand = Jᵀ · that at the tip."""
+        """Compute J (3, 3): tip velocity = J · hand velocity, force at the hand = Jᵀ · force at the tip."""
         u = self.point_mm - tip_mm
         u = u / np.linalg.norm(u)
         along = np.outer(u, u)

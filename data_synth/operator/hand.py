@@ -10,11 +10,11 @@ from dvf_ig.core import FloatArray, Rigid
 
 TREMOR_HZ = (8.0, 12.0)
 TREMOR_RMS_MM = 0.05
-"""RMS of the 3-D displacement (docs/theory/synthetic.md)."""
+"""RMS of the tremor's 3-D displacement (docs/theory/synthetic.md)."""
 
 
 def tremor(rng: np.random.Generator) -> Callable[[FloatArray], FloatArray]:
-    """Physiological tremor: times (n,) to displacement (n, 3) mm."""
+    """Draw physiological tremor: a function from times (n,) to displacement (n, 3) mm."""
     noise = smooth_noise(3, *TREMOR_HZ, rng)
 
     def displacement(t_s: FloatArray) -> FloatArray:
@@ -24,7 +24,7 @@ def tremor(rng: np.random.Generator) -> Callable[[FloatArray], FloatArray]:
 
 
 def reframed(path: PosePath, left: Rigid, right: Rigid) -> PosePath:
-    """left @ path(t) @ right."""
+    """Compose a path with fixed transforms: left @ path(t) @ right."""
 
     def moved(t_s: FloatArray) -> tuple[FloatArray, FloatArray]:
         rotations, translations = path(t_s)
@@ -36,13 +36,13 @@ def reframed(path: PosePath, left: Rigid, right: Rigid) -> PosePath:
 
 
 def minimum_jerk(u: FloatArray) -> FloatArray:
-    """Rest-to-rest profile from 0 to 1 for u in [0, 1] (clipped); peak slope 1.875 (Flash and Hogan 1985)."""
+    """Compute the minimum-jerk profile from 0 to 1 for u in [0, 1]; slope <= 1.875 (Flash and Hogan 1985)."""
     v = np.clip(u, 0.0, 1.0)
     return np.asarray(v**3 * (10.0 - 15.0 * v + 6.0 * v**2))
 
 
 def perpendicular(axis: FloatArray, hint: FloatArray) -> FloatArray:
-    """Unit vector perpendicular to the unit `axis`, as close to `hint` as possible."""
+    """Compute the unit vector perpendicular to the unit `axis`, as close to `hint` as possible."""
     across = hint - axis * (axis @ hint)
     length = float(np.linalg.norm(across))
     if length < 1e-6:

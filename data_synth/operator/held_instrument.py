@@ -1,4 +1,4 @@
-"""A hand on a haptic device that holds an instrument: what a servo drives, and what an operator moves."""
+"""Hand on a haptic device that holds an instrument, which a servo drives and an operator moves."""
 
 from dataclasses import dataclass
 
@@ -14,12 +14,12 @@ MM_PER_M = 1000.0
 
 @dataclass(frozen=True, slots=True)
 class Stylus:
-    """The moving parts of a haptic device at its stylus.
+    """Moving parts of a haptic device at its stylus.
 
     Attributes:
         mass_kg: apparent mass; viscous_n_s_per_m, dry_n: its frictions.
         resolution_mm: step of its position sensor; largest_n: longer forces are limited to it.
-        delay_s: from a force that is sent to the force that acts.
+        delay_s: delay between sending of a force and its action.
     """
 
     mass_kg: float
@@ -32,10 +32,10 @@ class Stylus:
 
 @dataclass(frozen=True, slots=True)
 class HandDynamics:
-    """A hand that holds a stylus (docs/theory/synthetic.md).
+    """Dynamics of a hand that holds a stylus (docs/theory/synthetic.md).
 
     Attributes:
-        mass_kg, damping_n_s_per_m, stiffness_n_per_m: about the place that its owner intends.
+        mass_kg, damping_n_s_per_m, stiffness_n_per_m: about the intended position.
     """
 
     mass_kg: float = 0.12
@@ -47,13 +47,13 @@ class HeldInstrument:
     """Hand, device and instrument as one mass, moved in the servo's own time.
 
     Fulfils the protocol of a haptic device whose position is the instrument's tip and whose force acts
-    there: `functions` and `context` are what a servo calls. Frame "device" throughout.
+    there: a servo calls `functions` with `context`. Frame "device" throughout.
 
     Args:
-        tip_mm: (3,) where the tip starts, at rest.
-        hand: of the operator; stylus: of the device.
+        tip_mm: (3,) start of the tip, at rest.
+        hand: dynamics of the operator's hand; stylus: of the device.
         fulcrum: None: the tip is in the hand.
-        stated_latency_s: what the device tells of its delay; None: the truth.
+        stated_latency_s: delay that the device states; None: the truth.
     Raises:
         InvalidInputError: a delay that is negative or longer than the queue of forces.
     """
@@ -101,7 +101,7 @@ class HeldInstrument:
 
     @property
     def hand_mm(self) -> FloatArray:
-        """(3,) true place of the hand."""
+        """True position (3,) of the hand."""
         return self._numbers[: kernel.HAND_MM_S].copy()
 
     @property
@@ -111,19 +111,19 @@ class HeldInstrument:
 
     @property
     def tip_mm(self) -> FloatArray:
-        """(3,) true place of the tip."""
+        """True position (3,) of the tip."""
         return self.hand_mm if self.fulcrum is None else self.fulcrum.tip(self.hand_mm)
 
     @property
     def felt_n(self) -> FloatArray:
-        """(3,) force of the device on the hand that acts now."""
+        """Force (3,) of the device on the hand that acts now."""
         return self._numbers[kernel.FELT_N : kernel.LAST_S].copy()
 
     def command(self, place_mm: FloatArray, push_n: FloatArray) -> None:
-        """What the hand does from now on.
+        """Set the hand's intention from now on.
 
         Args:
-            place_mm: (3,) intended place, where its spring pulls to.
+            place_mm: (3,) intended position, to which its spring pulls.
             push_n: (3,) further muscle force.
         """
         numbers = self._numbers
@@ -131,4 +131,4 @@ class HeldInstrument:
         numbers[kernel.PUSH_N : kernel.LENGTH_MM] = push_n
 
     def close(self) -> None:
-        """Nothing is held open."""
+        """Close the device, which holds no resources."""

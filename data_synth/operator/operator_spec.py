@@ -12,7 +12,7 @@ from .hand import TREMOR_RMS_MM
 from .held_instrument import HandDynamics
 
 SPREAD = 0.15
-"""Standard deviation of the logarithm of each parameter between operators; beyond twice that none."""
+"""Standard deviation of the logarithm of each parameter between operators, cut off at twice that."""
 TIMING_SD_S = 0.025
 LEVER_GAIN_SD = 0.10
 MISALIGNED_SD_RAD = math.radians(10.0)
@@ -20,23 +20,23 @@ MISALIGNED_SD_RAD = math.radians(10.0)
 
 @dataclass(frozen=True, slots=True)
 class OperatorSpec:
-    """One simulated operator.
+    """Parameters of a simulated operator.
 
     Attributes:
         hand: mass, damping, stiffness.
-        visual_delay_s: from a place to the hand's answer to it.
-        crossover_rad_s: of the loop that vision closes.
+        visual_delay_s: delay from a visible position to the hand's response.
+        crossover_rad_s: crossover frequency of the loop that vision closes.
         depth_noise_mm: RMS error of depth as seen, along the line of sight.
         sideways_noise_mm: RMS error as seen in each direction across it.
         noise_hz: band of both errors and of the felt force's: slow, as of judgement.
-        tremor_rms_mm: of a free hand, in space.
-        anticipated_share: of the target's periodic motion that the hand follows without waiting to see it.
-        timing_error_s: how much too early that is.
-        haptic_delay_s: from a force to the hand's voluntary answer to it.
-        force_noise_n, weber: RMS error of a felt force: the first, and a share of the force, in squares. A
-            force below the first is not felt.
-        attends: whether felt force is taken for what it says of depth; without, it moves the hand alone.
-        lever_gain: believed over true lever of a fulcrum.
+        tremor_rms_mm: RMS tremor of a free hand, in space.
+        anticipated_share: share of the target's periodic motion that the hand anticipates.
+        timing_error_s: time by which the anticipation is early.
+        haptic_delay_s: delay from a force to the hand's voluntary response.
+        force_noise_n, weber: RMS error of a felt force, the root of the sum of the squares of `force_noise_n`
+            and the share `weber` of the force. A force below `force_noise_n` is not felt.
+        attends: whether felt force is used as information on depth; if not, it only moves the hand.
+        lever_gain: assumed over true lever of a fulcrum.
         misaligned_rad: turn about the instrument between the hand's and the image's directions.
     Raises:
         InvalidInputError: a number that is negative or not finite.
@@ -79,9 +79,9 @@ class OperatorSpec:
 
 
 def drawn_operator(seed: int, mean: OperatorSpec) -> OperatorSpec:
-    """One of many operators: parameters about those of `mean`, drawn by the seed.
+    """Draw one of many operators: parameters about those of `mean`.
 
-    The same seed gives the same person whatever the mean.
+    The same seed gives the same person for any mean.
     """
     rng = child_rng(seed, "operator")
     factor = np.exp(SPREAD * np.clip(rng.standard_normal(7), -2.0, 2.0)).tolist()

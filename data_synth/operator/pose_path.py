@@ -1,4 +1,4 @@
-"""Rigid motions as functions of time, composed like the transforms they are."""
+"""Rigid motions as functions of time, composed like transforms."""
 
 from collections.abc import Callable
 
@@ -20,7 +20,7 @@ def composed(left: PosePath, right: PosePath) -> PosePath:
 
 
 def inverted(path: PosePath) -> PosePath:
-    """source_from_target of a target_from_source."""
+    """Invert a target_from_source path."""
 
     def inverse(t_s: FloatArray) -> tuple[FloatArray, FloatArray]:
         rotations, translations = path(t_s)
@@ -31,7 +31,7 @@ def inverted(path: PosePath) -> PosePath:
 
 
 def moved(path: PosePath, shift_mm: Callable[[FloatArray], FloatArray]) -> PosePath:
-    """`path` with its translations moved by `shift_mm`: times (n,) to (n, 3) mm in the target frame."""
+    """Shift a path's translations by `shift_mm`: times (n,) to (n, 3) mm in the target frame."""
 
     def result(t_s: FloatArray) -> tuple[FloatArray, FloatArray]:
         rotations, translations = path(t_s)

@@ -1,4 +1,4 @@
-"""Where the ultrasound probe goes: a simulated sweep over the heart, or a real path re-centred on it.
+"""Path of the ultrasound probe: a simulated sweep over the heart, or a real path re-centred on it.
 
 The image plane is the frame "plane": x lateral, y depth, z elevation, origin at the apex of the fan.
 """
@@ -19,16 +19,16 @@ STANDOFF_MM = (36.0, 50.0)
 """Distance of the fan apex from the heart surface over a sweep with the standard probe."""
 
 CENTRAL_STANDOFF_MM = 48.0
-"""The same for a single view: a compromise between the width of the sector there and its depth."""
+"""Distance for a single view: a compromise between the width of the sector and its depth."""
 
 
 @dataclass(frozen=True, slots=True)
 class SweepSpec:
-    """One sweep of a hand-held probe; amplitudes are of sinusoids, varied from sweep to sweep.
+    """Sweep of a hand-held probe; amplitudes are of sinusoids, varied from sweep to sweep.
 
     Attributes:
         period_s: length of a sweep.
-        orbit_deg: the apex travels this far around the heart, along and across.
+        orbit_deg: angle by which the apex travels around the heart, along and across.
         tilt_deg: rocking in elevation and in the image plane.
         turn_deg: rotation about the beam axis.
         variation: relative random variation of amplitudes from sweep to sweep.
@@ -55,7 +55,7 @@ class HeartOutline:
     vertices_mm: FloatArray
 
     def radius_mm(self, directions: FloatArray) -> FloatArray:
-        """(n,) outline along unit directions (n, 3): mean vertex radius within about 10°, smoothly."""
+        """Compute (n,) radii along unit directions (n, 3): the smooth mean vertex radius within about 10°."""
         offsets = self.vertices_mm[:: max(1, len(self.vertices_mm) // 3000)] - self.center_mm
         lengths = np.linalg.norm(offsets, axis=1)
         weights = np.exp(40.0 * (np.asarray(directions) @ (offsets / lengths[:, None]).T - 1.0))
@@ -69,7 +69,7 @@ def sweeping_path(
     rng: np.random.Generator,
     standoff_mm: tuple[float, float] = STANDOFF_MM,
 ) -> PosePath:
-    """mr_from_plane of an operator sweeping through off-axis views again and again.
+    """Build mr_from_plane of an operator sweeping repeatedly through off-axis views.
 
     Args:
         window: (3,) unit direction from the heart's centre to the middle of the acoustic window.
@@ -105,14 +105,14 @@ def sweeping_path(
 
 
 def _looking(beams: FloatArray, hint: FloatArray) -> FloatArray:
-    """(n, 3, 3) with y along the unit beams (n, 3) and z close to `hint`."""
+    """Build (n, 3, 3) with y along the unit beams (n, 3) and z close to `hint`."""
     elevation = hint - beams * (beams @ hint)[:, None]
     elevation /= np.linalg.norm(elevation, axis=1)[:, None]
     return np.stack([np.cross(beams, elevation), beams, elevation], axis=2)
 
 
 def central_view(shape: HeartOutline, window: FloatArray, standoff_mm: float = CENTRAL_STANDOFF_MM) -> Rigid:
-    """mr_from_plane looking from the middle of the window at the heart's centre."""
+    """Build mr_from_plane looking from the middle of the window at the heart's centre."""
     rotation = _looking(-window[None], perpendicular(window, np.array([0.0, 0.0, 1.0])))[0]
     reach = float(shape.radius_mm(window[None])[0]) + standoff_mm
     return Rigid("mr", "plane", rotation, shape.center_mm + reach * window)
@@ -121,7 +121,7 @@ def central_view(shape: HeartOutline, window: FloatArray, standoff_mm: float = C
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class ReplayedPath:
-    """A recorded hand motion about its own mean pose, traversed back and forth.
+    """Recorded hand motion about its own mean pose, traversed back and forth.
 
     Attributes:
         t_s: (n,) from 0.
@@ -136,7 +136,7 @@ class ReplayedPath:
     extent_deg: float
 
     def __call__(self, t_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """mean_from_probe at any time: forwards, then backwards, without a jump."""
+        """Compute mean_from_probe at any time: forwards, then backwards, without a jump."""
         length = float(self.t_s[-1])
         folded = length - np.abs(np.asarray(t_s, dtype=np.float64) % (2 * length) - length)
         rotations = Slerp(self.t_s, Rotation.from_matrix(self.rotations))(folded).as_matrix()
@@ -175,10 +175,10 @@ def replayed_path(poses: PoseStream) -> ReplayedPath:
 def acoustic_window(
     blocked: Callable[[FloatArray], FloatArray], shape: HeartOutline, preferred: FloatArray
 ) -> FloatArray:
-    """Unit direction from the heart's centre with the freest view over a cone of about 35°.
+    """Find the unit direction from the heart's centre with the freest view over a cone of about 35°.
 
     Args:
-        blocked: (n, 3) mm to (n,) 1 where ultrasound does not pass (lung, bone), else 0.
+        blocked: (n, 3) mm to (n,) 1 if ultrasound does not pass (lung, bone), else 0.
         preferred: (3,) unit direction that breaks ties.
     """
     count = 240

@@ -1,13 +1,13 @@
-"""A simulated operator: sees late and wrongly, feels sooner, and moves a hand that has mass and tremor.
+"""Simulated operator with delayed, noisy vision, faster touch, and a hand that has mass and tremor.
 
-Vision closes a loop by the crossover model: the intended place moves with
+Vision closes a loop by the crossover model: the intended position moves with
 
     ṗ = ẋ_preview + ω_c e(t − τ),          e = aim − tip, as seen
 
 so that, the hand following its intention, the open loop is ω_c e^(−sτ)/s (McRuer and Jex 1967). Along a force
-that is felt, e is the mean of what is seen and what the force says, each weighted by one over its variance
-(Ernst and Banks 2002). The hand is a spring and damper about the intended place (`HeldInstrument`); its own
-damping, and its inertia in previewed motion, are known to the operator and add to what the muscles do.
+that is felt, e is the mean of the seen and the felt error, each weighted by one over its variance (Ernst and
+Banks 2002). The hand is a spring and damper about the intended position (`HeldInstrument`); its own damping,
+and its inertia in previewed motion, are known to the operator and add to the muscles' force.
 """
 
 import math
@@ -25,23 +25,23 @@ from .held_instrument import MM_PER_M, HeldInstrument
 from .operator_spec import OperatorSpec
 
 RATE_HZ = 100
-"""Steps a second of what the operator does."""
+"""Steps of the operator a second."""
 LONGEST_S = 240.0
-"""No task lasts longer."""
+"""Longest duration of a task."""
 
 
 class SimulatedOperator:
     """One person with one instrument in hand.
 
-    What goes wrong at which time is drawn by the seed alone, so that two runs of the same seed differ by
-    what the operator meets.
+    Random errors at each time depend only on the seed, so that two runs of the same seed differ only by what
+    the operator encounters.
 
     Args:
-        spec: of the operator.
-        seed: of judgement errors and tremor.
-        instrument: in hand.
+        spec: parameters of the operator.
+        seed: seed of judgement errors and tremor.
+        instrument: instrument in hand.
         sight: (3,) unit line of sight.
-        learnt: what the fixture's force says; None: nothing is known of it.
+        learnt: learnt meaning of the fixture's force; None: unknown.
     """
 
     def __init__(
@@ -69,14 +69,14 @@ class SimulatedOperator:
         self._preview_mm_s = np.zeros(3)
         self._step = 0
         self.believed_error_mm = 0.0
-        """Of the last step: the distance between aim and tip by all that is seen and felt."""
+        """Distance between aim and tip in the last step, by all that is seen and felt."""
 
     def step(self, aim_mm: FloatArray, preview_mm_s: FloatArray) -> None:
-        """See, feel, decide; the hand does it until the next step, 1/RATE_HZ later.
+        """See, feel and decide; the hand acts on it until the next step, 1/RATE_HZ later.
 
         Args:
-            aim_mm: (3,) where the tip should be now.
-            preview_mm_s: (3,) velocity of the aim as far as it is foreseen.
+            aim_mm: (3,) position at which the tip should be now.
+            preview_mm_s: (3,) velocity of the aim as far as it is anticipated.
         """
         spec, instrument = self.spec, self._instrument
         tip, k = instrument.tip_mm, self._step
@@ -85,9 +85,9 @@ class SimulatedOperator:
         self._felt.append(hand_per_tip.T @ instrument.felt_n)
         believed = self._with_felt(self._seen[0] + self._seen_error[k], self._felt[0], k)
         self.believed_error_mm = float(np.linalg.norm(believed))
-        wanted = spec.crossover_rad_s * believed
+        correction = spec.crossover_rad_s * believed
         ahead = hand_per_tip @ preview_mm_s
-        velocity = ahead + hand_per_tip @ wanted
+        velocity = ahead + hand_per_tip @ correction
         self._place = self._place + velocity / RATE_HZ
         push = spec.hand.damping_n_s_per_m * velocity
         push += instrument.mass_kg * (ahead - self._preview_mm_s) * RATE_HZ
@@ -96,7 +96,7 @@ class SimulatedOperator:
         self._step += 1
 
     def _with_felt(self, seen: FloatArray, force_n: FloatArray, k: int) -> FloatArray:
-        """(3,) error as seen, and along a felt force as seen and felt."""
+        """Combine the seen error (3,) with the felt one along a felt force."""
         spec, size = self.spec, float(np.linalg.norm(force_n))
         if self._learnt is None or size < spec.force_noise_n:
             return seen
@@ -109,7 +109,7 @@ class SimulatedOperator:
         return np.asarray(seen + weight * (says_mm - float(seen @ along)) * along)
 
     def _believed(self, tip_mm: FloatArray) -> FloatArray:
-        """(3, 3) velocity of the hand for a velocity of the tip, as the operator believes it to be."""
+        """Return (3, 3) the hand's velocity for the tip's, in the operator's mental model."""
         fulcrum, spec = self._instrument.fulcrum, self.spec
         if fulcrum is None:
             return np.eye(3)
@@ -122,7 +122,7 @@ class SimulatedOperator:
         return np.asarray(along - turned / (spec.lever_gain * fulcrum.lever(tip_mm)))
 
     def _tremor_force(self, t_s: FloatArray, seed: int) -> FloatArray:
-        """(n, 3) N that moves the free hand by its tremor."""
+        """Compute (n, 3) N that moves the free hand by its tremor."""
         hand, instrument = self.spec.hand, self._instrument
         scale = self.spec.tremor_rms_mm / TREMOR_RMS_MM
         x = scale * tremor(child_rng(seed, "tremor"))(t_s)
@@ -133,6 +133,6 @@ class SimulatedOperator:
 
 
 def _nothing_yet(delay_s: float) -> deque[FloatArray]:
-    """Of one delay, oldest first; nothing has arrived."""
+    """Create an empty delay line, oldest value first."""
     length = 1 + round(delay_s * RATE_HZ)
     return deque([np.zeros(3)] * length, maxlen=length)

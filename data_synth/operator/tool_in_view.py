@@ -1,4 +1,4 @@
-"""An operator who looks at the tool now and then: the image plane is turned until it contains the tip."""
+"""Looks at the tool: the operator turns the image plane from time to time until it contains the tip."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -15,11 +15,11 @@ from .hand import minimum_jerk
 
 @dataclass(frozen=True, slots=True)
 class LookSpec:
-    """When and how the operator looks at the tip.
+    """Timing and manner of the operator's looks at the tip.
 
     Attributes:
-        first_s, every_s: begin of the first look, and time from one to the next.
-        for_s: how long each lasts; 0: the operator never looks.
+        first_s, every_s: start of the first look, and time from one to the next.
+        for_s: duration of each look; 0: the operator never looks.
         turn_s: time to turn the probe there, and back.
         off_axis_deg: the tip is brought to within this angle of the beam axis, in the image.
         wander_mm: the plane wanders about the tip by this much (standard deviation): a hand holds it.
@@ -42,7 +42,7 @@ class LookSpec:
             )
 
     def share(self, t_s: FloatArray) -> FloatArray:
-        """(n,) how far the probe is turned to the tool at each time, 0 to 1."""
+        """Compute (n,) how far the probe is turned to the tool at each time, 0 to 1."""
         within = np.where(t_s < self.first_s, -1.0, (t_s - self.first_s) % self.every_s)
         there = minimum_jerk(within / max(self.turn_s, 1e-6))
         gone = minimum_jerk((within - self.turn_s - self.for_s) / max(self.turn_s, 1e-6))
@@ -55,11 +55,11 @@ def looking_at(
     spec: LookSpec,
     rng: np.random.Generator,
 ) -> PosePath:
-    """mr_from_plane of a sweep that is interrupted by looks at the tip.
+    """Interrupt a sweep, mr_from_plane, by looks at the tip.
 
     Args:
         path: mr_from_plane of the sweep.
-        tip_mm: times (n,) to (n, 3) places of the tip, frame "mr".
+        tip_mm: times (n,) to (n, 3) positions of the tip, frame "mr".
     """
     wander = smooth_noise(1, 0.1, 1.0, rng)
 

@@ -1,4 +1,4 @@
-"""Where the tool goes: free motion, then touching, sliding on and pressing into the beating heart."""
+"""Path of the tool: free motion, then touching, sliding on and pressing into the beating heart."""
 
 from dataclasses import dataclass
 
@@ -20,17 +20,17 @@ _KNOT_HZ = 50.0
 
 @dataclass(frozen=True, slots=True)
 class ToolSpec:
-    """The operator's task.
+    """Parameters of the operator's task.
 
     Attributes:
-        free_s: the tool stays away this long at first (at most 0.3 of the recording).
+        free_s: time for which the tool stays away at first (at most 0.3 of the recording).
         hover_mm: distance from the heart meanwhile.
         clear_mm: distance while moving from one site to the next.
         contact_s: time in contact at each site.
-        depth_mm: mean intended depth; `press_mm` is the amplitude of pressing about it; less deep where the
+        depth_mm: mean intended depth; `press_mm` is the amplitude of pressing about it; less deep if the
             beat would carry the surface further than `max_depth_mm` over the tip.
-        slip_mm: the hand follows the beating surface to within this, where `follow_mm_s` lets it.
-        follow_mm_s: fastest that the hand follows the beat.
+        slip_mm: distance to which the hand follows the beating surface, as far as `follow_mm_s` lets it.
+        follow_mm_s: largest speed at which the hand follows the beat.
         slide_mm: length of the slide over the surface.
         speed_mm_s: speed aimed at between sites.
         length_mm: tool origin to tip.
@@ -58,7 +58,7 @@ class ToolSpec:
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class TipPath:
-    """The tip's motion in frame "mr": a spline through knots plus tremor; `t_s` (n,), `xyz_mm` (n, 3)."""
+    """Motion of the tip in frame "mr": a spline through knots plus tremor; `t_s` (n,), `xyz_mm` (n, 3)."""
 
     t_s: FloatArray
     xyz_mm: FloatArray
@@ -112,10 +112,10 @@ def _visit(
     spec: ToolSpec,
     rng: np.random.Generator,
 ) -> FloatArray:
-    """(n, 3) tip positions: down to the surface, slide and press while partly following the beat, and up.
+    """Compute (n, 3) tip positions: down to the surface, slide and press with the beat, and up.
 
     The hand moves along the site's normal. It carries the slow part of the surface's height and as much of
-    the beat as keeps the slip within `slip_mm`; what remains makes the depth pulsate.
+    the beat as keeps the slip within `slip_mm`; the rest makes the depth pulsate.
     """
     since = t_s - touch_s
     total = spec.approach_s + spec.contact_s + spec.retreat_s
@@ -129,9 +129,9 @@ def _visit(
     height = _surface_height(surface, clock.model_phase(t_s), base, site.normal)
     slow = gaussian_filter1d(height, 0.45 * _KNOT_HZ, mode="nearest")
     beat = height - slow
-    wanted = float(np.clip(1.0 - spec.slip_mm / max(float(np.abs(beat).max()), 1e-6), 0.3, 0.95))
+    needed = float(np.clip(1.0 - spec.slip_mm / max(float(np.abs(beat).max()), 1e-6), 0.3, 0.95))
     fastest = float(np.abs(np.gradient(beat, t_s)).max())
-    follow = min(wanted, spec.follow_mm_s / max(fastest, 1e-6))
+    follow = min(needed, spec.follow_mm_s / max(fastest, 1e-6))
     carried = float(slow.mean())
     carried_height = carried + near * (slow - carried + follow * beat)
     deepest = (1.0 - follow) * float(beat.max()) + spec.press_mm
@@ -144,7 +144,7 @@ def _visit(
 def _surface_height(
     surface: MovingSurface, phase: FloatArray, base_mm: FloatArray, normal: FloatArray
 ) -> FloatArray:
-    """(n,) where the line base + h·normal meets the surface at each phase (Newton on the distance)."""
+    """Find (n,) h at which base + h·normal meets the surface at each phase (Newton on the distance)."""
     height = np.zeros(len(base_mm))
     for _ in range(6):
         distance, gradient = surface.distance(base_mm + height[:, None] * normal, phase)
@@ -153,7 +153,7 @@ def _surface_height(
 
 
 def tool_path(tip: TipPath, access: FloatArray, tip_in_tool: Points, rng: np.random.Generator) -> PosePath:
-    """mr_from_tool of a tool whose tip follows `tip` while its handle stays about direction `access`.
+    """Build mr_from_tool of a tool whose tip follows `tip` while its handle stays about direction `access`.
 
     Args:
         access: (3,) unit direction from the heart towards the operator's hand.

@@ -1,1 +1,1 @@
-"""Pairs of one 3-D ultrasound and several MR images of one organ that does not beat, with known truth."""
+"""Pairs of one 3-D ultrasound and several MR images of an organ that does not beat, with known truth."""

@@ -1,7 +1,7 @@
 """Labels of a brain under a craniotomy: cortex, ventricles, falx, deep nuclei, tumour, oedema, vessels.
 
-Sulci are where a smooth random function crosses zero, down to a depth that varies; cortex lines them. What MR
-or ultrasound alone shows (lesions of white matter, clots, a cyst's septa) has labels of its own.
+Sulci are the zero crossings of a smooth random function, to a varying depth; cortex lines them. Structures
+that MR or ultrasound alone shows (lesions of white matter, clots, a cyst's septa) has labels of its own.
 """
 
 import numpy as np
@@ -23,14 +23,14 @@ SEMI_AXES_MM = np.array([62.0, 76.0, 54.0])
 
 
 ECHO_DB = (-6, -14, -17, -36, 3, -5, -1, -12, -12, 6, -20, 4, -14, 4)
-"""Sulci, falx, plexus and tumour are bright."""
+"""Acoustics of the tissues: sulci, falx, plexus and tumour are bright."""
 IMPEDANCE = (1.60, 1.60, 1.585, 1.52, 1.63, 1.615, 1.63, 1.59, 1.595, 1.68, 1.56, 1.63, 1.60, 1.64)
 LOSS_DB_PER_MM = (0.02, 0.07, 0.06, 0.005, 0.12, 0.09, 0.11, 0.06, 0.07, 0.35, 0.02, 0.12, 0.07, 0.20)
 ACOUSTICS = Acoustics(ECHO_DB, IMPEDANCE, LOSS_DB_PER_MM)
 
 
 def brain_labels(seed: int) -> OrganLabels:
-    """A brain and its craniotomy."""
+    """Draw a brain and its craniotomy."""
     rng = child_rng(seed, "organ anatomy")
     outward = np.array([rng.uniform(-0.9, 0.9), rng.uniform(-0.7, 0.7), 1.0])
     outward /= np.linalg.norm(outward)
@@ -105,7 +105,7 @@ def _tumour(
 def _vessels(
     labels: AnyArray, p: FloatArray, depth_mm: FloatArray, rng: np.random.Generator, entry_mm: FloatArray
 ) -> None:
-    """Bent tubes through the depth of the view."""
+    """Draw bent tubes through the depth of the view."""
     for _ in range(int(rng.integers(5, 12))):
         begin = entry_mm * rng.uniform(0.1, 0.95) + rng.normal(0, 14.0, 3)
         along = rng.normal(size=3)
@@ -125,7 +125,7 @@ def _vessels(
 
 
 def _private(labels: AnyArray, grid: Grid, depth_mm: FloatArray, rng: np.random.Generator) -> None:
-    """Spots that one kind of image shows and the other does not."""
+    """Draw spots that one kind of image shows and the other does not."""
     for tissue, level in ((LESION, rng.uniform(2.3, 3.2)), (CLOT, rng.uniform(2.5, 3.4))):
         spots = smooth_field(grid, rng.uniform(12, 22), rng) > level
         labels[spots & (labels == WHITE) & (depth_mm > 6.0)] = tissue

@@ -1,8 +1,8 @@
-"""A heart at end-diastole as one real cine shows it, turned into tissue that ultrasound is simulated of.
+"""Heart at end-diastole from one real cine, turned into tissue for the simulation of ultrasound.
 
 The MR of such a pair is the real image, untouched. Tissue between its slices is drawn by shape-based
 interpolation (Raya and Udupa 1990) of nested grey-level sets, not of grey levels. Tissue classes are
-quantiles of grey level; a random table, monotone in nothing, says how each sounds, differently in each of
+quantiles of grey level; a random table, not monotone, gives each its acoustics, differently in each of
 three regions whose borders no MR shows. Two neighbouring classes sound the same: MR shows a border that
 ultrasound does not. Vessels, spots and a reflecting sheet are in the ultrasound alone.
 """
@@ -19,20 +19,20 @@ from .organ import Acoustics, OrganLabels
 VOXEL_MM = 0.8
 HALF_EXTENT_MM = 58.0
 BEYOND_MM = 8.0
-"""How far tissue of the outermost slices goes on."""
+"""Extent of the outermost slices' tissue beyond them."""
 QUANTILES = (0.12, 0.28, 0.45, 0.6, 0.75, 0.9)
 CLASSES = len(QUANTILES) + 1
 REGIONS = 3
 VESSEL, SPOT, SHEET = range(REGIONS * CLASSES, REGIONS * CLASSES + 3)
-"""Labels of what ultrasound alone shows."""
+"""Labels of structures that ultrasound alone shows."""
 
 
 def heart_labels(mr: Volume, depth_mm: float, seed: int) -> OrganLabels:
-    """Tissue around the middle of a stack of slices, frame "moving".
+    """Label tissue around the middle of a stack of slices, frame "moving".
 
     Args:
         mr: real grey levels; slices along the last axis.
-        depth_mm: that the probe will see; the heart lies in the middle of it.
+        depth_mm: imaging depth of the probe, with the heart in its middle.
     """
     rng = child_rng(seed, "organ anatomy")
     middle_mm = mr.grid.to_mm((np.array(mr.grid.shape) - 1) / 2.0)
@@ -51,7 +51,7 @@ def heart_labels(mr: Volume, depth_mm: float, seed: int) -> OrganLabels:
 
 
 def _fine_grid(mr: Volume, middle_mm: FloatArray) -> Grid:
-    """Along the axes of the slices, as far as they go."""
+    """Build a fine grid along the axes of the slices over their extent."""
     extent_mm = np.array(mr.grid.shape) * mr.grid.spacing_mm / 2.0
     half_mm = np.minimum(extent_mm, HALF_EXTENT_MM)
     half_mm[2] = min((mr.grid.shape[2] - 1) * mr.grid.spacing_mm[2] / 2.0 + BEYOND_MM, HALF_EXTENT_MM)
@@ -62,7 +62,7 @@ def _fine_grid(mr: Volume, middle_mm: FloatArray) -> Grid:
 
 
 def _classes(mr: Volume, grid: Grid) -> AnyArray:
-    """(nx, ny, nz) uint8: how many thresholds the grey level exceeds; outlines interpolated."""
+    """Count (nx, ny, nz) the thresholds that the grey level exceeds, with interpolated outlines."""
     slices = mr.grid.shape[2]
     corner = mr.grid.to_index(grid.origin_mm)[:2]
     step = VOXEL_MM / mr.grid.spacing_mm[:2]
@@ -84,7 +84,7 @@ def _classes(mr: Volume, grid: Grid) -> AnyArray:
 
 
 def _signed_depth(inside: AnyArray) -> FloatArray:
-    """(nx, ny) voxels to the outline, positive inside."""
+    """Compute (nx, ny) distances to the outline in voxels, positive inside."""
     if inside.all() or not inside.any():
         return np.full(inside.shape, 1e3 if inside.all() else -1e3)
     return np.asarray(ndimage.distance_transform_edt(inside) - ndimage.distance_transform_edt(~inside))

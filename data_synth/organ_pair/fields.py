@@ -8,7 +8,7 @@ from dvf_ig.core import AnyArray, FloatArray, Grid
 
 
 def smooth_field(grid: Grid, wavelength_mm: float, rng: np.random.Generator) -> FloatArray:
-    """(nx, ny, nz) random field of zero mean and unit variance, structures of about `wavelength_mm`.
+    """Draw a (nx, ny, nz) field of zero mean and unit variance, with structures of about `wavelength_mm`.
 
     Band-passed noise on a coarse grid of an eighth of a wavelength, interpolated by cubic splines.
     """
@@ -26,6 +26,6 @@ def smooth_field(grid: Grid, wavelength_mm: float, rng: np.random.Generator) -> 
 
 
 def sampled(values: AnyArray, grid: Grid, xyz_mm: FloatArray) -> FloatArray:
-    """(...) values of a grid's field at (..., 3) mm, linear between voxels; the border value beyond."""
+    """Interpolate a grid's field linearly at (..., 3) mm; the border value applies outside."""
     at = np.moveaxis(grid.to_index(xyz_mm), -1, 0)
     return np.asarray(ndimage.map_coordinates(values, at, order=1, mode="nearest", output=np.float32))

@@ -1,4 +1,4 @@
-"""MR images of labelled tissue: three contrasts, each on a grid of its own."""
+"""MR images of labelled tissue: three contrasts, each on its own grid."""
 
 import numpy as np
 from scipy import ndimage
@@ -22,7 +22,7 @@ LEVELS = {
 
 
 def mr_images(organ: OrganLabels, seed: int) -> dict[str, Volume]:
-    """Images by contrast, on grids that differ, frame "moving"."""
+    """Simulate images by contrast, on different grids, frame "moving"."""
     return {name: _image(organ, seed, name) for name in CONTRASTS}
 
 

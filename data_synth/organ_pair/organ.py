@@ -1,4 +1,4 @@
-"""What ultrasound is simulated of: labels, how each sounds, and where the probe stands."""
+"""Input of the ultrasound simulation: labels, their acoustics, and the position of the probe."""
 
 from dataclasses import dataclass
 
@@ -7,12 +7,12 @@ from dvf_ig.core import AnyArray, FloatArray, Grid, read_only_arrays
 
 @dataclass(frozen=True, slots=True)
 class Acoustics:
-    """How tissues sound, one number a label.
+    """Acoustics of tissues, one number a label.
 
     Attributes:
         echo_db: typical scattered level. Every pair varies them, and shows only a share of the differences.
-        impedance: typical, MRayl; varied too.
-        loss_db_per_mm: one way.
+        impedance: typical impedance, MRayl; also varied.
+        loss_db_per_mm: one-way loss.
     """
 
     echo_db: tuple[float, ...]
@@ -23,14 +23,14 @@ class Acoustics:
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class OrganLabels:
-    """Labels around what ultrasound sees.
+    """Labels around the insonified part of an organ.
 
     Attributes:
         grid: frame "moving".
         labels: (nx, ny, nz) uint8, tissue numbers.
-        acoustics: of the tissues.
-        entry_mm: (3,) where the probe touches the organ; inward: (3,) unit, where it looks.
-        across: (3,) unit, along the probe's array; None where it may lie in any direction.
+        acoustics: acoustics of the tissues.
+        entry_mm: (3,) point at which the probe touches the organ; inward: (3,) unit direction of its view.
+        across: (3,) unit, along the probe's array; None for any direction.
     """
 
     grid: Grid

@@ -1,4 +1,4 @@
-"""A pair of organ images with its truth: the pose, and landmarks that a smooth shift has moved a little."""
+"""Pair of organ images with its truth: the pose, and landmarks moved a little by a smooth shift."""
 
 from dataclasses import dataclass, replace
 
@@ -21,13 +21,13 @@ LANDMARKS = 24
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class OrganPair:
-    """Images of one organ.
+    """Pair of images of one organ.
 
     Attributes:
-        fixed: 3-D ultrasound, 0 around what was insonified.
+        fixed: 3-D ultrasound, 0 outside the insonified part.
         moving: MR images by contrast, on grids of their own in one frame.
         moving_from_fixed: the rigid map nearest to the truth at the landmarks.
-        fixed_mm, moving_mm: (n, 3) landmarks where each image has them.
+        fixed_mm, moving_mm: (n, 3) landmarks in each image.
     """
 
     fixed: Volume
@@ -37,26 +37,26 @@ class OrganPair:
     moving_mm: FloatArray
 
     def error_mm(self, moving_from_fixed: Rigid) -> float:
-        """Mean distance of the landmarks; what no rigid map takes away is part of it."""
+        """Compute the mean distance of the landmarks, including the part that no rigid map removes."""
         off = moving_from_fixed.apply_array(self.fixed_mm) - self.moving_mm
         return float(np.linalg.norm(off, axis=1).mean())
 
 
 def organ_pair(seed: int) -> OrganPair:
-    """Ultrasound and MR of one brain; anatomy, contrasts, scanner, shift and speckle vary with the seed."""
+    """Simulate ultrasound and MR of a brain; the seed varies anatomy, contrasts, scanner, shift, speckle."""
     organ = brain_labels(seed)
     return _pair(organ, mr_images(organ, seed), scan_style(seed), seed)
 
 
 def cine_pair(mr: Volume, seed: int) -> OrganPair:
-    """Real MR of a heart at one time of its cycle, as it is, and simulated ultrasound (see `cine`).
+    """Pair real MR of a heart at one time of its cycle with simulated ultrasound (see `cine`).
 
     Args:
         mr: frame "moving"; slices along the last axis.
-        seed: of how tissue sounds, the scanner, the view, the shift and the speckle.
+        seed: seed of acoustics, scanner, view, shift and speckle.
     """
     rng = child_rng(seed, "organ stack")
-    # what is insonified lies within a stack of 60 mm
+    # the insonified part is within a stack of 60 mm
     style = replace(scan_style(seed), depth_mm=rng.uniform(55, 72), sweep_deg=rng.uniform(15, 21))
     return _pair(heart_labels(mr, style.depth_mm, seed), {"cine": mr}, style, seed)
 
@@ -77,7 +77,7 @@ def _pair(organ: OrganLabels, moving: dict[str, Volume], style: ScanStyle, seed:
 
 
 def _landmarks(fixed: Volume, rng: np.random.Generator) -> FloatArray:
-    """(LANDMARKS, 3) mm spread over what was insonified."""
+    """Spread (LANDMARKS, 3) mm over the insonified part."""
     index = np.argwhere(fixed.values[::4, ::4, ::4] > 0) * 4
     return fixed.grid.to_mm(index[rng.choice(len(index), LANDMARKS, replace=False)].astype(np.float64))
 
@@ -90,7 +90,7 @@ def _nearest_rigid(fixed_mm: FloatArray, moving_mm: FloatArray) -> Rigid:
 
 
 def displaced_start(pair: OrganPair, start_mm: float, rng: np.random.Generator) -> Rigid:
-    """A pose of that mean distance at the landmarks: random axis, direction and share of rotation."""
+    """Draw a pose of that mean distance at the landmarks: random axis, direction and share of rotation."""
     shift, turn = rng.normal(size=3), rng.normal(size=3)
     center = pair.moving_mm.mean(axis=0)
     share = rng.uniform(0.1, 0.8)

@@ -1,8 +1,8 @@
-"""A freehand sweep over labelled tissue, reconstructed to a volume, by physics that no MR channel enters.
+"""Freehand sweep over labelled tissue, reconstructed to a volume, by physics independent of MR.
 
 Scatterers of each tissue's echogenicity give Rayleigh speckle, borders between impedances give echoes where
 the beam meets them squarely, sound is lost on the way, and behind strong borders. The point spread widens
-with depth; frames are placed with tracking error, and what no frame reached stays 0.
+with depth; frames are placed with tracking error, and voxels that no frame reached stay 0.
 """
 
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ LINE_MM, FRAME_MM = 0.5, 0.7
 
 @dataclass(frozen=True, slots=True)
 class ScanStyle:
-    """What differs from one scanner, and one setting, to the next; lengths in mm, angles in degrees."""
+    """Parameters that vary between scanners and settings; lengths in mm, angles in degrees."""
 
     depth_mm: float
     sector_deg: float
@@ -49,7 +49,7 @@ class ScanStyle:
 
 
 def scan_style(seed: int) -> ScanStyle:
-    """A scanner and its settings."""
+    """Draw a scanner and its settings."""
     rng = child_rng(seed, "organ scanner")
     return ScanStyle(
         depth_mm=rng.uniform(58, 82),
@@ -80,11 +80,11 @@ def scan_style(seed: int) -> ScanStyle:
 def organ_ultrasound(
     organ: OrganLabels, shift_mm: FloatArray, moving_from_fixed: Rigid, style: ScanStyle, seed: int
 ) -> Volume:
-    """The reconstructed volume, frame "fixed", 0 where nothing was insonified.
+    """Simulate the reconstructed volume, frame "fixed", 0 outside the insonified part.
 
     Args:
         shift_mm: (nx, ny, nz, 3) on the organ's grid: tissue now at x was at x + shift in the MR images.
-        moving_from_fixed: where the ultrasound's frame lies.
+        moving_from_fixed: pose of the ultrasound's frame.
     """
     moving_from_probe = _probe(organ, style, seed)
     swept = _swept(style)
@@ -96,7 +96,7 @@ def organ_ultrasound(
 
 
 def _probe(organ: OrganLabels, style: ScanStyle, seed: int) -> Rigid:
-    """moving_from_probe: z into the organ, y along the sweep."""
+    """Build moving_from_probe: z into the organ, y along the sweep."""
     rng = child_rng(seed, "organ probe")
     z = organ.inward + 0.12 * rng.normal(size=3)
     z /= np.linalg.norm(z)
@@ -108,7 +108,7 @@ def _probe(organ: OrganLabels, style: ScanStyle, seed: int) -> Rigid:
 
 
 def _swept(style: ScanStyle) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Angles of lines, angles of frames, and depths: the axes of what is insonified."""
+    """Return angles of lines, angles of frames, and depths: the axes of the insonified part."""
     middle = style.foot_mm + 0.6 * style.depth_mm
     lines = np.radians(style.sector_deg) * np.linspace(
         -1, 1, int(2 * np.radians(style.sector_deg) * middle / LINE_MM)
@@ -120,14 +120,14 @@ def _swept(style: ScanStyle) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 
 def _places(swept: tuple[FloatArray, FloatArray, FloatArray], style: ScanStyle) -> FloatArray:
-    """(lines, frames, depths, 3) mm in the probe's frame: a curved array that is tilted about its foot."""
+    """Compute (lines, frames, depths, 3) mm in the probe's frame: a curved array tilted about its foot."""
     line, frame, r = np.meshgrid(*swept, indexing="ij")
     x, away = (style.foot_mm + r) * np.sin(line), (style.foot_mm + r) * np.cos(line)
     return np.stack([x, away * np.sin(frame), away * np.cos(frame) - style.foot_mm], axis=-1)
 
 
 def _images(organ: OrganLabels, xyz_mm: FloatArray, style: ScanStyle, rng: np.random.Generator) -> AnyArray:
-    """(lines, frames, depths) grey levels, 1 to 255."""
+    """Simulate (lines, frames, depths) grey levels, 1 to 255."""
     sound = organ.acoustics
     echo_db = np.array(sound.echo_db) + rng.normal(0, 2.5, len(sound.echo_db)).clip(-5, 5)
     echo_db = echo_db[1] + style.contrast * (echo_db - echo_db[1])
@@ -154,13 +154,13 @@ def _images(organ: OrganLabels, xyz_mm: FloatArray, style: ScanStyle, rng: np.ra
 
 
 def _poor_contact(shape: tuple[int, int], rng: np.random.Generator) -> FloatArray:
-    """(lines, frames) 0 to 1: where the probe touches badly, all depths are dark."""
+    """Draw (lines, frames) contact, 0 to 1: with poor contact all depths are dark."""
     smooth = ndimage.gaussian_filter(rng.normal(size=shape), 8.0)
     return np.asarray(np.clip(smooth / smooth.std() - 0.8, 0.0, 1.0))
 
 
 def _look(level_db: FloatArray, border: FloatArray, style: ScanStyle, rng: np.random.Generator) -> FloatArray:
-    """Power of one realisation of the speckle; scanners average several."""
+    """Compute the power of one realisation of the speckle; scanners average several."""
     real, imaginary = (rng.normal(size=level_db.shape).astype(np.float32) for _ in range(2))
     field = 10 ** (level_db / 20) * (real + 1j * imaginary)
     field = _blurred(field + border * np.exp(2j * np.pi * rng.random(level_db.shape)), style)
@@ -168,7 +168,7 @@ def _look(level_db: FloatArray, border: FloatArray, style: ScanStyle, rng: np.ra
 
 
 def _blurred(field: AnyArray, style: ScanStyle) -> AnyArray:
-    """The point spread: near and far versions blended over the depth, of equal mean power."""
+    """Apply the point spread: near and far versions blended over the depth, of equal mean power."""
     spacing = np.array([LINE_MM, FRAME_MM, style.step_mm])
     near = np.array([style.lateral_mm, style.elevation_mm, style.axial_mm])
     versions = []
@@ -187,7 +187,7 @@ def _reconstructed(
     fixed_from_probe: Rigid,
     rng: np.random.Generator,
 ) -> Volume:
-    """Voxels aligned with the probe, or turned a little as reconstructions are."""
+    """Reconstruct voxels aligned with the probe, or turned a little as reconstructions are."""
     lines, frames, depths = swept
     reach = style.foot_mm + style.depth_mm
     half = reach * np.sin([lines[-1], frames[-1]]) + 2.0

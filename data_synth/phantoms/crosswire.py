@@ -1,4 +1,4 @@
-"""A cross-wire calibration recording: images that all pass through the crossing of two wires."""
+"""Cross-wire calibration recording: images that all pass through the crossing of two wires."""
 
 from dataclasses import dataclass
 
@@ -24,19 +24,19 @@ WIRES = (
     Wire("first", np.array([-_HALF_MM, 0.0, 0.0]), np.array([_HALF_MM, 0.0, 0.0])),
     Wire("second", np.array([0.0, -_HALF_MM, 0.0]), np.array([0.0, _HALF_MM, 0.0])),
 )
-"""Two wires in the horizontal plane of the tank; they meet at its origin."""
+"""Two wires in the horizontal plane of the tank, which meet at its origin."""
 
 
 @dataclass(frozen=True, slots=True)
 class CrossWireSpec:
-    """How the crossing is visited.
+    """Parameters of the views of the crossing.
 
     Attributes:
         frames: images; the probe rests `frame_s` at each.
         out_of_plane_mm: SD of the crossing's distance from the image plane.
         depth_mm: (nearest, farthest) depth of the crossing in the image; `lateral_mm` largest offset.
         tilt_deg: largest tilt of the probe; it turns freely about the vertical.
-        point_noise_mm, failed_share: of the segmentation.
+        point_noise_mm, failed_share: noise and failures of the segmentation.
     """
 
     frames: int = 60
@@ -55,7 +55,7 @@ class CrossWireSpec:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CrossWire:
-    """The recording (its one feature is the crossing), and where the crossing truly is in frame "tracker"."""
+    """Recording whose one feature is the crossing, with its true position in frame "tracker"."""
 
     recording: TankRecording
     crossing: Points
@@ -70,9 +70,9 @@ def crosswire_recording(
     *,
     rendered: bool = True,
 ) -> CrossWire:
-    """Tracked images with the crossing in (nearly) the image plane, from many directions and distances.
+    """Record tracked images with the crossing nearly in the image plane, from many directions and distances.
 
-    Without images where not `rendered`; everything else is the same.
+    Without `rendered` there are no images; everything else is the same.
     """
     mounted = probe_from_plane(probe_from_image, probe)
     tracker_from_tank = tank_in_tracker(rng)
@@ -92,7 +92,7 @@ def crosswire_recording(
 
 
 def _view(probe: SectorProbe, spec: CrossWireSpec, rng: np.random.Generator) -> Rigid:
-    """tank_from_plane with the tank's origin at a random place of the image."""
+    """Draw tank_from_plane with the tank's origin at a random position in the image."""
     seen_at: FloatArray = np.array(
         [
             rng.uniform(-1, 1) * spec.lateral_mm,

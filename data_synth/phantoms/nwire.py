@@ -1,4 +1,4 @@
-"""An N-wire calibration recording: exact wire crossings of the image plane, with pixel and tracker noise.
+"""N-wire calibration recording: exact wire crossings of the image plane, with pixel and tracker noise.
 
 Wires as in the fCal 2.0 phantom (PLUS; Lasso et al., IEEE TBME 61:2527, 2014): three N patterns, each with
 two parallel wires along y and a diagonal, 40 mm long, at three heights.
@@ -37,7 +37,7 @@ _PATTERNS: tuple[tuple[float, tuple[tuple[str, float, float], ...]], ...] = (
 
 @dataclass(frozen=True, slots=True)
 class NWireSpec:
-    """How the phantom is swept.
+    """Parameters of the sweep over the phantom.
 
     Attributes:
         frames: images with all wires in view.
@@ -60,7 +60,7 @@ class NWireSpec:
 
 
 def fcal_phantom() -> NWirePhantom:
-    """The wires of the fCal 2.0 phantom in frame "phantom"."""
+    """Build the wires of the fCal 2.0 phantom in frame "phantom"."""
     patterns = []
     for z, wires in _PATTERNS:
         left, middle, right = (
@@ -72,7 +72,7 @@ def fcal_phantom() -> NWirePhantom:
 
 
 def wire_crossings_px(phantom: NWirePhantom, phantom_from_image: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Where the wires pierce the image plane.
+    """Intersect the wires with the image plane.
 
     Args:
         phantom_from_image: (..., 4, 4) mm per pixel.
@@ -95,7 +95,7 @@ def nwire_recording(
     spec: NWireSpec,
     rng: np.random.Generator,
 ) -> NWireRecording:
-    """Images of the phantom with every wire inside the sector and crossed within its length.
+    """Record images of the phantom with every wire inside the sector and crossed within its length.
 
     Args:
         image_size_px: (columns, rows).
@@ -114,7 +114,7 @@ def nwire_images(
     spec: NWireSpec,
     rng: np.random.Generator,
 ) -> tuple[NWireRecording, TrackedSequence]:
-    """The same recording (from the same `rng`) together with its images.
+    """Make the recording of `nwire_recording` (from the same `rng`) together with its images.
 
     Returns:
         The recording, and its images with phantom_from_probe at their times.
@@ -150,7 +150,7 @@ def _placements(
     spec: NWireSpec,
     rng: np.random.Generator,
 ) -> tuple[list[Rigid], FloatArray]:
-    """phantom_from_probe and crossings (frames, wires, 2) of frames that see all wires."""
+    """Draw phantom_from_probe and crossings (frames, wires, 2) of frames that show all wires."""
     scale = np.diag([*probe_from_image.scale_mm_per_px, 1.0, 1.0])
     image_from_probe = probe_from_image.rigid.inverse()
     poses: list[Rigid] = []
@@ -170,7 +170,7 @@ def _placements(
 
 
 def _random_view(probe_from_image: ImageMap, fan: Fan, spec: NWireSpec, rng: np.random.Generator) -> Rigid:
-    """phantom_from_image (image in mm from pixel 0, 0): looking down on the wires, across them."""
+    """Draw phantom_from_image (image in mm from pixel 0, 0): looking down on the wires, across them."""
     middle = np.array([rng.uniform(40.0, 50.0), rng.uniform(10.0, 30.0), 20.0])
     facing = Rotation.from_matrix(np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]))
     turn, tilt, yaw = np.deg2rad([spec.turn_deg, spec.tilt_deg, spec.tilt_deg]) * rng.uniform(-1, 1, 3)

@@ -1,4 +1,4 @@
-"""A pivot calibration recording: the tool turns about its resting tip."""
+"""Pivot calibration recording: the tool turns about its resting tip."""
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -20,7 +20,7 @@ def pivot_recording(
     seconds: float = 15.0,
     tip_play_mm: float = 0.05,
 ) -> PoseStream:
-    """tracker_from_tool while the shaft circles and rocks about a fixed point.
+    """Record tracker_from_tool while the shaft circles and rocks about a fixed point.
 
     Args:
         tip_in_tool: one point in frame "tool".

@@ -15,10 +15,11 @@ PIECE_MM = 0.4
 """Length of the pieces of wire that echo independently: nylon is rough."""
 
 WIRE_DB = -4.0
-"""Echo of a piece of wire in the middle of the beam, re myocardium."""
+"""Echo of a piece of wire in the middle of the beam, relative to myocardium."""
 
 WALL_DB = 6.0
-"""Echo of a facing wall, re myocardium; `WALL_ROUGHNESS` of it (in amplitude) returns in all directions."""
+"""Echo of a facing wall relative to myocardium; `WALL_ROUGHNESS` of its amplitude returns in all
+directions."""
 
 WALL_ROUGHNESS = 0.12
 WALL_LINES = 8
@@ -30,17 +31,17 @@ _REACH = 3.0
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class Echoes:
-    """Point reflectors in frame "plane": (n, 3) mm and (n,) complex amplitude re myocardium."""
+    """Point reflectors in frame "plane": (n, 3) mm and (n,) complex amplitude relative to myocardium."""
 
     xyz_mm: FloatArray
     amplitude: NDArray[np.complex128]
 
 
 def wire_echoes(wires: Sequence[Wire], plane_from_phantom: Rigid, probe: SectorProbe, seed: int) -> Echoes:
-    """The parts of straight wires that lie within the thickness of the beam.
+    """Compute echoes of the parts of straight wires within the thickness of the beam.
 
     Args:
-        seed: of the wires' roughness; the same in every image of one phantom.
+        seed: seed of the wires' roughness; the same in every image of one phantom.
     """
     points, amplitudes = [], []
     for number, wire in enumerate(wires):
@@ -60,10 +61,10 @@ def wire_echoes(wires: Sequence[Wire], plane_from_phantom: Rigid, probe: SectorP
 
 
 def wall_echoes(normal: FloatArray, offset_mm: float, probe: SectorProbe, rng: np.random.Generator) -> Echoes:
-    """A flat wall normal·x = offset (frame "plane"), as many small patches where the image cuts it.
-
-    Patches facing the beam add in phase, others cancel: a wall is seen where it is perpendicular to the
-    lines, and elsewhere by its roughness alone.
+    """Compute echoes of a flat wall normal·x = offset (frame "plane") as small patches in the image plane.
+    Patches facing the beam add in phase, others cancel: a wall is visible at right angles to the lines, and
+    elsewhere only by its roughness.
+        lines, and elsewhere only by its roughness.
     """
     fine = np.linspace(-1.0, 1.0, probe.lines * WALL_LINES) * probe.half_angle_rad
     beams = np.column_stack([np.sin(fine), np.cos(fine), np.zeros(len(fine))])
@@ -81,7 +82,7 @@ def wall_echoes(normal: FloatArray, offset_mm: float, probe: SectorProbe, rng: n
 
 
 def water_images(probe: SectorProbe, frames: Sequence[Echoes], seed: int) -> NDArray[np.uint8]:
-    """(n, rows, columns) images of the echoes of each frame, in clear water; `seed` is of receiver noise."""
+    """Simulate (n, rows, columns) images of each frame's echoes in clear water; `seed`: receiver noise."""
     converter = ScanConverter.of(probe.polar, probe.pixels)
     gain = receive_gain(probe)
     out = np.empty((len(frames), probe.rows, probe.columns), dtype=np.uint8)
@@ -97,7 +98,7 @@ def water_images(probe: SectorProbe, frames: Sequence[Echoes], seed: int) -> NDA
 
 
 def _beams(probe: SectorProbe, echoes: Echoes) -> NDArray[np.complex128]:
-    """(lines, samples) received signal: each reflector spread by the two-way beam and the pulse."""
+    """Compute the (lines, samples) signal: each reflector spread by the two-way beam and the pulse."""
     x, y, z = echoes.xyz_mm.T
     across, distance = np.hypot(x, y), np.sqrt(x**2 + y**2 + z**2)
     pitch = 2.0 * probe.half_angle_rad / (probe.lines - 1)
@@ -113,7 +114,7 @@ def _beams(probe: SectorProbe, echoes: Echoes) -> NDArray[np.complex128]:
     beam = np.exp(-0.5 * ((lines - line[:, None]) / wide[:, None]) ** 2)
     pulse = np.exp(-0.5 * ((samples - sample[:, None]) / long) ** 2)
     patch = (echoes.amplitude * turns)[:, None, None] * beam[:, :, None] * pulse[:, None, :]
-    # a margin takes what falls outside, so that no reflector needs clipping
+    # a margin receives what is outside, so that no reflector needs clipping
     top, left = reach[1] + 1, reach[0] + 1
     keep = (lines[:, 0] >= -left) & (lines[:, -1] < probe.lines + left)
     keep &= (samples[:, 0] >= -top) & (samples[:, -1] < probe.samples + top)

@@ -1,4 +1,4 @@
-"""A wall calibration recording: a flat wall seen as a line from many directions."""
+"""Wall calibration recording: a flat wall seen as a line from many directions."""
 
 from dataclasses import dataclass
 
@@ -22,14 +22,14 @@ from .tank_image import wall_echoes, water_images
 
 @dataclass(frozen=True, slots=True)
 class WallSpec:
-    """How the wall is looked at.
+    """Parameters of the views of the wall.
 
     Attributes:
         frames: images; the probe rests `frame_s` at each.
         depth_mm: (nearest, farthest) depth of the wall in the middle of the image.
         tilt_deg: largest angle between the wall's normal and the middle line, each way.
-        half_span_mm: the two segmented points of the line lie this far from the image's middle, laterally.
-        point_noise_mm, failed_share: of the segmentation.
+        half_span_mm: lateral distance of the two segmented points of the line from the image's middle.
+        point_noise_mm, failed_share: noise and failures of the segmentation.
     """
 
     frames: int = 60
@@ -50,7 +50,7 @@ class WallSpec:
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class Wall:
-    """The recording (two points of the line in each image), and the wall in frame "tracker".
+    """Recording (two points of the line in each image), with the wall in frame "tracker".
 
     Attributes:
         normal: (3,) unit normal towards the probe.
@@ -71,7 +71,7 @@ def wall_recording(
     *,
     rendered: bool = True,
 ) -> Wall:
-    """Tracked images of the floor z = 0 of a tank; where not `rendered`, the same without images."""
+    """Record tracked images of the floor z = 0 of a tank; without `rendered` there are no images."""
     mounted = probe_from_plane(probe_from_image, probe)
     tracker_from_tank = tank_in_tracker(rng)
     views = [_view(spec, rng) for _ in range(spec.frames)]
@@ -92,14 +92,14 @@ def wall_recording(
 
 
 def _view(spec: WallSpec, rng: np.random.Generator) -> Rigid:
-    """tank_from_plane: looking down on the floor."""
+    """Draw tank_from_plane: looking down on the floor."""
     rotation = looking_down(rng, spec.tilt_deg)
     height = rng.uniform(*spec.depth_mm) * -rotation[2, 1]
     return Rigid("tank", "plane", rotation, np.array([*rng.uniform(-30, 30, 2), height]))
 
 
 def _line_px(tank_from_plane: Rigid, probe: SectorProbe, spec: WallSpec) -> FloatArray:
-    """(2, 2) pixels of the line left and right of the image's middle."""
+    """Compute the line's (2, 2) pixels left and right of the image's middle."""
     normal, height = tank_from_plane.rotation[2], tank_from_plane.translation_mm[2]
     x = np.array([-spec.half_span_mm, spec.half_span_mm])
     y = -(height + normal[0] * x) / normal[1]

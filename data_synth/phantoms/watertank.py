@@ -1,4 +1,4 @@
-"""A temporal calibration recording: the probe moves up and down over the floor of a water tank."""
+"""Temporal calibration recording: the probe moves up and down over the floor of a water tank."""
 
 from dataclasses import dataclass
 
@@ -17,7 +17,7 @@ from .tank_image import wall_echoes, water_images
 
 @dataclass(frozen=True, slots=True)
 class WaterTankSpec:
-    """The motion and its images.
+    """Parameters of the motion and its images.
 
     Attributes:
         seconds: length of the recording on the tracker clock.
@@ -49,7 +49,7 @@ def watertank_recording(
     spec: WaterTankSpec,
     rng: np.random.Generator,
 ) -> LatencyRecording:
-    """tracker_from_probe on the tracker clock; the floor's row at the fan's middle column on the video clock.
+    """Record tracker_from_probe on the tracker clock and the floor's row at the fan's middle on the video's.
 
     An event at tracker time t is stamped t − lag_s on the video clock.
     """
@@ -64,7 +64,7 @@ def watertank_images(
     spec: WaterTankSpec,
     rng: np.random.Generator,
 ) -> tuple[LatencyRecording, TrackedSequence]:
-    """The same recording (from the same `rng`), and its images on the video clock, without poses."""
+    """Make the recording of `watertank_recording` (from the same `rng`) and its images without poses."""
     recording, tank_from_plane, seen_s = _swept(probe_from_image, probe.fan, lag_s, tracker, spec, rng)
     seed = int(rng.integers(2**31))
     speckle = np.random.default_rng(seed)
@@ -86,7 +86,7 @@ def _swept(
     spec: WaterTankSpec,
     rng: np.random.Generator,
 ) -> tuple[LatencyRecording, PosePath, FloatArray]:
-    """The recording, the true motion, and when each image was truly taken."""
+    """Simulate the recording, the true motion, and the true times of the images."""
     apex_mm = fan.apex_px * probe_from_image.scale_mm_per_px
     image_from_plane = Rigid(probe_from_image.rigid.source, "plane", np.eye(3), np.append(apex_mm, 0.0))
     plane_from_probe = (probe_from_image.rigid @ image_from_plane).inverse()
@@ -104,13 +104,13 @@ def _swept(
 
 
 def floor_depth_mm(tank_from_plane: PosePath, t_s: FloatArray) -> FloatArray:
-    """(n,) distance along the image's middle line from the fan apex to the floor z = 0 of the tank."""
+    """Compute (n,) distances along the middle line from the fan apex to the floor z = 0 of the tank."""
     rotations, apex = tank_from_plane(t_s)
     return np.asarray(-apex[:, 2] / rotations[:, 2, 1])
 
 
 def _bobbing(spec: WaterTankSpec, rng: np.random.Generator) -> PosePath:
-    """tank_from_plane: depth axis down, one main motion with slowly changing period and amplitude."""
+    """Draw tank_from_plane: depth axis down, one main motion with slowly changing period and amplitude."""
     start = rng.uniform(0, 2 * np.pi)
     change = smooth_noise(2, 0.05, 0.25, rng)
     sway = smooth_noise(6, 0.1, 0.6, rng)

@@ -1,1 +1,1 @@
-"""How real the synthetic world is, measured."""
+"""Measured realism of the synthetic world."""

@@ -1,4 +1,4 @@
-"""Measured realism of the ultrasound: each figure with the bounds it has to keep."""
+"""Measured realism of the ultrasound: each figure with its bounds."""
 
 from dataclasses import dataclass, replace
 
@@ -25,10 +25,10 @@ STANDARD = SectorProbe(
     apex_px=(255.5, 30.0),
     fine_lines=8,
 )
-"""The scenarios' beam at the size for which a rate is stated: 192 lines of 768 samples to 512² pixels."""
+"""Beam of the scenarios at the size for which a rate is stated: 192 lines of 768 samples to 512² pixels."""
 
 PROBE = replace(STANDARD, noise_db=-140.0, tgc_db_per_cm_mhz=0.0)
-"""The same without noise and gain."""
+"""`PROBE` without noise and gain."""
 
 OBLIQUE = Rigid.from_rotation_vector((0.4, -0.7, 0.5), np.zeros(3), "mr", "plane")
 FACING = Rigid.identity("mr", "plane")
@@ -40,7 +40,7 @@ _NEAR_SAMPLES = 150
 
 @dataclass(frozen=True, slots=True)
 class Gate:
-    """A measured figure and the interval it has to lie in."""
+    """Measured figure with the interval it must be in."""
 
     name: str
     value: float
@@ -52,29 +52,29 @@ class Gate:
         return self.low <= self.value <= self.high
 
 
-def near(name: str, value: float, wanted: float, tolerance: float) -> Gate:
-    """A gate around a wanted value."""
-    return Gate(name, value, wanted - tolerance, wanted + tolerance)
+def near(name: str, value: float, target: float, tolerance: float) -> Gate:
+    """Build a gate around a target value."""
+    return Gate(name, value, target - tolerance, target + tolerance)
 
 
 def envelope(anatomy: Medium, probe: SectorProbe = PROBE, *, seed: int = 3, frame: int = 0) -> FloatArray:
-    """(lines, samples) linear envelope, re myocardium."""
+    """Simulate the (lines, samples) linear envelope, relative to myocardium."""
     level = simulate_lines(anatomy, probe, OBLIQUE, np.zeros(probe.lines), seed=seed, frame=frame)
     return np.asarray(10 ** (level.astype(np.float64) / 20))
 
 
 def homogeneous(tissue: Tissue = Tissue.LV_MYOCARDIUM, *, seeds: int = 4) -> FloatArray:
-    """(seeds, lines, samples) envelopes away from the sector's edges and the near field."""
+    """Simulate (seeds, lines, samples) envelopes away from the sector's edges and the near field."""
     one = medium(tissue)
     frames = [envelope(one, seed=s, frame=s) for s in range(seeds)]
     return np.stack(frames)[:, _BORDER_LINES:-_BORDER_LINES, _NEAR_SAMPLES:-10]
 
 
 def speckle_gates(envelopes: FloatArray) -> list[Gate]:
-    """First-order statistics of fully developed speckle.
+    """Check first-order statistics of fully developed speckle.
 
     The KS distance is taken on samples far enough apart to be independent, and compared with its 5 %
-    critical value for a known scale, which is the milder one: the scale is fitted here.
+    critical value for a known scale, which is the larger one: the scale is fitted here.
     """
     power = envelopes**2
     decibel = 20 * np.log10(envelopes)
@@ -93,7 +93,7 @@ def speckle_gates(envelopes: FloatArray) -> list[Gate]:
 
 
 def texture_gates(envelopes: FloatArray) -> list[Gate]:
-    """Width of the envelope's autocovariance over the beam's and the pulse's.
+    """Check the width of the envelope's autocovariance over the beam's and the pulse's.
 
     For a Gaussian beam the envelope's autocovariance is as wide as the beam's amplitude.
     """
@@ -109,7 +109,7 @@ def texture_gates(envelopes: FloatArray) -> list[Gate]:
 
 
 def level_gates(envelopes: FloatArray) -> list[Gate]:
-    """Mean power of myocardium, which is the zero of the decibel scale, along the depth."""
+    """Check the mean power of myocardium, the zero of the decibel scale, along the depth."""
     power = np.mean(envelopes**2, axis=(0, 1))
     parts = np.array_split(10 * np.log10(power), len(DEPTHS_MM))
     return [
@@ -119,7 +119,7 @@ def level_gates(envelopes: FloatArray) -> list[Gate]:
 
 
 def contrast_gates() -> list[Gate]:
-    """Mean echo of each tissue re myocardium beside it in the same image against the table, dB."""
+    """Check each tissue's mean echo relative to adjacent myocardium in the image against the table, dB."""
     gates, middle = [], PROBE.lines // 2
     for i, tissue in enumerate(CONTRASTS):
         halves = medium(Tissue.LV_MYOCARDIUM, tissue)
@@ -134,7 +134,7 @@ def contrast_gates() -> list[Gate]:
 
 
 def anisotropy_gate() -> Gate:
-    """How much less muscle returns whose wall runs along the beam than muscle that faces it, dB."""
+    """Check the loss of muscle whose wall is along the beam compared with muscle that faces it, dB."""
     levels = []
     for along_beam in (False, True):
         one = medium(Tissue.LV_MYOCARDIUM)
@@ -149,7 +149,7 @@ def anisotropy_gate() -> Gate:
 
 
 def attenuation_gates() -> list[Gate]:
-    """Slope of the mean power with depth over 2αf."""
+    """Check the slope of the mean power with depth over 2αf."""
     gates = []
     for tissue in (Tissue.LV_MYOCARDIUM, Tissue.LV_BLOOD):
         anatomy = medium(tissue, absorbing=True)
@@ -157,13 +157,13 @@ def attenuation_gates() -> list[Gate]:
         depth_cm = PROBE.depths_mm / 10
         deep = depth_cm > 3
         slope = float(np.polyfit(depth_cm[deep], 10 * np.log10(power[deep]), 1)[0])
-        wanted = -2 * ACOUSTICS[tissue].attenuation_db * PROBE.frequency_mhz
-        gates.append(near(f"attenuation / 2 alpha f, {tissue.name.lower()}", slope / wanted, 1.0, 0.05))
+        expected = -2 * ACOUSTICS[tissue].attenuation_db * PROBE.frequency_mhz
+        gates.append(near(f"attenuation / 2 alpha f, {tissue.name.lower()}", slope / expected, 1.0, 0.05))
     return gates
 
 
 def point_gates(probe: SectorProbe = PROBE) -> list[Gate]:
-    """Widths of a point target's image over the formulas, at three depths."""
+    """Check the widths of a point target's image over the formulas, at three depths."""
     gates = []
     for depth_mm in DEPTHS_MM:
         image = point_image(depth_mm, probe)
@@ -177,7 +177,7 @@ def point_gates(probe: SectorProbe = PROBE) -> list[Gate]:
 
 
 def point_image(depth_mm: float, probe: SectorProbe = PROBE) -> FloatArray:
-    """(lines, samples) amplitude of a point in the middle of the sector."""
+    """Simulate the (lines, samples) amplitude of a point in the middle of the sector."""
     rows = probe.lines * probe.fine_lines
     point = np.zeros((rows, 2 * probe.samples), dtype=np.float32)
     point[rows // 2, int(depth_mm / probe.step_mm)] = 1.0
@@ -187,7 +187,7 @@ def point_image(depth_mm: float, probe: SectorProbe = PROBE) -> FloatArray:
 
 
 def elevation_gate(depth_mm: float = 80.0, planes: int = 9) -> Gate:
-    """Width of the slice over the formula, from how the power fades as the slice crosses a flat border.
+    """Check the slice width over the formula by the fading of power as the slice crosses a flat border.
 
     The power of a Gaussian beam across an edge is an error function of σ/√2.
     """
@@ -210,9 +210,9 @@ def elevation_gate(depth_mm: float = 80.0, planes: int = 9) -> Gate:
 
 
 def _fwhm(profile: FloatArray) -> float:
-    """Full width at half maximum of a peak, in samples.
+    """Compute the full width at half maximum of a peak, in samples.
 
-    The logarithm is interpolated, which is exact for a Gaussian however few samples it spans.
+    The logarithm is interpolated, which is exact for a Gaussian of any number of samples.
     """
     peak = int(profile.argmax())
     high = profile > 0.02 * profile[peak]
@@ -225,7 +225,7 @@ def _fwhm(profile: FloatArray) -> float:
 
 
 def _covariance_fwhm(stack: FloatArray, axis: int, lags: int = 14) -> float:
-    """Full width at half maximum, in samples, of the autocovariance along an axis."""
+    """Compute the full width at half maximum, in samples, of the autocovariance along an axis."""
     centered = np.moveaxis(stack - stack.mean(), axis, 0)
     count = len(centered)
     half = np.array([np.mean(centered[: count - k] * centered[k:]) for k in range(lags)])

@@ -1,4 +1,4 @@
-"""The heart's own gates: how far it moves, how exactly, and whether like a heart."""
+"""Gates of the heart: extent, exactness and physiology of its motion."""
 
 from data_synth.heart.motion_report import MotionReport
 
@@ -8,7 +8,7 @@ INFINITY = float("inf")
 
 
 def heart_gates(motion: str, report: MotionReport) -> list[Gate]:
-    """Exactness for any motion; physiological ranges, or the 4.96 mm of "paper5mm"."""
+    """Check exactness for any motion, and physiological ranges or the 4.96 mm of "paper5mm"."""
     r = report
     gates = [
         Gate(f"{motion}: |det - 1| in the LV wall", r.wall_det_error, 0.0, 1e-6),

@@ -1,4 +1,4 @@
-"""Simple media in which the simulator's physics has a closed answer."""
+"""Simple media in which the simulator's physics has a closed-form answer."""
 
 from dataclasses import dataclass
 
@@ -14,7 +14,7 @@ from dvf_ig.core import FloatArray, read_only_arrays
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class RigidShift:
-    """Everything has moved rigidly: x = R X + shift, at every phase but 0."""
+    """Rigid motion of everything: x = R X + shift, at every phase except 0."""
 
     shift_mm: FloatArray
     turn_rad: FloatArray
@@ -27,7 +27,7 @@ class RigidShift:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Medium:
-    """Homogeneous tissue, or two halves that meet in a plane; frame "mr"."""
+    """Medium of homogeneous tissue, or of two halves that meet in a plane; frame "mr"."""
 
     reference: ReferenceMap
     inverse_motion: RigidShift
@@ -43,7 +43,7 @@ def medium(
     shift_mm: tuple[float, float, float] = (0.0, 0.0, 0.0),
     turn_rad: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> Medium:
-    """`tissue`, and `beyond` it (if given) another one where the coordinate `axis` exceeds 0.
+    """Build a medium of `tissue`, with the tissue `beyond` (if given) at positive coordinates of `axis`.
 
     Args:
         absorbing: with the tissues' attenuation; otherwise none.
@@ -55,12 +55,12 @@ def medium(
     fields[41:] = _row(tissue if beyond is None else beyond, absorbing, reflecting)
     fields[..., -1] = np.abs(np.gradient(fields[..., 0], 1.0, axis=0))
     if reflecting:
-        # |∇ ln Z| on the two nodes of the border, where ln Z is linear in between
+        # |∇ ln Z| on the two nodes of the border, between which ln Z is linear
         fields[..., -1] *= 2.0
     order = [1, 2]
     order.insert(axis, 0)
     fields = np.ascontiguousarray(np.transpose(fields, (*order, 3)))
-    # the 81 nodes lie 1 mm apart, the border at 0; beyond the grid its outermost values hold
+    # the 81 nodes are 1 mm apart, the border at 0; outside the grid its outermost values apply
     origin = np.full(3, -2.0)
     origin[axis] = -40.5
     unused = np.zeros(fields.shape[:3], dtype=np.float32)

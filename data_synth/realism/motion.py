@@ -1,4 +1,4 @@
-"""Does speckle go where the tissue goes? Block matching between two simulated frames."""
+"""Check that speckle follows the tissue, by block matching between two simulated frames."""
 
 from dataclasses import dataclass
 
@@ -17,11 +17,11 @@ from .media import medium
 
 BLOCK_MM, SEARCH_MM = 12.0, 4.0
 WALL_BLOCK_MM = 7.0
-"""As wide as the wall of the left ventricle."""
+"""Size of a block: the width of the left ventricle's wall."""
 EARLY_SYSTOLE = {"paper5mm": (0.08, 0.14), "physiological": (0.10, 0.13)}
 """Two model phases between which the wall moves by some half a millimetre."""
 WALL_LATERAL_MM, WALL_AXIAL_MM = 0.6, 0.3
-"""Bounds in the beating wall, which strains and leaves the plane as it moves."""
+"""Bounds of the median errors in the beating wall, which strains and leaves the plane."""
 AXIAL_MM, LATERAL_MM = 0.15, 0.3
 """Bounds of the median errors: a third of the pulse, a sixth of the beam at the focus."""
 
@@ -34,7 +34,7 @@ class Match:
     Attributes:
         places: (n, 2) lateral and depth of the blocks' centres in the first image.
         moved: (n, 2) measured displacement.
-        score: (n,) correlation at the best place.
+        score: (n,) correlation at the best match.
     """
 
     places: FloatArray
@@ -63,17 +63,17 @@ def match_blocks(
         block = first[row - half : row + half + 1, column - half : column + half + 1]
         wide = half + reach
         window = second[row - wide : row + wide + 1, column - wide : column + wide + 1]
-        found = match_template(window.astype(np.float64), block.astype(np.float64))
-        best = np.unravel_index(int(found.argmax()), found.shape)
+        scores = match_template(window.astype(np.float64), block.astype(np.float64))
+        best = np.unravel_index(int(scores.argmax()), scores.shape)
         i, j = (int(np.clip(b, 1, 2 * reach - 1)) for b in best)
-        score[n] = found[i, j]
-        shift = (j + _vertex(found[i, j - 1 : j + 2]), i + _vertex(found[i - 1 : i + 2, j]))
+        score[n] = scores[i, j]
+        shift = (j + _vertex(scores[i, j - 1 : j + 2]), i + _vertex(scores[i - 1 : i + 2, j]))
         moved[n] = (np.array(shift) - reach) * probe.mm_per_px
     return Match((pixels - np.array(probe.apex_px)) * probe.mm_per_px, moved, score)
 
 
 def block_matching_gates(shift_mm: tuple[float, float] = (1.37, -0.83), turn_deg: float = 1.2) -> list[Gate]:
-    """Median error of the displacement found where tissue moves by a known rigid motion in the plane."""
+    """Check the median displacement error for tissue that moves rigidly by a known amount in the plane."""
     probe, turn = STANDARD, np.deg2rad(turn_deg)
     moving = medium(Tissue.LV_MYOCARDIUM, shift_mm=(*shift_mm, 0.0), turn_rad=(0.0, 0.0, float(turn)))
     pose = Rigid.identity("mr", "plane")
@@ -93,7 +93,7 @@ def block_matching_gates(shift_mm: tuple[float, float] = (1.37, -0.83), turn_deg
 
 
 def beating_gates(heart: PhantomAnatomy, phases: tuple[float, float]) -> list[Gate]:
-    """The same in the wall of a beating left ventricle, against the motion it was made with.
+    """Check block matching in the wall of a beating left ventricle against its motion.
 
     Blocks whose tissue leaves the plane by more than a third of the slice are left out.
     """
@@ -117,7 +117,7 @@ def beating_gates(heart: PhantomAnatomy, phases: tuple[float, float]) -> list[Ga
 def _wall_motion(
     heart: PhantomAnatomy, pose: Rigid, phases: tuple[float, float]
 ) -> tuple[FloatArray, FloatArray]:
-    """(n, 2) places in the middle of the wall at the first phase, and their true displacement, plane, mm."""
+    """List (n, 2) points in the middle of the wall at the first phase, and their displacement, plane, mm."""
     depth, angle = np.meshgrid(
         np.arange(35.0, 121.0, 4.0), np.deg2rad(np.arange(-24, 25, 4.0)), indexing="ij"
     )
@@ -137,12 +137,12 @@ def _wall_motion(
 
 
 def block_places(probe: SectorProbe) -> FloatArray:
-    """(n, 2) lateral and depth of blocks from near to far within 15° of the middle line."""
+    """List (n, 2) lateral and depth of blocks from near to far within 15° of the middle line."""
     depth, angle = np.meshgrid(np.arange(35.0, 126.0, 10.0), np.deg2rad([-15, -8, 0, 8, 15]), indexing="ij")
     return np.column_stack([(depth * np.sin(angle)).ravel(), (depth * np.cos(angle)).ravel()])
 
 
 def _vertex(three: FloatArray) -> float:
-    """Where a parabola through three values at −1, 0, 1 has its top."""
+    """Find the vertex of a parabola through three values at −1, 0, 1."""
     bend = three[0] - 2 * three[1] + three[2]
     return 0.0 if bend >= 0 else float(0.5 * (three[0] - three[2]) / bend)

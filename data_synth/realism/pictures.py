@@ -1,4 +1,4 @@
-"""What the realism report shows beside its figures: points, attenuation, hearts in standard views."""
+"""Pictures of the realism report: points, attenuation, hearts in standard views."""
 
 from collections.abc import Iterable
 
@@ -21,7 +21,7 @@ _SHOWN_DB = 40.0
 
 
 def points_db() -> FloatArray:
-    """(lines, samples) three points, each re its peak, over the middle lines of the probe."""
+    """Simulate (lines, samples) three points, each relative to its peak, over the probe's middle lines."""
     total = np.sum([point_image(d) / point_image(d).max() for d in DEPTHS_MM], axis=0)
     middle = PROBE.lines // 2
     shown = total[middle - _SHOWN_LINES : middle + _SHOWN_LINES]
@@ -29,7 +29,7 @@ def points_db() -> FloatArray:
 
 
 def contrasts_db(gates: Iterable[Gate]) -> dict[str, tuple[float, float]]:
-    """Echo of tissues re myocardium: of the table, and as it was measured (NaN where it was not)."""
+    """Compare echoes relative to myocardium: of the table, and as measured (NaN if not)."""
     measured = {g.name: g.value for g in gates}
     return {
         tissue.name.lower(): (
@@ -41,7 +41,7 @@ def contrasts_db(gates: Iterable[Gate]) -> dict[str, tuple[float, float]]:
 
 
 def attenuation_db() -> dict[str, tuple[FloatArray, FloatArray]]:
-    """Power at each depth of `PROBE` in two tissues: (samples,) as simulated, and as 2αf has it."""
+    """Compute power at each depth in two tissues: (samples,) as simulated, and by 2αf."""
     out = {}
     for tissue in (Tissue.LV_MYOCARDIUM, Tissue.LV_BLOOD):
         power = np.mean(envelope(medium(tissue, absorbing=True)) ** 2, axis=0)
@@ -52,7 +52,7 @@ def attenuation_db() -> dict[str, tuple[FloatArray, FloatArray]]:
 
 
 def heart_views(heart: BeatingAnatomy) -> tuple[dict[str, NDArray[np.uint8]], ...]:
-    """The standard views, by view and probe: at end-diastole, then at end-systole."""
+    """Simulate the standard views, by view and probe: at end-diastole, then at end-systole."""
     return tuple(
         {f"{view} ({VIEW_PROBE[view]})": view_image(heart, view, phase) for view in VIEWS}
         for phase in (0.0, heart.es_fraction)
@@ -60,7 +60,7 @@ def heart_views(heart: BeatingAnatomy) -> tuple[dict[str, NDArray[np.uint8]], ..
 
 
 def view_image(heart: BeatingAnatomy, view: str, phase: float) -> NDArray[np.uint8]:
-    """A heart in a standard view, by the probe it is taken with."""
+    """Simulate a heart in a standard view with its usual probe."""
     probe = PROBES[VIEW_PROBE[view]]
     if not isinstance(probe, SectorProbe):
         raise InvalidInputError(f"view {view} needs a plane probe")

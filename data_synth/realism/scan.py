@@ -1,4 +1,4 @@
-"""The simulator's scan conversion against a scanner's real pair of polar and converted frames."""
+"""Check of the simulator's scan conversion against a scanner's pair of polar and converted frames."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,11 +14,11 @@ REAL_PIXELS = PixelGrid(616, 820, (0.15, 0.15), (410.0, 87.0 - 10.0 / 0.15))
 
 
 def real_pair_gates(polar: NDArray[np.uint8], converted: NDArray[np.uint8]) -> list[Gate]:
-    """Smallest correlation over frames, inside the sector, of our conversion with the recorded one.
+    """Check the smallest correlation over frames, inside the sector, of our and the recorded conversion.
 
     Args:
         polar: (n, 96, 3640) recorded lines.
-        converted: (n, 616, 820) what the recorder made of them.
+        converted: (n, 616, 820) the recorder's conversion.
     """
     convert = ScanConverter.of(REAL_POLAR, REAL_PIXELS)
     inside = convert.line >= 0

@@ -1,1 +1,1 @@
-"""A whole synthetic intervention and its ground truth."""
+"""Synthetic intervention and its ground truth."""

@@ -1,4 +1,4 @@
-"""A rigid pose that changes once, by a stated amount: a patient who moves, a marker that slips."""
+"""Rigid pose that changes once, by a stated amount: a patient moves, or a marker slips."""
 
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -10,19 +10,19 @@ from data_synth.operator.hand import minimum_jerk
 from dvf_ig.core import FloatArray, InvalidInputError, Rigid, read_only_arrays
 
 STEP_S = 0.02
-"""Longest step of the truth while a pose is changing."""
+"""Longest step of the true poses while a pose is changing."""
 
 
 @dataclass(frozen=True, slots=True)
 class Displacement:
-    """One change of a pose.
+    """Single change of a pose.
 
     Attributes:
-        at_share: when it begins, as a share of the live part.
-        shift_mm: how far the centre moves, exactly; the direction is random.
-        turn_deg: how far it turns about the centre, exactly; the axis is random.
-        over_s: how long the change takes; 0 is a jump.
-        shift_up_to_mm: where this is above `shift_mm`, the distance is drawn uniformly between the two.
+        at_share: start of the change, as a share of the live part.
+        shift_mm: exact distance of the centre's motion, in a random direction.
+        turn_deg: exact angle about the centre, about a random axis.
+        over_s: duration of the change; 0 is a jump.
+        shift_up_to_mm: if above `shift_mm`, the distance is drawn uniformly between the two.
         wait_s: (shortest, longest) time from `at_share` to the beginning, drawn uniformly.
     """
 
@@ -55,7 +55,7 @@ class Displacement:
         return max(self.shift_mm, self.shift_up_to_mm) > 0 or self.turn_deg > 0
 
     def drawn(self, rng: np.random.Generator) -> "Displacement":
-        """The same with one distance and one waiting time in place of their ranges."""
+        """Draw one distance and one waiting time from their ranges."""
         shift_mm = float(rng.uniform(self.shift_mm, max(self.shift_mm, self.shift_up_to_mm)))
         wait_s = float(rng.uniform(*self.wait_s))
         return replace(self, shift_mm=shift_mm, shift_up_to_mm=0.0, wait_s=(wait_s, wait_s))
@@ -64,10 +64,10 @@ class Displacement:
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class DisplacedPose:
-    """target_from_source over time: `before`, then turned and moved on the target's side.
+    """Path target_from_source: `before`, then turned and moved on the target's side.
 
     Attributes:
-        start_s, over_s: when the change begins, and how long it takes.
+        start_s, over_s: start and duration of the change.
         turn_rad, shift_mm: (3,) rotation vector about `center_mm`, and translation, in the target frame.
     """
 
@@ -79,14 +79,14 @@ class DisplacedPose:
     center_mm: FloatArray
 
     def __call__(self, t_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Rotations (n, 3, 3) and translations (n, 3) at any times."""
+        """Compute rotations (n, 3, 3) and translations (n, 3) at any times."""
         share = self._share(np.asarray(t_s, dtype=np.float64))[:, None]
         turn = Rotation.from_rotvec(share * self.turn_rad).as_matrix()
         offset = self.before.translation_mm - self.center_mm
         return turn @ self.before.rotation, turn @ offset + self.center_mm + share * self.shift_mm
 
     def steps(self) -> tuple[tuple[float, Rigid], ...]:
-        """Poses with the time from which each holds; in a gradual change, the one half-way through a step."""
+        """List poses with their start times; in a gradual change, the pose half-way through each step."""
         if not (self.turn_rad.any() or self.shift_mm.any()):
             return ((0.0, self.before),)
         count = int(np.ceil(self.over_s / STEP_S))
@@ -107,7 +107,7 @@ class DisplacedPose:
 def random_displacement(
     rng: np.random.Generator, *, shift_mm: float, turn_deg: float
 ) -> tuple[FloatArray, FloatArray]:
-    """A rotation vector (3,) in rad and a translation (3,) in mm of exactly these sizes.
+    """Draw a rotation vector (3,) in rad and a translation (3,) in mm of exactly these sizes.
 
     Axis and direction are independent, and uniform over the sphere: two normalised Gaussian vectors, the axis
     drawn first.
@@ -120,7 +120,7 @@ def random_displacement(
 def displaced(
     before: Rigid, change: Displacement, center_mm: FloatArray, seconds: float, rng: np.random.Generator
 ) -> DisplacedPose:
-    """`before`, changed as stated in a random direction and about a random axis.
+    """Change a path as stated in a random direction and about a random axis.
 
     Args:
         change: without ranges, see `Displacement.drawn`.

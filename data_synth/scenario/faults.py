@@ -1,13 +1,13 @@
-"""What is wrong with a recording, in words that give no true value away."""
+"""Description of a recording's faults in words that disclose no true value."""
 
 from .presets import Preset
 
 
 def describe_faults(preset: Preset) -> tuple[str, ...]:
-    """One sentence for each disturbance beyond ordinary noise, without its size or its time."""
+    """Describe each disturbance beyond ordinary noise in a sentence without its size or time."""
     ecg, image, rates = preset.ecg, preset.image, [rate for _, rate in preset.rhythm.rate_bpm]
     trackers = (preset.probe_tracker, preset.tool_tracker)
-    known = (
+    disturbances = (
         (max(rates) - min(rates) > 10, "The heart rate changes a lot."),
         (preset.rhythm.ectopic_share > 0, "Some beats are ventricular extrasystoles."),
         (bool(ecg.lead_off_s), "ECG electrodes come off for a while."),
@@ -34,11 +34,11 @@ def describe_faults(preset: Preset) -> tuple[str, ...]:
         (preset.probe_tracker.position_mm > 0.5, "The probe's poses are noisy."),
         (preset.mismatch_mm > 1.5, "The heart's shape differs much from the pre-operative images."),
     )
-    return tuple(sentence for present, sentence in (*known, *_failures(preset)) if present)
+    return tuple(sentence for present, sentence in (*disturbances, *_failures(preset)) if present)
 
 
 def _failures(preset: Preset) -> tuple[tuple[bool, str], ...]:
-    """Failures that begin at some moment, each with whether the preset has it."""
+    """List failures that begin at some time, each with whether the preset has it."""
     shows = preset.image_failure.shows
     sensors = (("ultrasound probe", preset.probe_failure), ("tool", preset.tool_failure))
     return (

@@ -1,4 +1,4 @@
-"""The ground truth that a replay has to find: frames, image calibration, tool tip, latency; coarse starts."""
+"""Ground truth that a replay has to estimate: frames, image calibration, tool tip, latency; coarse starts."""
 
 from dataclasses import dataclass, replace
 
@@ -16,7 +16,7 @@ LANDMARK_RMS_MM = 3.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GroundTruth:
-    """What is unknown in one synthetic operating room.
+    """Unknowns of one synthetic operating room.
 
     Attributes:
         mr_from_tracker: any rotation, the heart some 0.5 to 0.9 m from the tracker's origin.
@@ -32,19 +32,19 @@ class GroundTruth:
     lag_s: float
 
     def with_image(self, image: CalibratedImage) -> "GroundTruth":
-        """The same room with a probe whose calibration is known."""
+        """Replace the probe by one whose calibration is known."""
         return replace(self, probe_from_image=image.probe_from_image, probe_from_plane=image.probe_from_plane)
 
 
 def draw_ground_truth(
     center_mr_mm: FloatArray, plane_from_image: ImageMap, tool_mm: float, rng: np.random.Generator
 ) -> GroundTruth:
-    """Draw every unknown.
+    """Draw all unknowns.
 
     Args:
         center_mr_mm: (3,) heart centre.
         plane_from_image: pixel to in-plane mm, origin at the fan apex.
-        tool_mm: about how long the tool is.
+        tool_mm: approximate length of the tool.
     """
     turn = Rotation.random(rng=rng).as_matrix()
     heart_in_tracker = rng.uniform((-150.0, -150.0, -850.0), (150.0, 150.0, -500.0))
@@ -63,7 +63,7 @@ def draw_ground_truth(
 
 
 def touched_landmarks(landmarks_mr: Landmarks, mr_from_tracker: Rigid, rng: np.random.Generator) -> Landmarks:
-    """The same points as an operator's stylus finds them, frame "tracker"."""
+    """Simulate an operator's touching of the points with a stylus, frame "tracker"."""
     exact = mr_from_tracker.inverse().apply(landmarks_mr.points).xyz_mm
     error = rng.standard_normal(exact.shape) * (LANDMARK_RMS_MM / np.sqrt(3))
     return Landmarks(landmarks_mr.names, Points("tracker", exact + error))
@@ -76,6 +76,6 @@ def coarse_start(
     offset_deg: float,
     rng: np.random.Generator,
 ) -> Rigid:
-    """The true pose turned by exactly `offset_deg` about the heart's centre and moved by `offset_mm`."""
+    """Turn the true pose by exactly `offset_deg` about the heart's centre and move it by `offset_mm`."""
     turn_rad, shift_mm = random_displacement(rng, shift_mm=offset_mm, turn_deg=offset_deg)
     return mr_from_tracker.perturbed_left(turn_rad, shift_mm, center_mr_mm)

@@ -1,4 +1,4 @@
-"""Gated 3-D ultrasound of a heart, and the MR acquired of it before: a pair whose registration is known."""
+"""Pair of gated 3-D ultrasound of a heart and its earlier MR, whose registration is known."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -32,9 +32,9 @@ Quality = Literal["no-mismatch", "calm", "poor-image"]
 Change = Literal["none", "deformation", "motion"]
 
 VOLUME_VIEWS = ("apical four-chamber", "epicardial short-axis")
-"""Where the matrix array is held."""
+"""Views in which the matrix array is held."""
 BEATS_PER_VOLUME = 4
-"""A gated 3-D image is stitched of this many parts, one a heart beat, each with one reading of its pose."""
+"""Parts of which a gated 3-D image is stitched, one a heart beat, each with one reading of its pose."""
 PART_SHARE = 0.025
 """Share of the cycle that the recording of one part takes."""
 DEFORMATION_MM = 5.0
@@ -57,15 +57,15 @@ JITTER: dict[Quality, Jitter] = {
 
 @dataclass(frozen=True, slots=True)
 class PairSpec:
-    """One pair; the same values give bit-identical images.
+    """Specification of a pair; the same values give bit-identical images.
 
     Attributes:
-        seed: of every random choice.
-        motion: how far the heart moves.
-        quality: mismatch, image faults and tracking noise: those of the preset of that name.
-        change: what happened to the heart since the MR: nothing; a DEFORMATION_MM mismatch instead of the
+        seed: seed of every random choice.
+        motion: motion of the heart.
+        quality: preset whose mismatch, image faults and tracking noise apply.
+        change: change of the heart since the MR: none; a DEFORMATION_MM mismatch instead of the
             quality's; or the other motion.
-        heart: kind of heart, and seeds that shall differ from `seed`.
+        heart: kind of heart, and seeds that differ from `seed`.
     """
 
     seed: int
@@ -84,13 +84,13 @@ class PairSpec:
 
 @dataclass(frozen=True, eq=False)
 class ImagePair:
-    """What a heart looks like to MR and ultrasound.
+    """Heart as imaged by MR and ultrasound.
 
     Attributes:
-        spec: of the pair.
-        before: the heart that MR was acquired of.
+        spec: specification of the pair.
+        before: the heart during the MR.
         now: the heart under the probe.
-        mr_from_tracker: the truth.
+        mr_from_tracker: true pose.
     """
 
     spec: PairSpec
@@ -104,7 +104,7 @@ class ImagePair:
 
     @property
     def targets(self) -> Landmarks:
-        """Where registration errors are declared, frame "mr"."""
+        """Points at which registration errors are stated, frame "mr"."""
         return self.before.targets()
 
     @property
@@ -118,11 +118,11 @@ class ImagePair:
         phase_error: float | Sequence[float] = 0.0,
         probe: MatrixProbe | None = None,
     ) -> tuple[TrackedVolume, ...]:
-        """Gated 3-D images of the views in VOLUME_VIEWS, every phase of one before the next.
+        """Simulate gated 3-D images of the views in VOLUME_VIEWS, every phase of one before the next.
 
         Args:
             phases: model phases that gating aims at, as they are recorded.
-            phase_error: the images are really taken this share of the cycle later, all or each phase.
+            phase_error: share of the cycle by which the images are taken later, for all or for each phase.
         """
         late = np.broadcast_to(np.asarray(phase_error, dtype=np.float64), len(phases))
         array = probe or MatrixProbe()
@@ -146,7 +146,7 @@ class ImagePair:
         return tuple(out)
 
     def _read(self, mr_from_plane: Rigid, rng: np.random.Generator, frame: str, readings: int = 1) -> Rigid:
-        """The mean of some readings of a probe's pose; `frame` is the probe's."""
+        """Average readings of a probe's pose; `frame` is the probe's."""
         jitter = JITTER[self.spec.quality]
         true = self.mr_from_tracker.inverse() @ mr_from_plane
         per_axis = np.sqrt(3.0 * readings)
@@ -157,7 +157,7 @@ class ImagePair:
 
 
 def image_pair(spec: PairSpec) -> ImagePair:
-    """The heart before and now, and where the tracker stands."""
+    """Build the heart before and now, and the pose of the tracker."""
     mismatch = {"no-mismatch": 0.0, "calm": PRESETS["calm"].mismatch_mm}.get(
         spec.quality, PRESETS["poor-image"].mismatch_mm
     )
@@ -175,6 +175,6 @@ def image_pair(spec: PairSpec) -> ImagePair:
 
 
 def _hand_held(view: Rigid, rng: np.random.Generator) -> Rigid:
-    """Where an operator really holds the probe: up to 12° and 6 mm from the textbook's view."""
+    """Draw an operator's actual view: up to 12° and 6 mm from the textbook's."""
     turn = Rotation.from_rotvec(np.deg2rad(rng.uniform(-12.0, 12.0, 3))).as_matrix()
     return Rigid("mr", "plane", view.rotation @ turn, view.translation_mm + rng.uniform(-6.0, 6.0, 3))

@@ -1,4 +1,4 @@
-"""The live part of a scenario: tracked ultrasound and tracked tool, with what the tool truly met."""
+"""Live part of a scenario: tracked ultrasound and tool, with the tool's true contact."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -35,10 +35,10 @@ Report = Callable[[float], None]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ToolTask:
-    """Where the tool goes, mr_from_tool, and what its tip truly meets at every millisecond.
+    """Path of the tool, mr_from_tool, and the true contact of its tip at every millisecond.
 
     Attributes:
-        tip: one point in frame "tool"; the shaft goes from there to the frame's origin.
+        tip: one point in frame "tool"; the shaft reaches from there to the frame's origin.
     """
 
     mr_from_tool: PosePath
@@ -46,13 +46,13 @@ class ToolTask:
     tip: Points
 
     def tip_mm(self, t_s: FloatArray) -> FloatArray:
-        """(n, 3) places of the tip, frame "mr"."""
+        """Compute (n, 3) positions of the tip, frame "mr"."""
         rotations, places = self.mr_from_tool(t_s)
         return np.asarray(rotations @ self.tip.xyz_mm[0] + places)
 
 
 def tool_task(world: World) -> ToolTask:
-    """The operator's task on the beating, breathing heart; the hand rides on the breathing."""
+    """Draw the operator's task on the beating, breathing heart; the hand follows the breathing."""
     spec, breath = world.spec, world.breathing
     rng = world.rng("tool path")
     access = perpendicular(world.window, ANTERIOR_LEFT)
@@ -67,7 +67,7 @@ def tool_task(world: World) -> ToolTask:
 
 
 def tracked_tool(world: World, task: ToolTask) -> tuple[PoseStream, PoseStream | None]:
-    """tracker_from_tool as measured, and where its clock restarted what came after that."""
+    """Simulate tracker_from_tool as measured, and the poses after a restart of its clock, if any."""
     rng, options, seconds = world.rng("tool tracker"), world.options, world.spec.seconds
     spec = _with_losses(options.tool_tracker, options.tool_failure, world, task.contact, "tool sight")
     true_s, stamp_s = sampling_times(spec, 0.0, seconds, rng)
@@ -80,11 +80,11 @@ def tracked_tool(world: World, task: ToolTask) -> tuple[PoseStream, PoseStream |
 def tracked_ultrasound(
     world: World, mr_from_plane: PosePath, task: ToolTask, report: Report
 ) -> TrackedSequence:
-    """Images stamped on the video clock, each with tracker_from_probe as tracked at its stamp.
+    """Simulate images stamped on the video clock, each with tracker_from_probe as tracked at its stamp.
 
     An image taken at tracker time t carries the stamp (t − lag)/(1 + drift), and the recorder looks up the
-    tracker at that number: the pose beside an image is the one from about `lag` earlier, as an uncorrected
-    recorder gives it.
+    tracker at that number: the pose of an image is the one from about `lag` earlier, as from an uncorrected
+    recorder.
     """
     spec, options, rng = world.spec, world.options, world.rng("ultrasound")
     stamp_s, taken_s = _image_times(world, rng)
@@ -116,7 +116,7 @@ def tracked_ultrasound(
 def _with_tool(
     images: NDArray[np.uint8], world: World, mr_from_plane: PosePath, task: ToolTask, taken_s: FloatArray
 ) -> NDArray[np.uint8]:
-    """The images with the tool's echo, where the preset shows it."""
+    """Add the tool's echo to the images if the preset shows it."""
     spec = world.options.tool_echo
     if not spec.shown:
         return images
@@ -137,7 +137,7 @@ def _with_tool(
 
 
 def _image_times(world: World, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
-    """(n,) stamps on the video clock, and (n,) true times at which the images were taken."""
+    """Draw (n,) stamps on the video clock, and (n,) true times of the images."""
     spec, lag_s = world.spec, world.truth.lag_s
     step_s = 1.0 / spec.us_rate_hz
     taken_s = np.arange(0.1, spec.seconds - 0.1, step_s)
@@ -149,7 +149,7 @@ def _image_times(world: World, rng: np.random.Generator) -> tuple[FloatArray, Fl
 
 
 def _line_phases(world: World, taken_s: FloatArray) -> FloatArray:
-    """(n, lines) model phase at which each line of each image was acquired."""
+    """Compute the (n, lines) model phase at which each line of each image was acquired."""
     line_s = LINE_OVERHEAD * 2.0 * world.probe.depth_mm / SOUND_MM_S
     offsets_s = (np.arange(world.probe.lines) - 0.5 * (world.probe.lines - 1)) * line_s
     return world.clock.model_phase(taken_s[:, None] + offsets_s)

@@ -1,4 +1,4 @@
-"""What a synthetic intervention is like: named presets of rhythm, disturbances and errors."""
+"""Named presets of synthetic interventions: rhythm, disturbances and errors."""
 
 from dataclasses import dataclass, field
 from typing import get_args
@@ -28,12 +28,12 @@ MOTIONS: tuple[MotionPreset, ...] = get_args(MotionPreset)
 
 @dataclass(frozen=True, slots=True)
 class Preset:
-    """Everything a preset fixes; the defaults are the calm one.
+    """Values that a preset fixes; the defaults are those of "calm".
 
     Attributes:
         rhythm, ecg, sweep, tool, image, nwire, watertank: see their classes.
         probe_tracker, tool_tracker: errors of the two sensors in the live part.
-        pivot_tracker, nwire_tracker, watertank_tracker: the same in these calibration recordings.
+        pivot_tracker, nwire_tracker, watertank_tracker: sensor errors in these calibration recordings.
         occlusion: long losses of the probe's and the tool's markers while the tool is in contact.
         probe_failure, tool_failure: one failure of each sensor in the live part.
         tool_clock: the clock of the tool's tracker restarts in the live part.
@@ -42,12 +42,12 @@ class Preset:
         looks: the operator turns the image to the tool now and then.
         patient_shift: mr_from_tracker changes; the displacement is that of the heart's centre.
         probe_slip: probe_from_image changes; the displacement is that of the image's middle.
-        other_probe_mm, other_probe_deg: the calibration recordings are of a probe whose image lies this far
-            from the one used live (its middle, exactly; directions are random).
+        other_probe_mm, other_probe_deg: distance of the image of the probe in the calibration recordings
+            from that of the probe used live (exact at its middle; directions are random).
         mismatch_mm: RMS non-rigid difference between pre-operative and intra-operative anatomy.
         video_jitter_s: SD of the instants at which images are taken, about the regular grid.
-        video_drift_ppm: how much slower the video clock runs than the tracker's.
-        start_mm, start_deg: how far the coarse start is off.
+        video_drift_ppm: drift by which the video clock is slower than the tracker's.
+        start_mm, start_deg: error of the coarse start.
         respiration_mm, respiration_per_min: excursion of the heart from end-expiration to end-inspiration,
             and breaths a minute; none by default, as with high-frequency ventilation.
     """
@@ -170,10 +170,10 @@ tool-unseen: the same looks, at a tool that images do not show.
 
 
 def preset_name(name: str) -> str:
-    """The key of PRESETS that is meant: capitals, spaces and underscores do not matter.
+    """Find the key of PRESETS for a name, ignoring capitals, spaces and underscores.
 
     Raises:
-        InvalidInputError: there is none.
+        InvalidInputError: there is no such preset.
     """
     key = "-".join(name.lower().replace("_", " ").replace("-", " ").split())
     if key not in PRESETS:
@@ -183,19 +183,19 @@ def preset_name(name: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class ScenarioSpec:
-    """One synthetic scenario; the same values give bit-identical recordings.
+    """Specification of a synthetic scenario; the same values give bit-identical recordings.
 
     Attributes:
         preset: a key of PRESETS, spelt with hyphens or spaces.
-        motion: how far the phantom's heart moves: "paper5mm" or "physiological".
+        motion: motion of the phantom's heart: "paper5mm" or "physiological".
         seconds: length of the live part.
-        seed: of every random choice, a non-negative integer.
+        seed: seed of every random choice, a non-negative integer.
         us_rate_hz: ultrasound frame rate.
         mismatch_mm: overrides the preset's mismatch.
-        changed: what the preset is replaced by, where it was adapted; None takes it as it is.
+        changed: replacement of the preset if it was adapted; None takes it unchanged.
         image: a real probe's calibration and image size; None draws one for the standard probe.
-        heart: kind of heart, and seeds that shall differ from `seed`; each draws what `seed` of that number
-            draws. Of a scenario on real anatomy only those of mismatch and speckle count.
+        heart: kind of heart, and seeds that differ from `seed`; each draws what `seed` of that number draws.
+            For a scenario on real anatomy only those of mismatch and speckle count.
     """
 
     preset: str = "calm"
@@ -230,10 +230,10 @@ class ScenarioSpec:
 
     @property
     def mismatch(self) -> float:
-        """Mismatch in mm that holds."""
+        """Mismatch in use, mm."""
         return self.options.mismatch_mm if self.mismatch_mm is None else self.mismatch_mm
 
     @property
     def seeds(self) -> HeartSeeds:
-        """Seeds of anatomy, motion, mismatch and speckle that hold."""
+        """Seeds in use of anatomy, motion, mismatch and speckle."""
         return self.heart.seeds(self.seed)

@@ -1,4 +1,4 @@
-"""One synthetic intervention: a beating heart, what was known of it before, and every recorded stream."""
+"""Synthetic intervention: a beating heart, its pre-operative data, and all recorded streams."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -45,10 +45,11 @@ Report = Callable[[float], None]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImagedHeart:
-    """A phantom's heart and its pre-operative images: what all recordings of one heart share.
+    """Heart of a phantom with its pre-operative images, which all recordings of one heart share.
 
     Attributes:
-        spec: it was made for; its recordings agree in kind of heart, motion, and seeds of both.
+        spec: specification it was made for; recordings of it agree in kind of heart, motion, and seeds of
+            both.
     """
 
     spec: ScenarioSpec
@@ -56,36 +57,38 @@ class ImagedHeart:
     preop: Preop
 
     def of(self, spec: ScenarioSpec) -> PhantomAnatomy:
-        """The heart under the mismatch of another recording.
+        """Return the heart under the mismatch of another recording.
 
         Raises:
             InvalidInputError: a recording of another heart.
         """
         if _heart_of(spec) != _heart_of(self.spec):
-            raise InvalidInputError("the recording is to be of another heart than the one that was imaged")
+            raise InvalidInputError(
+                "the recording specifies another heart than the imaged one; use its kind, motion and seeds"
+            )
         return self.anatomy.with_mismatch(spec.mismatch, child_seed(spec.seeds.mismatch, "anatomy"))
 
 
 def imaged_heart(spec: ScenarioSpec) -> ImagedHeart:
-    """The heart of `phantom_scenario` with its 4-D MR."""
+    """Build the heart of `phantom_scenario` with its 4-D MR."""
     anatomy = scenario_heart(spec)
     return ImagedHeart(spec, anatomy, _imaged(anatomy, spec))
 
 
 def _imaged(anatomy: PhantomAnatomy, spec: ScenarioSpec) -> Preop:
-    """Its noise comes from the seed of the anatomy, so that all recordings of a heart have the same."""
+    """Image a heart; the noise comes from the anatomy's seed, so that all recordings of it agree."""
     return cine_preop(anatomy, child_rng(spec.seeds.anatomy, "preop"))
 
 
 def phantom_scenario(
     spec: ScenarioSpec, progress: Report | None = None, imaged: ImagedHeart | None = None
 ) -> Scenario:
-    """A scenario on the four-chamber phantom.
+    """Record a scenario on the four-chamber phantom.
 
     Args:
-        spec: what to make.
+        spec: specification.
         progress: called with the fraction done.
-        imaged: its heart, where another recording of it was made before; saves making it.
+        imaged: its heart from another recording of it, which saves computing it.
     Raises:
         InvalidInputError: `imaged` is another heart.
     """
@@ -108,7 +111,7 @@ def _heart_of(spec: ScenarioSpec) -> tuple[object, ...]:
 
 
 def scenario_heart(spec: ScenarioSpec) -> PhantomAnatomy:
-    """The heart of `phantom_scenario`."""
+    """Build the heart of `phantom_scenario`."""
     seeds = (spec.seeds.anatomy, spec.seeds.motion, spec.seeds.mismatch)
     children = (child_seed(seed, "anatomy") for seed in seeds)
     heart = HeartSpec(spec.heart.kind, *children)
@@ -125,10 +128,10 @@ def surface_scenario(
     probe_path: ReplayedPath,
     progress: Report | None = None,
 ) -> Scenario:
-    """A scenario on real surfaces, with a real ECG and a real probe path; only the ultrasound is simulated.
+    """Record a scenario on real surfaces, ECG and probe path; only the ultrasound is simulated.
 
     Args:
-        spec: `motion` is not used: the surfaces carry their own.
+        spec: `motion` is not used: the surfaces have their own.
         surfaces: corresponding series by name; "EPICARDIAL" is required.
         ecg: from time 0 on, at least `spec.seconds` long.
         r_peaks_s: true beats on the ECG's clock; the heart beats at these.
@@ -156,7 +159,7 @@ def surface_scenario(
 
 
 def cine_scenario(spec: ScenarioSpec, heart: CineHeart, progress: Report | None = None) -> Scenario:
-    """A scenario on the heart of a real cine: real MR, simulated ultrasound of its expert's labels.
+    """Record a scenario on a real cine's heart: real MR, simulated ultrasound of its expert's labels.
 
     Args:
         spec: `motion` and kind of heart are not used: the cine has its own.
@@ -196,7 +199,7 @@ def _assembled(
     if looks.for_s > 0:
         sweep = looking_at(sweep, task.tip_mm, looks, world.rng("looks at the tool"))
     ultrasound = tracked_ultrasound(
-        world, sweep, task, lambda done: _report_progress(progress, 0.4 + 0.57 * done)
+        world, sweep, task, lambda share: _report_progress(progress, 0.4 + 0.57 * share)
     )
     options, center = world.options, anatomy.box_mm.mean(axis=0)
     tool, tool_after_restart = tracked_tool(world, task)
@@ -246,7 +249,7 @@ def _nwire(world: World) -> NWireRecording:
 
 
 def _truth(world: World, preop: Preop, contact: ToolTruth) -> ScenarioTruth:
-    """The whole ground truth, with the surface at TRUTH_PHASES phases."""
+    """Collect the ground truth, with the surface at TRUTH_PHASES phases."""
     anatomy, truth, surface = world.anatomy, world.truth, world.surface
     moving = SurfaceSeries(
         preop.surface,
@@ -276,6 +279,6 @@ def _truth(world: World, preop: Preop, contact: ToolTruth) -> ScenarioTruth:
     )
 
 
-def _report_progress(progress: Report | None, done: float) -> None:
+def _report_progress(progress: Report | None, share: float) -> None:
     if progress is not None:
-        progress(done)
+        progress(share)

@@ -1,4 +1,4 @@
-"""What every stream of one scenario is made from: heart, beats, probe, true frames and how they change."""
+"""Source of all streams of a scenario: heart, beats, probe, true frames and their changes."""
 
 from dataclasses import dataclass
 
@@ -30,17 +30,17 @@ ANTERIOR_LEFT = np.array([0.52, -0.83, -0.20])
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class World:
-    """One synthetic operating room.
+    """Synthetic operating room.
 
     Attributes:
-        spec: what was asked for.
+        spec: specification.
         anatomy, clock, surface, outline: the beating heart, at rest in breathing.
         window: (3,) direction of the acoustic window from the heart.
         probe: the scanner.
-        truth: what a replay has to find, as it is at the beginning.
+        truth: values that a replay has to estimate, at the beginning.
         patient: mr_from_tracker over time.
         mount: probe_from_plane over time.
-        calibrated: image calibration of the probe that the calibration recordings show.
+        calibrated: image calibration of the probe in the calibration recordings.
         breathing: displacement of the heart, frame "mr".
     """
 
@@ -73,14 +73,14 @@ class World:
         return self._apex_at(CENTRAL_STANDOFF_MM)
 
     def _apex_at(self, standoff_mm: float) -> float:
-        """The same share of the image's depth lies before the heart as with the standard probe."""
+        """Scale a standoff to keep the standard probe's share of the image's depth before the heart."""
         return self.probe.face_radius_mm + standoff_mm * (self.probe.depth_mm / SectorProbe().depth_mm)
 
     def rng(self, stream: str) -> np.random.Generator:
         return child_rng(self.spec.seed, stream)
 
     def image_maps(self) -> tuple[tuple[float, ImageMap], ...]:
-        """Every image calibration with the time from which it holds; the first is that of `truth`."""
+        """List the image calibrations with their start times; the first is that of `truth`."""
         plane_from_image = self.probe.plane_from_image
         return tuple(
             (start_s, ImageMap(pose @ plane_from_image.rigid, plane_from_image.scale_mm_per_px))
@@ -89,7 +89,7 @@ class World:
 
 
 def make_world(spec: ScenarioSpec, anatomy: BeatingAnatomy, r_peaks_s: FloatArray) -> World:
-    """Everything that does not depend on where probe and tool go.
+    """Draw everything that does not depend on the paths of probe and tool.
 
     Args:
         r_peaks_s: true beats on the tracker's clock.
@@ -144,7 +144,7 @@ def make_world(spec: ScenarioSpec, anatomy: BeatingAnatomy, r_peaks_s: FloatArra
 
 
 def image_middle_mm(probe_from_image: ImageMap, probe: SectorProbe) -> FloatArray:
-    """(3,) middle of the image in frame "probe"."""
+    """Compute the (3,) middle of the image in frame "probe"."""
     middle = 0.5 * np.array([[probe.columns - 1.0, probe.rows - 1.0]])
     return np.asarray(probe_from_image.apply_pixels(middle).xyz_mm[0])
 
@@ -152,6 +152,6 @@ def image_middle_mm(probe_from_image: ImageMap, probe: SectorProbe) -> FloatArra
 def _other_probe(
     image: ImageMap, options: Preset, middle_mm: FloatArray, rng: np.random.Generator
 ) -> ImageMap:
-    """The image calibration that was recorded: the true one, or another probe's."""
+    """Choose the recorded image calibration: the true one, or another probe's."""
     change = Displacement(0.0, options.other_probe_mm, options.other_probe_deg)
     return ImageMap(displaced(image.rigid, change, middle_mm, 0.0, rng).steps()[-1][1], image.scale_mm_per_px)

@@ -1,1 +1,1 @@
-"""A second synthetic world, with no table of the first: made to report, never to tune on."""
+"""Second synthetic world, without any table of the first: made for reports, never for tuning."""

@@ -1,4 +1,4 @@
-"""The heart under the probe: contraction, load, timing and shape are not those of the MR.
+"""Heart under the probe, whose contraction, load, timing and shape differ from those of the MR.
 
 From the end-diastole of the MR to the intervention: X, volume load L, contraction χ_c at a phase that is late
 on one side, mismatch M(φ), and a rigid C that leaves the true pose the best one.
@@ -31,7 +31,7 @@ _FULL_LOAD = 0.35
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class ChangedMotion:
-    """From where tissue is now to where it was at the end-diastole of the MR, and back; frame "mr".
+    """Map between tissue now and at the end-diastole of the MR, both ways; frame "mr".
 
     The way back is the definition (tables of inverse displacements, cubic between nodes); the way there is
     solved from it to better than 0.01 mm.
@@ -40,7 +40,7 @@ class ChangedMotion:
         contraction: χ_c.
         load: inverse of the volume load, end-diastole.
         steady, beating: inverse mismatch: x + steady(x) + cos(2π(φ + turn)) beating(x).
-        turn: when the beating part is largest, as a share of the cycle.
+        turn: time of the largest beating part, as a share of the cycle.
         delay: (4,) share of the cycle by which muscle is late: a·(x − c) clipped to ±a₃; (a, a₃).
         center_mm: (3,) heart-box centre c.
         settled: C, mr from mr.
@@ -56,7 +56,7 @@ class ChangedMotion:
     settled: Rigid
 
     def pull_back(self, xyz_mm: FloatArray, model_phase: FloatArray | float) -> FloatArray:
-        """(n, 3) end-diastolic positions of (n, 3) points, at one phase or each at its own."""
+        """Compute (n, 3) end-diastolic positions of (n, 3) points, at one phase or each at its own."""
         phase = np.broadcast_to(np.asarray(model_phase, dtype=np.float64), len(xyz_mm))
         x = self.settled.inverse().apply_array(np.ascontiguousarray(xyz_mm, dtype=np.float64))
         z = x + self._mismatch(x, phase)
@@ -64,7 +64,7 @@ class ChangedMotion:
         return np.asarray(late + self.load.at(late))
 
     def surface(self, loaded_mm: FloatArray, model_phase: float) -> FloatArray:
-        """(n, 3) positions at a phase of end-diastolic points that the volume load has already moved."""
+        """Compute (n, 3) positions at a phase of end-diastolic points already moved by the volume load."""
         z = loaded_mm
         for _ in range(8):
             before = z
@@ -87,12 +87,12 @@ class ChangedMotion:
 
 @dataclass(frozen=True, eq=False)
 class ChangedHeart:
-    """The intra-operative heart, as every part of the synthetic world takes one (`BeatingAnatomy`).
+    """Intra-operative heart as a `BeatingAnatomy`.
 
     Attributes:
-        heart: the pre-operative one.
+        heart: the pre-operative heart.
         reference: its tissue.
-        inverse_motion: what has changed, and the beat.
+        inverse_motion: the change and the beat.
     """
 
     heart: RestingHeart
@@ -120,7 +120,7 @@ class ChangedHeart:
         return solved_inverse(self.inverse_motion.load, self.heart.ed_vertices_mm)
 
     def tissue(self, xyz_mm: FloatArray, model_phase: float) -> NDArray[np.uint8]:
-        """(n,) tissue codes, to the nearest node of the reference."""
+        """Look up (n,) tissue codes at the nearest node of the reference."""
         codes = np.empty(len(xyz_mm), dtype=np.uint8)
         signal = np.empty(len(xyz_mm), dtype=np.float32)
         self.reference.sample(self.material(xyz_mm, model_phase), signal, codes)
@@ -140,10 +140,10 @@ class ChangedHeart:
 
 
 def changed_heart(heart: RestingHeart, reference: ReferenceMap, drawn: Drawn) -> tuple[ChangedHeart, float]:
-    """The heart of the intervention, and RMS in mm of how far its surface is from that of the MR.
+    """Draw the heart of the intervention, and the RMS distance of its surface from that of the MR, mm.
 
     C is the best rigid map of the changed surface onto the pre-operative one over the whole cycle, every
-    vertex weighted by its area: what remains has no rigid part; the true pose is the best rigid one.
+    vertex weighted by its area: the remaining change has no rigid part; the true pose is the best rigid one.
     """
     wide = box_of(heart.box_mm, 40.0)
     center, half = heart.box_mm.mean(axis=0), 0.5 * np.ptp(heart.box_mm, axis=0)
@@ -165,7 +165,7 @@ def changed_heart(heart: RestingHeart, reference: ReferenceMap, drawn: Drawn) ->
 
 
 def _settled(heart: RestingHeart, motion: ChangedMotion) -> tuple[ChangedMotion, float]:
-    """The motion with C, and the RMS that remains."""
+    """Find C; return the motion with it and the remaining RMS."""
     before = heart.contracting(1.0)
     loaded = solved_inverse(motion.load, heart.ed_vertices_mm)
     phases = np.arange(FIT_PHASES) / FIT_PHASES
@@ -179,7 +179,7 @@ def _settled(heart: RestingHeart, motion: ChangedMotion) -> tuple[ChangedMotion,
 
 
 def vertex_areas(vertices_mm: FloatArray, triangles: IntArray) -> FloatArray:
-    """(v,) a third of the area of the triangles around each vertex, mm²."""
+    """Compute (v,) a third of the area of the triangles around each vertex, mm²."""
     a, b, c = (vertices_mm[triangles[:, k]] for k in range(3))
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 6.0
     out = np.zeros(len(vertices_mm))
@@ -196,17 +196,17 @@ def _mismatch_field(heart: RestingHeart, wide_mm: FloatArray, drawn: Drawn, name
 
 
 def _load_field(reference: ReferenceMap, wide_mm: FloatArray, shift_mm: float) -> GridField:
-    """Inverse of a shift of the whole surface along its normal that takes the walls with it.
+    """Tabulate the inverse of a shift of the surface along its normal, which moves the walls as well.
 
-    The direction is that in which a smoothed heart ends; the shift fades deep inside and far outside.
+    The direction is that towards the border of a smoothed heart; the shift fades deep inside and outside.
     """
     nodes = grid_nodes(wide_mm, TABLE_MM)
     index = np.rint((nodes - reference.origin_mm) / reference.spacing_mm).astype(int)
     shape = np.array(reference.organ_mm.shape)
-    known = ((index >= 0) & (index < shape)).all(axis=-1)
+    inside = ((index >= 0) & (index < shape)).all(axis=-1)
     index = np.clip(index, 0, shape - 1)
     depth = reference.organ_mm[index[..., 0], index[..., 1], index[..., 2]]
-    mask = np.where(known, np.clip(0.5 + depth / TABLE_MM, 0.0, 1.0), 0.0)
+    mask = np.where(inside, np.clip(0.5 + depth / TABLE_MM, 0.0, 1.0), 0.0)
     sigma = _LOAD_SMOOTH_MM / TABLE_MM
     slope = np.stack([np.gradient(gaussian_filter(mask, sigma), axis=k) for k in range(3)], axis=-1)
     steepness = np.linalg.norm(slope, axis=-1, keepdims=True)

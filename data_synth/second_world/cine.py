@@ -21,7 +21,7 @@ from .tissue_fields import TissueFields
 
 MARGIN_MM = 16.0
 KEY_PHASES = 4
-"""Phases at which contours are drawn; between them they are interpolated."""
+"""Phases at which contours are drawn, interpolated between them."""
 _PROFILE = ((-0.33, 0.25), (0.0, 0.5), (0.33, 0.25))
 """Slice profile: offset as a share of the thickness, and weight."""
 _FWHM_PER_SIGMA = 2.3548
@@ -30,7 +30,7 @@ _FWHM_PER_SIGMA = 2.3548
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class SliceErrors:
-    """What went wrong with each of k slices.
+    """Errors of each of k slices.
 
     Attributes:
         phases: (k, n) model phase of each image of each slice.
@@ -83,7 +83,7 @@ def slice_grid(heart: RestingHeart, drawn: Drawn) -> Grid:
 
 
 def slice_errors(grid: Grid, count: int, law: CycleLaw, drawn: Drawn) -> SliceErrors:
-    """Heart rate, gate and breath-hold of every slice."""
+    """Draw heart rate, gate and breath-hold of every slice."""
     slices = grid.shape[2]
     rng = child_rng(drawn.seed, "second world slices")
     rr_s = law.model_rr_s * (1.0 + drawn["mr.rr_jitter"] * rng.uniform(-1, 1, slices))
@@ -97,7 +97,7 @@ def slice_errors(grid: Grid, count: int, law: CycleLaw, drawn: Drawn) -> SliceEr
 
 
 def _material(grid: Grid, motion: HeartMotion, errors: SliceErrors, i: int) -> FloatArray:
-    """(nx, ny, nz, 3) end-diastolic positions of the voxels of image i of every slice."""
+    """Compute (nx, ny, nz, 3) end-diastolic positions of the voxels of image i of every slice."""
     out = np.empty((*grid.shape, 3))
     j, k = np.meshgrid(np.arange(grid.shape[0]), np.arange(grid.shape[1]), indexing="ij")
     for s in range(grid.shape[2]):
@@ -108,7 +108,7 @@ def _material(grid: Grid, motion: HeartMotion, errors: SliceErrors, i: int) -> F
 
 
 def _signal(fields: TissueFields, grid: Grid, material: FloatArray, slice_mm: float) -> NDArray[np.float32]:
-    """Signal over the slice's thickness; strain within a slice's half is left out."""
+    """Average the signal over the slice's thickness; strain within a slice's half is left out."""
     reference = fields.reference
     total = np.zeros(grid.shape, dtype=np.float32)
     part = np.empty(material.size // 3, dtype=np.float32)
@@ -123,7 +123,7 @@ def _signal(fields: TissueFields, grid: Grid, material: FloatArray, slice_mm: fl
 def _measured(
     signal: NDArray[np.float32], grid: Grid, drawn: Drawn, rng: np.random.Generator
 ) -> NDArray[np.int16]:
-    """Point spread in the plane, then the magnitude of a signal with complex noise."""
+    """Apply the point spread in the plane, then the magnitude of a signal with complex noise."""
     sigma = drawn["mr.psf_mm"] / _FWHM_PER_SIGMA / drawn["mr.in_plane_mm"]
     blurred = gaussian_filter(signal, (sigma, sigma, 0.0))
     noise = np.float32(np.quantile(blurred, 0.98) / drawn["mr.snr"])
@@ -138,7 +138,7 @@ def _shading(grid: Grid, drawn: Drawn) -> NDArray[np.float32]:
 
 
 class _ContourErrors:
-    """How an observer's contours miss the boundaries: noise, bias, and the valve plane too high or low."""
+    """Errors of an observer's contours: noise, bias, and the valve plane too high or low."""
 
     def __init__(self, grid: Grid, fields: TissueFields, drawn: Drawn) -> None:
         self.grid, self.fields, self.drawn = grid, fields, drawn
@@ -149,7 +149,7 @@ class _ContourErrors:
         self.axis, self.base = axis, base
 
     def _noise(self, stream: str) -> FloatArray:
-        """(nx, ny, nz, 3) displacement of unit RMS along any direction, without a mean."""
+        """Draw (nx, ny, nz, 3) displacements of unit RMS along any direction, without a mean."""
         rng = child_rng(self.drawn.seed, f"second world contours {stream}")
         length = self.drawn["labels.noise_length_mm"]
         parts = [grid_noise(self.grid.shape, self.grid.spacing_mm, length, rng) for _ in range(3)]
@@ -157,13 +157,13 @@ class _ContourErrors:
         return np.asarray(field - field.mean(axis=(0, 1, 2)), dtype=np.float32)
 
     def labels(self, material: FloatArray, i: int) -> NDArray[np.uint8]:
-        """Labels of image i."""
-        kept = self.drawn["labels.noise_kept"]
+        """Draw the labels of image i."""
+        shared = self.drawn["labels.noise_kept"]
         place_in_cycle = KEY_PHASES * i / self.count
         first, share = int(place_in_cycle), place_in_cycle % 1.0
         own = (1 - share) * self.own[first] + share * self.own[(first + 1) % KEY_PHASES]
-        own *= np.sqrt((1.0 - kept**2) / ((1 - share) ** 2 + share**2))
-        noise = kept * self.common + own
+        own *= np.sqrt((1.0 - shared**2) / ((1 - share) ** 2 + share**2))
+        noise = shared * self.common + own
         place = (material + self.drawn["labels.noise_mm"] * noise).reshape(-1, 3)
         near = np.exp(-0.5 * (((place - self.base) @ self.axis) / self.drawn["labels.basal_reach_mm"]) ** 2)
         inside = place - (self.drawn["labels.basal_mm"] * near)[:, None] * self.axis
@@ -180,7 +180,7 @@ class _ContourErrors:
 
 
 def _valve_plane(fields: TissueFields) -> tuple[FloatArray, FloatArray]:
-    """Unit axis from the left ventricle to its atrium, and a point of the plane between them."""
+    """Find the unit axis from the left ventricle to its atrium, and a point of the plane between them."""
     reference = fields.reference
     blood = {}
     for chamber in (Tissue.LV_BLOOD, Tissue.LA_BLOOD):

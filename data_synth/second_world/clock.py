@@ -1,6 +1,6 @@
-"""The second world's clock: systole and early filling last as powers of RR, diastasis takes the rest.
+"""Clock of the second world: systole and early filling last as powers of RR, diastasis takes the rest.
 
-The muscle beats a little early or late against its R peak, anew in each beat: noise of the gate.
+In each beat the muscle is a little early or late relative to its R peak: noise of the gate.
 """
 
 from dataclasses import dataclass
@@ -12,10 +12,10 @@ from dvf_ig.core import FloatArray, IntArray, InvalidInputError, read_only_array
 
 @dataclass(frozen=True, slots=True)
 class CycleLaw:
-    """How the cycle of the pre-operative acquisition is retimed to another RR interval.
+    """Law by which the pre-operative cycle is retimed to another RR interval.
 
     Attributes:
-        model_rr_s, es_fraction: of that acquisition.
+        model_rr_s, es_fraction: timing of the acquisition.
         filling_share: share of its diastole that early filling takes.
         systole_power, filling_power: S = S₀ (RR/RR₀)^p, F = F₀ (RR/RR₀)^q.
     """
@@ -27,7 +27,7 @@ class CycleLaw:
     filling_power: float
 
     def model_phase(self, phi: FloatArray, rr_s: FloatArray) -> FloatArray:
-        """Model phase in [0, 1) at fraction `phi` of beats of `rr_s`, the same shape.
+        """Compute the model phase in [0, 1) at fraction `phi` of beats of `rr_s`, the same shape.
 
         The three parts are joined by a cubic whose slope at each joint is the harmonic mean of its sides.
         """
@@ -35,7 +35,7 @@ class CycleLaw:
         ratio = rr / self.model_rr_s
         systole = self.es_fraction * ratio ** (self.systole_power - 1.0)
         filling = (1.0 - self.es_fraction) * self.filling_share * ratio ** (self.filling_power - 1.0)
-        # a short beat leaves at least 8 % of itself to diastasis, whatever the law says
+        # a short beat leaves at least 8 % of itself to diastasis, for any law
         squeeze = np.minimum(1.0, 0.92 / (systole + filling))
         x = np.stack([np.zeros_like(rr), systole * squeeze, (systole + filling) * squeeze, np.ones_like(rr)])
         y1, y2 = self.es_fraction, self.es_fraction + (1.0 - self.es_fraction) * self.filling_share
@@ -44,7 +44,7 @@ class CycleLaw:
 
 
 def _periodic_cubic(phi: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
-    """Monotone cubic through knots x (4, …), y (4,), with equal slopes at both ends."""
+    """Evaluate the monotone cubic through knots x (4, …), y (4,), with equal slopes at both ends."""
     slope = np.diff(y).reshape(3, *(1,) * phi.ndim) / np.diff(x, axis=0)
     joint = np.stack([_harmonic(slope[2], slope[0]), _harmonic(slope[0], slope[1]),
                       _harmonic(slope[1], slope[2]), _harmonic(slope[2], slope[0])])  # fmt: skip
@@ -70,13 +70,13 @@ def _harmonic(a: FloatArray, b: FloatArray) -> FloatArray:
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class NoisyClock:
-    """Time to RR fraction, and to the phase of the muscle.
+    """Clock from time to RR fraction, and to the phase of the muscle.
 
     Before the first and after the last R peak the nearest known RR interval is repeated.
 
     Attributes:
         r_peaks_s: (k,) R peaks, k >= 2, increasing.
-        delay_s: (k,) how much later than usual the muscle's beat follows each of them.
+        delay_s: (k,) delay of the muscle's beat after each of them, relative to the usual one.
         law: retiming.
     """
 
@@ -92,18 +92,18 @@ class NoisyClock:
             )
 
     def phi(self, t_s: FloatArray) -> FloatArray:
-        """(n,) fraction of the running RR interval since its R peak, in [0, 1)."""
+        """Compute the (n,) fraction of the running RR interval since its R peak, in [0, 1)."""
         return _fraction(self.r_peaks_s, np.asarray(t_s, dtype=np.float64))[0]
 
     def model_phase(self, t_s: FloatArray) -> FloatArray:
-        """Where in the pre-operative cycle the muscle is, in [0, 1); any shape."""
+        """Compute the muscle's phase in the pre-operative cycle, in [0, 1); any shape."""
         times = np.asarray(t_s, dtype=np.float64)
         fraction, rr_s = _fraction(self.r_peaks_s + self.delay_s, times.ravel())
         return self.law.model_phase(fraction, rr_s).reshape(times.shape)
 
 
 def _fraction(beats_s: FloatArray, t_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Fraction of the running beat in [0, 1), and its length in s."""
+    """Compute the fraction of the running beat in [0, 1), and its length in s."""
     rr = np.diff(beats_s)
     index = np.clip(np.searchsorted(beats_s, t_s, side="right") - 1, 0, len(rr) - 1)
     fraction = (t_s - beats_s[index]) / rr[index] % 1.0

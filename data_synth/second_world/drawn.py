@@ -1,4 +1,4 @@
-"""What one heart of the second world draws from the table of ranges."""
+"""Values that one heart of the second world draws from the table of ranges."""
 
 import math
 from dataclasses import dataclass
@@ -18,9 +18,9 @@ SEVERITY: dict[Quality, tuple[float, float]] = {"calm": (0.0, 0.6), "poor-image"
 
 @dataclass(frozen=True, slots=True)
 class Drawn:
-    """What one heart of the second world drew: `drawn["image.persistence"]`.
+    """Values drawn for one heart of the second world: `drawn["image.persistence"]`.
 
-    Every value has a random generator of its own, chosen by its name.
+    Every value has its own random generator, chosen by its name.
     """
 
     seed: int
@@ -34,24 +34,24 @@ class Drawn:
             )
 
     def __getitem__(self, name: str) -> float:
-        known, rng = RANGES[name], child_rng(self.seed, f"second world {name}")
+        entry, rng = RANGES[name], child_rng(self.seed, f"second world {name}")
         share = float(rng.uniform())
-        if known.graded:
+        if entry.graded:
             mild, severe = SEVERITY[self.quality]
             share = mild + share * (severe - mild)
-        low, high = known.low, known.high
-        if known.log:
+        low, high = entry.low, entry.high
+        if entry.log:
             size = math.exp(math.log(low) + share * (math.log(high) - math.log(low)))
         else:
             size = low + share * (high - low)
-        return size * float(rng.choice((-1.0, 1.0))) if known.either_sign else size
+        return size * float(rng.choice((-1.0, 1.0))) if entry.either_sign else size
 
     def choice(self, name: str, weights: dict[str, float]) -> str:
-        """One of the keys of `weights`, as often as their values say."""
+        """Draw one of the keys of `weights` with probability in proportion to its value."""
         names = list(weights)
         share = [weights[key] / sum(weights.values()) for key in names]
         return str(child_rng(self.seed, f"second world {name}").choice(names, p=share))
 
     def table(self) -> dict[str, float]:
-        """Every value, by name."""
+        """Return all values by name."""
         return {name: self[name] for name in RANGES}

@@ -1,4 +1,4 @@
-"""From scan lines' echoes to images of the second world: bloom, reverberation, gain, drop-out, grey curve."""
+"""Images of the second world from scan lines' echoes: bloom, reverberation, gain, drop-out, grey curve."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -26,11 +26,11 @@ Report = Callable[[float], None]
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class Dropout:
-    """Lines that lose contact, or lie in a shadow.
+    """Lines that lose contact, or are in a shadow.
 
     Attributes:
-        loss_db: (lines, samples) when it is fullest.
-        turns_hz, start: how fast it comes and goes, and from where in that.
+        loss_db: (lines, samples) largest loss.
+        turns_hz, start: rate at which it comes and goes, and its initial phase.
     """
 
     loss_db: FloatArray
@@ -45,13 +45,13 @@ class Dropout:
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class Display:
-    """How the scanner turns echoes into grey levels.
+    """Conversion of echoes to grey levels by the scanner.
 
     Attributes:
-        probe: as the scanner believes itself to be.
+        probe: nominal geometry of the scanner.
         gain_db: (lines, samples) errors of time gain and of lines.
         dropouts: see `Dropout`.
-        values: what was drawn.
+        values: values drawn.
     """
 
     probe: SectorProbe
@@ -60,7 +60,7 @@ class Display:
     values: Drawn
 
     def grey(self, level_db: Echoes, t_s: float) -> Echoes:
-        """(lines, samples) grey levels 0…255 of echoes in dB re muscle, taken at a time."""
+        """Convert echoes in dB relative to muscle at a time to (lines, samples) grey levels 0…255."""
         probe, drawn = self.probe, self.values
         shown = (
             20 * np.log10(np.maximum(self._bloomed(10 ** (level_db / np.float32(20))), 1e-8)) + self.gain_db
@@ -73,7 +73,7 @@ class Display:
         return np.asarray(255 * ((1 - bent) * share + bent * share**2 * (3 - 2 * share)), dtype=np.float32)
 
     def _bloomed(self, amplitude: Echoes) -> Echoes:
-        """Echoes with their reverberation, and strong ones spread along and across the beam."""
+        """Add reverberation, and spread strong echoes along and across the beam."""
         probe, drawn = self.probe, self.values
         late = round(drawn["image.reverberation_mm"] / probe.step_mm)
         again = np.zeros_like(amplitude)
@@ -87,7 +87,7 @@ class Display:
 
 
 def drawn_display(probe: SectorProbe, drawn: Drawn) -> Display:
-    """The operator's sliders and the contact of the probe."""
+    """Draw the operator's sliders and the contact of the probe."""
     rng = child_rng(drawn.seed, "second world gain")
     knots = np.arange(0.0, probe.depth_mm + 60.0, drawn["image.time_gain_length_mm"])
     slides = CubicSpline(knots, drawn["image.time_gain_db"] * rng.standard_normal(len(knots)))
@@ -119,17 +119,17 @@ def echo_images(
     drawn: Drawn,
     report: Report,
 ) -> NDArray[np.uint8]:
-    """(n, rows, columns) images.
+    """Simulate (n, rows, columns) images.
 
     Args:
-        poses: mr_from_plane of each.
+        poses: mr_from_plane of each image.
         phases: (n, lines) model phase of each line.
-        t_s: (n,) when each image was taken.
+        t_s: (n,) times of the images.
     """
     display, converter = drawn_display(probe, drawn), ScanConverter.of(probe.polar, probe.pixels)
     true_probe = insonified(probe, drawn["image.sound_speed"])
     seed = child_seed(drawn.seed, "second world speckle")
-    kept = np.float32(drawn["image.persistence"])
+    persistence = np.float32(drawn["image.persistence"])
     _ = heart.loaded_vertices_mm  # cached values are filled before threads share them
 
     def make(i: int) -> Echoes:
@@ -139,7 +139,7 @@ def echo_images(
     out = np.empty((len(poses), probe.rows, probe.columns), dtype=np.uint8)
     shown: Echoes | None = None
     for i, grey in enumerate(in_order(make, range(len(poses)))):
-        shown = grey if shown is None else kept * shown + (1 - kept) * grey
+        shown = grey if shown is None else persistence * shown + (1 - persistence) * grey
         out[i] = converter(shown)
         report((i + 1) / len(poses))
     return out

@@ -1,4 +1,4 @@
-"""How well a rigid registration could do at best: with every point of every image matched to itself."""
+"""Lower bound of rigid registration: the fit with every point of every image matched to itself."""
 
 from dataclasses import dataclass
 
@@ -14,14 +14,14 @@ _PER_IMAGE = 40
 
 @dataclass(frozen=True, slots=True)
 class RigidFloor:
-    """The part of the error that no rigid registration of this recording can remove.
+    """Part of the error that no rigid registration of a recording can remove.
 
     Attributes:
         changed_rms_mm: RMS distance of the heart's moving surface from that of the MR after its best rigid
             fit: mismatch, volume load, contractility and dyssynchrony.
         pose_mm, pose_deg: mean error at the targets, and angle, of the pose that fits every point of the
-            heart in every image to its own place in the MR. It comes from the distorted field, drift, speed
-            of sound, calibration and lag, and from what of the change the images happen to show.
+            heart in every image to its own position in the MR. It comes from the distorted field, drift,
+            speed of sound, calibration and lag, and from the part of the change that the images show.
         residual_mm: RMS distance of these points at that pose.
     """
 
@@ -32,7 +32,7 @@ class RigidFloor:
 
 
 def rigid_floor(room: OperatingRoom, taken_s: FloatArray) -> RigidFloor:
-    """Of images taken at (n,) times; free of noise that averages out."""
+    """Compute the floor of images taken at (n,) times, without noise that averages out."""
     matched = matched_points(room, taken_s)
     return floor_of(*matched, room.heart.targets, room.mr_from_tracker, room.changed_rms_mm)
 
@@ -40,7 +40,7 @@ def rigid_floor(room: OperatingRoom, taken_s: FloatArray) -> RigidFloor:
 def floor_of(
     seen_mm: FloatArray, meant_mm: FloatArray, targets: Landmarks, truth: Rigid, changed_rms_mm: float
 ) -> RigidFloor:
-    """From (n, 3) points as images place them, frame "tracker", and where the MR has them, frame "mr"."""
+    """Compute the floor from (n, 3) points placed by images, frame "tracker", and by MR, frame "mr"."""
     best = best_rigid(seen_mm, meant_mm, "mr", "tracker")
     rest = best.apply_array(seen_mm) - meant_mm
     there = truth.inverse().apply(targets.points).xyz_mm
@@ -55,7 +55,7 @@ def floor_of(
 
 
 def matched_points(room: OperatingRoom, taken_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(n, 3) points of the heart as the images place them, frame "tracker", and where the MR has them.
+    """Match (n, 3) points of the heart placed by the images, frame "tracker", to their positions in the MR.
 
     The second are in frame "mr" at the phase of the image.
     """
@@ -72,11 +72,11 @@ def matched_points(room: OperatingRoom, taken_s: FloatArray) -> tuple[FloatArray
     seen = _placed(turns, places, plane.apply_array(shown.reshape(-1, 3)).reshape(shown.shape))
     phases = np.repeat(room.clock.model_phase(taken_s), _PER_IMAGE)
     material = room.changed.inverse_motion.pull_back(true.reshape(-1, 3), phases)
-    kept = room.heart.shapes.organ(material) > 0
-    meant = room.heart.contracting(1.0).push_forward(material[kept], phases[kept])
-    return seen.reshape(-1, 3)[kept], meant
+    in_heart = room.heart.shapes.organ(material) > 0
+    meant = room.heart.contracting(1.0).push_forward(material[in_heart], phases[in_heart])
+    return seen.reshape(-1, 3)[in_heart], meant
 
 
 def _placed(turns: FloatArray, places: FloatArray, points: FloatArray) -> FloatArray:
-    """(n, k, 3) points moved by n poses."""
+    """Move (n, k, 3) points by n poses."""
     return np.asarray(np.einsum("nij,nkj->nki", turns, points) + places[:, None])

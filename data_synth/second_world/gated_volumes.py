@@ -1,4 +1,4 @@
-"""Gated 3-D ultrasound of a heart of the second world, and the MR acquired of it before."""
+"""Gated 3-D ultrasound and earlier MR of a heart of the second world."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -27,23 +27,24 @@ from .sweeps import probe_place
 from .tissue_fields import TissueFields, tissue_fields
 
 VOLUME_VIEWS = ("epicardial", "tee")
-"""Probes whose places the matrix array takes, one after the other."""
+"""Probes whose positions the matrix array takes, one after the other."""
 BEATS_PER_VOLUME = 4
 _VIEW_S = 8.0
 """Time from one view to the next, in which the tracker drifts."""
 _ROW_S = 0.15
-"""Drop-outs come and go from row to row as they do within this time."""
+"""Time over whose rows drop-outs come and go."""
 _FLOOR_POINTS = 3000
 
 
 @dataclass(frozen=True, eq=False)
 class SecondWorldPair:
-    """What one heart looks like to MR and to a tracked matrix array.
+    """Heart as imaged by MR and by a tracked matrix array.
 
     Attributes:
-        heart, fields: the heart that MR was acquired of.
-        changed, changed_rms_mm: the heart under the probe, and how far its surface is from that of the MR.
-        mr_from_tracker: the truth.
+        heart, fields: the heart during the MR.
+        changed, changed_rms_mm: the heart under the probe, and the distance of its surface from that of the
+            MR.
+        mr_from_tracker: true pose.
         drawn: every value of this heart.
     """
 
@@ -60,7 +61,7 @@ class SecondWorldPair:
 
     @property
     def targets(self) -> Landmarks:
-        """Where registration errors are declared, frame "mr"."""
+        """Points at which registration errors are stated, frame "mr"."""
         return self.heart.targets
 
     @property
@@ -69,7 +70,7 @@ class SecondWorldPair:
 
     @cached_property
     def array(self) -> MatrixProbe:
-        """The matrix array as it believes itself to be; voxels outside its depth are not insonified."""
+        """Matrix array with its nominal geometry; voxels outside its depth are not insonified."""
         lines = round(self.drawn["matrix.lines"])
         sector = sector_of("epicardial", self.drawn)
         sector = replace(sector, lines=lines, samples=8 * round(sector.depth_mm / 0.36 / 8), fine_lines=2)
@@ -82,7 +83,7 @@ class SecondWorldPair:
 
     @cached_property
     def field(self) -> DistortedField:
-        """What the tracker makes of a pose."""
+        """Tracker's distorted field."""
         tracker_from_mr = self.mr_from_tracker.inverse()
         places = np.stack([view.translation_mm for view in self.views])
         return distorted_field(
@@ -91,7 +92,7 @@ class SecondWorldPair:
         )
 
     def volumes(self, phases: Sequence[float]) -> tuple[TrackedVolume, ...]:
-        """Gated 3-D images, every phase of one view before the next.
+        """Simulate gated 3-D images, every phase of one view before the next.
 
         Args:
             phases: model phases that gating aims at, as they are recorded.
@@ -119,7 +120,7 @@ class SecondWorldPair:
         return tuple(out)
 
     def read_pose(self, view: int, t_s: float, rng: np.random.Generator | None) -> Rigid:
-        """tracker_from_plane as tracked and calibrated, the mean of a reading a beat; None: no noise."""
+        """Read tracker_from_plane as tracked and calibrated, the mean of a reading a beat; None: no noise."""
         true: PosePath = constant_path(self.mr_from_tracker.inverse() @ self.views[view])
         rotations, places = self.field.read(true)(np.array([t_s]))
         read = Rigid("tracker", "plane", rotations[0], places[0])
@@ -134,7 +135,7 @@ class SecondWorldPair:
 
     @cached_property
     def floor(self) -> RigidFloor:
-        """What no rigid registration of the volumes can remove, at end-diastole and end-systole."""
+        """Compute the error that no rigid registration of the volumes can remove, at ED and ES."""
         rng = child_rng(self.drawn.seed, "second world volume floor")
         sector, before = self.array.sector, self.heart.contracting(1.0)
         seen, meant = [], []
@@ -146,9 +147,9 @@ class SecondWorldPair:
             true = view.apply_array(shown * (1.0 + self.drawn["image.sound_speed"]))
             phase = np.where(np.arange(_FLOOR_POINTS) % 2, self.heart.es_fraction, 0.0)
             material = self.changed.inverse_motion.pull_back(true, phase)
-            kept = self.heart.shapes.organ(material) > 0
-            seen.append(self.read_pose(v, _VIEW_S * v, None).apply_array(shown[kept]))
-            meant.append(before.push_forward(material[kept], phase[kept]))
+            in_heart = self.heart.shapes.organ(material) > 0
+            seen.append(self.read_pose(v, _VIEW_S * v, None).apply_array(shown[in_heart]))
+            meant.append(before.push_forward(material[in_heart], phase[in_heart]))
         together = (np.concatenate(seen), np.concatenate(meant))
         return floor_of(*together, self.targets, self.mr_from_tracker, self.changed_rms_mm)
 
@@ -160,7 +161,7 @@ class SecondWorldPair:
         return Rigid("mr", "plane", np.column_stack([lateral, beam, np.cross(lateral, beam)]), eye)
 
     def _displayed(self, level_db: np.ndarray) -> np.ndarray:
-        """Levels in dB that a straight log curve shows as the grey levels of this world's scanner."""
+        """Convert levels to the dB that a straight log curve shows as this scanner's grey levels."""
         sector = self.array.sector
         display = drawn_display(sector, self.drawn)
         grey = np.stack([display.grey(row, _ROW_S * i) for i, row in enumerate(level_db)])
@@ -169,7 +170,7 @@ class SecondWorldPair:
 
 
 def second_world_pair(spec: SecondWorldSpec, heart: RestingHeart | None = None) -> SecondWorldPair:
-    """The heart before and now, and where the tracker stands; of `spec`, seed, quality and motion count.
+    """Build the heart before and now, and the tracker's pose; only seed, quality and motion of `spec` count.
 
     Args:
         heart: the pre-operative anatomy; None takes the four-chamber phantom of the seed.

@@ -1,4 +1,4 @@
-"""An electromagnetic tracker: its field is distorted, drifts, and is noisy."""
+"""Electromagnetic tracker with distortion, drift and noise."""
 
 from dataclasses import dataclass
 
@@ -19,12 +19,12 @@ _MARGIN_MM = 80.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DistortedField:
-    """What the tracker reports of a sensor that truly stands at a pose.
+    """Tracker's readings of sensors at true poses.
 
     Attributes:
-        shift: displacement of a sensor's reading, frame "tracker"; without a rigid part over the workspace.
+        shift: displacement of a sensor's reading, frame "tracker", without a rigid part over the workspace.
         turn: the same of its orientation, rotation vector in rad (as a displacement field in mm / mm).
-        drawn: what was drawn; the slow drift is the same for every sensor.
+        drawn: values drawn; the slow drift is the same for every sensor.
     """
 
     shift: GridField
@@ -32,7 +32,7 @@ class DistortedField:
     drawn: Drawn
 
     def read(self, path: PosePath) -> PosePath:
-        """tracker_from_sensor as it is read, before noise."""
+        """Compute tracker_from_sensor as read, before noise."""
         drift = smooth_noise(3, 0.004, 0.03, child_rng(self.drawn.seed, "second world drift"))
         size = self.drawn["tracker.drift_mm"] / np.sqrt(3.0)
 
@@ -45,7 +45,7 @@ class DistortedField:
 
 
 def distorted_field(workspace_mm: FloatArray, drawn: Drawn) -> DistortedField:
-    """The field over a (2, 3) box of the frame "tracker" in which sensors and heart stay."""
+    """Draw the field over a (2, 3) box of the frame "tracker" in which sensors and heart stay."""
     wide = workspace_mm + np.array([[-_MARGIN_MM], [_MARGIN_MM]])
     length = drawn["tracker.bias_length_mm"]
 
@@ -61,7 +61,7 @@ def distorted_field(workspace_mm: FloatArray, drawn: Drawn) -> DistortedField:
 
 
 def probe_sensor(drawn: Drawn, rate_hz: float) -> TrackerSpec:
-    """Noise of the sensor on the probe."""
+    """Draw the noise of the sensor on the probe."""
     return TrackerSpec(
         rate_hz=rate_hz,
         position_mm=drawn["tracker.position_mm"],
@@ -71,7 +71,7 @@ def probe_sensor(drawn: Drawn, rate_hz: float) -> TrackerSpec:
 
 
 def tool_sensor(drawn: Drawn) -> TrackerSpec:
-    """Noise of the sensor in the tool, which the tracker's software smooths more."""
+    """Draw the noise of the sensor in the tool, which the tracker's software smooths more."""
     return TrackerSpec(
         rate_hz=100.0,
         position_mm=0.5 * drawn["tracker.position_mm"],

@@ -1,4 +1,4 @@
-"""What is unknown in one operating room of the second world, and what its streams are made from."""
+"""Unknowns of one operating room of the second world, and the source of its streams."""
 
 from dataclasses import dataclass
 
@@ -29,19 +29,20 @@ TOOL_MM = 180.0
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class OperatingRoom:
-    """One heart, its beat, the probe over it, and the frames that a registration has to find.
+    """Operating room: heart, its beat, the probe over it, and the frames that a registration estimates.
 
     Attributes:
         heart, fields: before the intervention.
-        changed, surface, changed_rms_mm: under the probe, and how far its surface is from what it was.
+        changed, surface, changed_rms_mm: the heart under the probe, and the distance of its surface from
+            before.
         beats, clock: ECG and muscle.
-        probe: the scanner as it believes itself to be.
-        mr_from_plane: where its image truly is; `window` (3,) the direction from the heart to it.
+        probe: nominal geometry of the scanner.
+        mr_from_plane: true pose of its image; `window` (3,) the direction from the heart to it.
         mr_from_tracker: the true pose.
-        probe_from_plane, calibrated: true mounting, and the one that the calibration recordings hold.
+        probe_from_plane, calibrated: true mounting, and the one in the calibration recordings.
         tip: tool tip, frame "tool".
         lag_s: t_tracker(event) = t_video(event) + lag_s.
-        field: what the tracker makes of a pose.
+        field: the tracker's distorted field.
         drawn: every value of this heart.
     """
 
@@ -65,12 +66,12 @@ class OperatingRoom:
 
     @property
     def probe_from_image(self) -> ImageMap:
-        """The true image calibration."""
+        """True image calibration."""
         return image_map(self.probe_from_plane, self.probe)
 
     @property
     def tracker_from_probe(self) -> PosePath:
-        """As it is read, before noise."""
+        """Tracked pose of the probe as read, before noise."""
         fixed = constant_path(self.mr_from_tracker.inverse())
         mount = constant_path(self.probe_from_plane.inverse())
         return self.field.read(composed(composed(fixed, self.mr_from_plane), mount))
@@ -80,7 +81,7 @@ class OperatingRoom:
 
 
 def operating_room(heart: RestingHeart, seconds: float, drawn: Drawn) -> OperatingRoom:
-    """Draw everything that the streams of `seconds` are made from."""
+    """Draw the source of all streams of `seconds`."""
     fields = tissue_fields(heart, drawn)
     changed, rms_mm = changed_heart(heart, fields.reference, drawn)
     beats = _beats(seconds, drawn)
@@ -117,7 +118,7 @@ def operating_room(heart: RestingHeart, seconds: float, drawn: Drawn) -> Operati
 
 
 def cycle_law(heart: RestingHeart, drawn: Drawn) -> CycleLaw:
-    """How this heart's cycle changes with its rate."""
+    """Build the law by which this heart's cycle changes with its rate."""
     return CycleLaw(
         heart.rr_s,
         heart.es_fraction,
@@ -128,13 +129,13 @@ def cycle_law(heart: RestingHeart, drawn: Drawn) -> CycleLaw:
 
 
 def image_map(probe_from_plane: Rigid, probe: SectorProbe) -> ImageMap:
-    """probe_from_image of a mounting."""
+    """Compute probe_from_image of a mounting."""
     plane_from_image = probe.plane_from_image
     return ImageMap(probe_from_plane @ plane_from_image.rigid, plane_from_image.scale_mm_per_px)
 
 
 def constant_path(pose: Rigid) -> PosePath:
-    """The same pose at any time."""
+    """Build the path of a constant pose."""
 
     def path(t_s: FloatArray) -> tuple[FloatArray, FloatArray]:
         count = len(np.asarray(t_s))
@@ -157,7 +158,7 @@ def _beats(seconds: float, drawn: Drawn) -> Beats:
 
 
 def true_pose(heart: RestingHeart, drawn: Drawn) -> Rigid:
-    """mr_from_tracker: any rotation, the heart at the drawn distance."""
+    """Draw mr_from_tracker: any rotation, the heart at the drawn distance."""
     rng = child_rng(drawn.seed, "second world planted")
     turn = Rotation.random(rng=rng).as_matrix()
     direction = rng.standard_normal(3)
@@ -172,12 +173,12 @@ def _mount(drawn: Drawn) -> Rigid:
 
 
 def _calibrated(probe_from_plane: Rigid, probe: SectorProbe, drawn: Drawn) -> ImageMap:
-    """The calibration as its phantom gave it."""
+    """Compute the calibration with its error."""
     return image_map(miscalibrated(probe_from_plane, probe.depth_mm, drawn), probe)
 
 
 def miscalibrated(probe_from_plane: Rigid, depth_mm: float, drawn: Drawn) -> Rigid:
-    """A mounting, off by what was drawn at the middle of the image."""
+    """Add the drawn error at the middle of the image to a mounting."""
     rng = child_rng(drawn.seed, "second world calibration")
     turn_rad, shift_mm = random_displacement(
         rng, shift_mm=drawn["calibration.shift_mm"], turn_deg=drawn["calibration.turn_deg"]

@@ -1,4 +1,4 @@
-"""The second world's ultrasound probes: epicardial, narrow-fanned, transoesophageal and intracardiac."""
+"""Ultrasound probes of the second world: epicardial, narrow-fanned, transoesophageal and intracardiac."""
 
 from dataclasses import replace
 
@@ -13,17 +13,17 @@ MARGIN_PX = 8.0
 
 
 def probe_kind(drawn: Drawn) -> str:
-    """Which probe this heart is looked at with."""
+    """Draw the kind of probe for this heart."""
     return drawn.choice("probe", KINDS)
 
 
 def drawn_probe(drawn: Drawn) -> SectorProbe:
-    """The scanner as it believes itself to be: depths of its images hold at its own speed of sound."""
+    """Draw the scanner's nominal geometry: depths of its images assume its own speed of sound."""
     return sector_of(probe_kind(drawn), drawn)
 
 
 def sector_of(kind: str, drawn: Drawn) -> SectorProbe:
-    """A scanner of one kind."""
+    """Draw a scanner of one kind."""
     depth, half = drawn[f"{kind}.depth_mm"], np.deg2rad(drawn[f"{kind}.half_angle_deg"])
     frequency, pixel = drawn[f"{kind}.frequency_mhz"], drawn["probe.mm_per_px"]
     columns = 2 * int(np.ceil(depth * np.sin(half) / pixel + MARGIN_PX))
@@ -57,5 +57,5 @@ def sector_of(kind: str, drawn: Drawn) -> SectorProbe:
 
 
 def insonified(probe: SectorProbe, sound_speed: float) -> SectorProbe:
-    """How deep the lines truly reach where sound is faster by `sound_speed` than the scanner assumes."""
+    """Scale a probe's depths to the true speed of sound, faster by `sound_speed` than assumed."""
     return replace(probe, depth_mm=probe.depth_mm * (1.0 + sound_speed))

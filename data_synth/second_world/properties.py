@@ -1,4 +1,4 @@
-"""What each tissue is to ultrasound and to MR, as one heart of the second world drew it."""
+"""Ultrasound and MR properties of each tissue, drawn for one heart of the second world."""
 
 import numpy as np
 
@@ -9,7 +9,7 @@ from dvf_ig.core import FloatArray
 from .drawn import Drawn
 
 EFFUSION = 40
-"""Code of pericardial fluid, beside those of `Tissue`."""
+"""Code of pericardial fluid, in addition to those of `Tissue`."""
 TRABECULA = 41
 """Code of the properties of trabeculae; labels call them blood."""
 CODES = 42
@@ -45,11 +45,11 @@ _KINDS: dict[int, tuple[str, str]] = {
     Tissue.BONE: ("bone", "bone"),
     EFFUSION: ("effusion", "fluid"),
 }
-"""Which rows of the table of ranges each code takes: of acoustics, and of relaxation."""
+"""Rows of the table of ranges for each code: of acoustics, and of relaxation."""
 
 
 def property_table(drawn: Drawn) -> FloatArray:
-    """(CODES, 5) ln Z, attenuation, echo amplitude of tissue and of blood, and MR signal."""
+    """Build (CODES, 5) ln Z, attenuation, echo amplitude of tissue and of blood, and MR signal."""
     table = np.zeros((CODES, 5))
     sequence = _Sequence(drawn)
     for code, (acoustic, relaxation) in _KINDS.items():
@@ -75,7 +75,7 @@ class _Sequence:
         self.inflow = drawn["mr.inflow"] * (1 + drawn["mr.inflow_variation"] * rng.uniform(-1, 1, CODES))
 
     def signal(self, kind: str, code: int) -> float:
-        """Of a tissue; blood that flows in brings fresh magnetisation.
+        """Compute the signal of a tissue; blood that flows in brings fresh magnetisation.
 
         Balanced: M sin α (1 − E₁)/(1 − (E₁ − E₂) cos α − E₁E₂) √E₂. Spoiled: M sin α (1 − E₁)/(1 − E₁ cos α).
         Source: Bernstein, King, Zhou, Handbook of MRI Pulse Sequences, 2004, sections 14.1.

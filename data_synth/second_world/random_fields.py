@@ -13,7 +13,7 @@ from dvf_ig.core import FloatArray, read_only_arrays
 def grid_noise(
     shape: tuple[int, ...], spacing_mm: FloatArray | float, length_mm: float, rng: np.random.Generator
 ) -> NDArray[np.float32]:
-    """Gaussian noise of unit RMS on a grid.
+    """Draw Gaussian noise of unit RMS on a grid.
 
     Args:
         spacing_mm: node pitch, one or one for each axis.
@@ -27,7 +27,7 @@ def grid_noise(
 def wide_noise(
     shape: tuple[int, ...], spacing_mm: FloatArray | float, length_mm: float, rng: np.random.Generator
 ) -> NDArray[np.float32]:
-    """`grid_noise` of a length of many nodes: drawn at every third of its length, linear in between."""
+    """Draw `grid_noise` of a length of many nodes: at every third of its length, linear in between."""
     spacing = np.broadcast_to(np.asarray(spacing_mm, dtype=np.float64), (len(shape),))
     stride = np.maximum(np.floor(length_mm / 3.0 / spacing), 1.0)
     few = tuple(int(np.ceil((n - 1) / k)) + 2 for n, k in zip(shape, stride, strict=True))
@@ -45,7 +45,7 @@ def wide_noise(
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class GridField:
-    """A displacement of space on a grid, cubic between nodes, constant beyond them.
+    """Displacement of space on a grid, cubic between nodes, constant outside.
 
     Attributes:
         displacement_mm: (nx, ny, nz, 3).
@@ -58,7 +58,7 @@ class GridField:
     spacing_mm: float
 
     def at(self, xyz_mm: FloatArray) -> FloatArray:
-        """(n, 3) displacement at (n, 3) points."""
+        """Evaluate the (n, 3) displacement at (n, 3) points."""
         points = np.ascontiguousarray(xyz_mm, dtype=np.float64)
         out = np.empty_like(points)
         cubic_at(points, self.displacement_mm, self.origin_mm, 1.0 / self.spacing_mm, out)
@@ -66,7 +66,7 @@ class GridField:
 
 
 def grid_nodes(box_mm: FloatArray, spacing_mm: float) -> FloatArray:
-    """(nx, ny, nz, 3) nodes over a (2, 3) box and one beyond it on every side."""
+    """List (nx, ny, nz, 3) nodes over a (2, 3) box and one outside it on every side."""
     count = np.ceil((box_mm[1] - box_mm[0]) / spacing_mm).astype(int) + 3
     axes = [box_mm[0, k] + spacing_mm * (np.arange(count[k]) - 1.0) for k in range(3)]
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
@@ -80,10 +80,10 @@ def random_displacement_field(
     spacing_mm: float,
     rng: np.random.Generator,
 ) -> GridField:
-    """A random field of `rms_mm` (3-D) over the inner box, without translation or small rotation there.
+    """Draw a field of `rms_mm` (3-D) over the inner box, without translation or small rotation there.
 
     Args:
-        wide_box_mm, inner_box_mm: (2, 3) where the field is tabulated, and where it is normalised.
+        wide_box_mm, inner_box_mm: (2, 3) boxes in which the field is tabulated and normalised.
         length_mm: SD of its Gaussian correlation.
         spacing_mm: node pitch of the table.
     """
@@ -99,7 +99,7 @@ def random_displacement_field(
 
 
 def small_rigid_part(relative_mm: FloatArray, field_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Least-squares translation (3,) and small rotation vector (3,) of (n, 3) displacements."""
+    """Fit translation (3,) and small rotation vector (3,) to (n, 3) displacements by least squares."""
     middle = relative_mm.mean(axis=0)
     about, rest = relative_mm - middle, field_mm - field_mm.mean(axis=0)
     inertia = (about**2).sum() * np.eye(3) - about.T @ about
@@ -108,7 +108,7 @@ def small_rigid_part(relative_mm: FloatArray, field_mm: FloatArray) -> tuple[Flo
 
 
 def solved_inverse(field: GridField, target_mm: FloatArray, tolerance_mm: float = 1e-4) -> FloatArray:
-    """(n, 3) points x with x + field(x) = target, by fixed-point iteration."""
+    """Solve x + field(x) = target for (n, 3) points x by fixed-point iteration."""
     x = np.array(target_mm, dtype=np.float64)
     for _ in range(40):
         step = target_mm - x - field.at(x)

@@ -1,8 +1,7 @@
-"""Every value of the second world with the range it is drawn from: the one table of this world.
+"""Table of all values of the second world with the ranges from which they are drawn.
 
-The ranges are physical and clinical ones, never chosen by how a registration fares. What was changed before
-the freeze, and why, is told in docs/decisions/0017-second-world.md. Seeds 5001 to 5010 served to look at
-pictures.
+The ranges are physical and clinical ones, never chosen by the results of a registration; changes before the
+freeze are in docs/decisions/0017-second-world.md. Seeds 5001 to 5010 are for inspection only.
 """
 
 from dataclasses import dataclass
@@ -10,10 +9,10 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Range:
-    """One drawn value.
+    """Range of one drawn value.
 
     Attributes:
-        low, high: ends, `low` the mild one where the value has one.
+        low, high: ends; `low` is the mild one if the value has one.
         graded: the value is worse towards `high`, so that the quality says which part of the range is drawn.
         log: uniform in the logarithm.
         either_sign: the drawn size gets a random sign.
@@ -44,7 +43,7 @@ HEART: dict[str, Range] = {
     # constant part of the non-rigid mismatch, RMS of 3-D displacement, and its length (SD of the correlation)
     "heart.mismatch_mm": _graded(0.5, 2.5),
     "heart.mismatch_length_mm": Range(10.0, 60.0, log=True),
-    # part of the mismatch that comes and goes with the cycle
+    # part of the mismatch that varies over the cycle
     "heart.mismatch_beating_mm": _graded(0.1, 1.2),
     "heart.mismatch_beating_length_mm": Range(10.0, 60.0, log=True),
     # largest share of its length that a mismatch may reach, so that space does not fold
@@ -53,7 +52,7 @@ HEART: dict[str, Range] = {
     "heart.fat_mean_mm": Range(0.5, 6.0),
     "heart.fat_most_mm": Range(12.0, 12.0),
     "heart.fat_patch_mm": Range(12.0, 30.0),
-    # pericardial effusion where it is deepest; below 0 there is none
+    # depth of pericardial effusion at its deepest; below 0 there is none
     "heart.effusion_mm": Range(-8.0, 10.0),
     "heart.pericardium_mm": Range(0.8, 2.0),
     # trabeculae in the blood of the ventricles: depth of their layer and share of it that is muscle
@@ -121,7 +120,7 @@ ACOUSTICS: dict[str, Range] = {
     # echo of muscle differs from region to region by up to this, over this length
     "muscle.regional_db": _graded(1.0, 6.0),
     "muscle.regional_length_mm": Range(12.0, 35.0),
-    # a beam along the wall gets less back than one across it
+    # loss of a beam along the wall compared with one across it
     "muscle.anisotropy_db": Range(3.0, 14.0),
 }
 
@@ -134,7 +133,7 @@ SCANNER: dict[str, Range] = {
     "image.time_gain_db": _graded(0.5, 5.0),
     "image.time_gain_length_mm": Range(18.0, 40.0),
     "image.line_gain_db": _graded(0.2, 3.0),
-    # time-gain compensation makes up for this mixture of muscle and blood
+    # mixture of muscle and blood that time-gain compensation assumes
     "epicardial.tgc_muscle_share": Range(0.35, 0.65),
     "narrow.tgc_muscle_share": Range(0.35, 0.65),
     "tee.tgc_muscle_share": Range(0.15, 0.4),
@@ -146,17 +145,17 @@ SCANNER: dict[str, Range] = {
     "image.haze_db": Range(-34.0, -8.0, graded=True),
     "image.haze_mm": Range(6.0, 18.0),
     "image.dirty_shadow_db": Range(-36.0, -18.0),
-    # bloom: share of a strong echo that spreads, how far along and across the beam, and what is strong
+    # bloom: share of a strong echo that spreads, its extent along and across the beam, and the threshold
     "image.bloom_share": _graded(0.15, 0.8),
     "image.bloom_axial_mm": _graded(0.4, 1.6),
     "image.bloom_across_mm": _graded(0.5, 3.0),
     "image.bloom_above_db": Range(2.0, 8.0),
-    # arcs of lines without contact: how many, width and loss, and how fast they come and go
+    # arcs of lines without contact: number, width, loss, and rate at which they come and go
     "image.dropouts": _graded(0.0, 4.0),
     "image.dropout_deg": Range(3.0, 14.0),
     "image.dropout_db": _graded(8.0, 35.0),
     "image.dropout_hz": Range(0.05, 0.3),
-    # echoes of the septum and the near wall once more, so much deeper and weaker
+    # repeated echoes of the septum and the near wall: how much deeper and weaker
     "image.reverberation_mm": Range(8.0, 30.0),
     "image.reverberation_db": Range(-30.0, -12.0, graded=True),
     # relative error of the assumed speed of sound: depths are scaled by it
@@ -202,7 +201,7 @@ PROBE: dict[str, Range] = {
 }
 
 KINDS: dict[str, float] = {"epicardial": 0.35, "narrow": 0.2, "tee": 0.3, "ice": 0.15}
-"""Probes, and how often each is used."""
+"""Probes with their probabilities."""
 
 TRACKER: dict[str, Range] = {
     "tracker.heart_distance_mm": Range(220.0, 480.0),
@@ -215,7 +214,7 @@ TRACKER: dict[str, Range] = {
     # slow drift: RMS over a minute
     "tracker.drift_mm": _graded(0.05, 0.6),
     "tracker.dropouts_per_min": Range(0.0, 3.0),
-    # what the calibrations made before are off by, at the middle of the image
+    # errors of the calibrations at the middle of the image
     "calibration.shift_mm": _graded(0.1, 1.0),
     "calibration.turn_deg": _graded(0.1, 0.8),
     "calibration.point_noise_mm": Range(0.15, 0.5),
@@ -249,7 +248,7 @@ MR: dict[str, Range] = {
     "mr.balanced_tr_s": Range(0.0028, 0.0042),
     "mr.spoiled_flip_deg": Range(12.0, 25.0),
     "mr.spoiled_tr_s": Range(0.0045, 0.009),
-    # share of blood that is fresh in each excitation, and how much it differs between chambers
+    # share of fresh blood in each excitation, and its variation between chambers
     "mr.inflow": Range(0.05, 0.35),
     "mr.inflow_variation": Range(0.0, 0.4),
     # T1 and T2 in s at 1.5 T, proton density
@@ -283,17 +282,17 @@ MR: dict[str, Range] = {
 }
 
 SEGMENTATION: dict[str, Range] = {
-    # noise of the boundary, its length and how alike it is from phase to phase
+    # noise of the boundary, its length and its correlation from phase to phase
     "labels.noise_mm": _graded(0.5, 1.5),
     "labels.noise_length_mm": Range(8.0, 8.0),
     "labels.noise_kept": Range(0.5, 0.95),
     # outward bias of the outer boundary and of the blood's
     "labels.outer_bias_mm": Range(-0.7, 0.7),
     "labels.blood_bias_mm": Range(-0.7, 0.7),
-    # the valve plane is drawn this much too high or low, within this distance of it
+    # error of the drawn valve plane, and distance from it within which contours follow
     "labels.basal_mm": _either(0.0, 6.0, graded=True),
     "labels.basal_reach_mm": Range(10.0, 10.0),
 }
 
 RANGES: dict[str, Range] = HEART | RHYTHM | ACOUSTICS | SCANNER | PROBE | TRACKER | MR | SEGMENTATION
-"""All of them; a name is the same in every section."""
+"""All ranges by name."""

@@ -1,4 +1,4 @@
-"""One intervention of the second world: every recording, its truth, and what no registration can remove."""
+"""Intervention of the second world: all recordings, its truth, and the floor of registration errors."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -59,12 +59,12 @@ Report = Callable[[float], None]
 
 @dataclass(frozen=True, slots=True)
 class SecondWorldSpec:
-    """One intervention; the same values give bit-identical recordings.
+    """Specification of an intervention; the same values give bit-identical recordings.
 
     Attributes:
-        seed: of every random choice, a non-negative integer.
-        quality: which part of the graded ranges is drawn.
-        motion: how far the phantom's heart moves.
+        seed: seed of every random choice, a non-negative integer.
+        quality: part of the graded ranges that is drawn.
+        motion: motion of the phantom's heart.
         seconds: length of the live part.
         us_rate_hz: ultrasound frame rate.
         heart: kind of heart; "varied" is drawn from the population.
@@ -92,13 +92,13 @@ class SecondWorldSpec:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SecondWorldRecording:
-    """A scenario, and what is known of its heart beyond the scenario's truth.
+    """Scenario with the truth of its heart beyond the scenario's own.
 
     Attributes:
-        scenario: as any other.
-        floor: what no rigid registration can remove.
-        probe, sweep: what the heart was looked at with, and how it was swept.
-        room: the heart before and under the probe, and all that was drawn.
+        scenario: the scenario.
+        floor: error that no rigid registration can remove.
+        probe, sweep: kind of probe, and manner of its sweep.
+        room: the heart before and under the probe, and all drawn values.
     """
 
     scenario: Scenario
@@ -109,7 +109,7 @@ class SecondWorldRecording:
 
     @property
     def drawn(self) -> Drawn:
-        """Every value of the table of ranges."""
+        """Values drawn from the table of ranges."""
         return self.room.drawn
 
 
@@ -122,7 +122,7 @@ def second_world_recording(
         heart: the pre-operative anatomy; None takes the four-chamber phantom of the seed.
         progress: called with the fraction done.
     """
-    report: Report = progress or (lambda done: None)
+    report: Report = progress or (lambda share: None)
     drawn = Drawn(spec.seed, spec.quality)
     resting = heart or four_chamber_heart(spec.motion, spec.seed, spec.heart)
     room = operating_room(resting, spec.seconds, drawn)
@@ -132,7 +132,7 @@ def second_world_recording(
     tool, contact = _tool(room, spec.seconds)
     report(0.55)
     taken_s = _image_times(room, spec)
-    ultrasound = _ultrasound(room, spec, taken_s, lambda done: report(0.55 + 0.44 * done))
+    ultrasound = _ultrasound(room, spec, taken_s, lambda share: report(0.55 + 0.44 * share))
     tip = pivot_recording(room.tip, _steady_sensor(drawn, 20.0), room.rng("pivot"))
     landmarks = resting.landmarks
     scenario = Scenario(
@@ -159,7 +159,7 @@ def second_world_recording(
 
 
 def _tool(room: OperatingRoom, seconds: float) -> tuple[PoseStream, ToolTruth]:
-    """tracker_from_tool as measured, and what its tip truly meets at every millisecond."""
+    """Simulate tracker_from_tool as measured, and the true contact of its tip at every millisecond."""
     rng, spec = room.rng("tool path"), ToolSpec(free_s=10.0, length_mm=TOOL_MM)
     access = perpendicular(room.window, _ANTERIOR / np.linalg.norm(_ANTERIOR))
     sites = contact_sites(room.surface, access, spec.sites, rng)
@@ -174,19 +174,19 @@ def _tool(room: OperatingRoom, seconds: float) -> tuple[PoseStream, ToolTruth]:
 
 
 def _image_times(room: OperatingRoom, spec: SecondWorldSpec) -> FloatArray:
-    """(n,) true times at which images were taken."""
+    """Draw (n,) true times of the images."""
     step_s = 1.0 / spec.us_rate_hz
     taken_s = np.arange(0.1, spec.seconds - 0.1, step_s)
     jitter = room.drawn["calibration.video_jitter_s"] * room.rng("video").standard_normal(len(taken_s))
     taken_s += np.clip(jitter, -0.2 * step_s, 0.2 * step_s)
-    # stamps are written with six digits: what they say is when images were taken
+    # stamps are written with six digits, to which the true times are rounded
     return np.asarray(np.round(taken_s - room.lag_s, 6) + room.lag_s)
 
 
 def _ultrasound(
     room: OperatingRoom, spec: SecondWorldSpec, taken_s: FloatArray, report: Report
 ) -> TrackedSequence:
-    """Images stamped on the video clock, each with the pose that the tracker gave at that number."""
+    """Simulate images stamped on the video clock, each with the pose that the tracker gave at its stamp."""
     poses = [Rigid("mr", "plane", r, t) for r, t in zip(*room.mr_from_plane(taken_s), strict=True)]
     line_s = _LINE_S_PER_MM * room.probe.depth_mm
     within = (np.arange(room.probe.lines) - 0.5 * (room.probe.lines - 1)) * line_s
@@ -207,7 +207,7 @@ def _ecg(room: OperatingRoom, seconds: float) -> Signal:
 
 
 def _steady_sensor(drawn: Drawn, rate_hz: float) -> TrackerSpec:
-    """The sensor while a calibration is recorded, in the undistorted middle of the field."""
+    """Return the sensor's noise during a calibration, in the undistorted middle of the field."""
     return TrackerSpec(rate_hz=rate_hz, position_mm=0.15, rotation_deg=0.08)
 
 
@@ -240,7 +240,7 @@ def _watertank(room: OperatingRoom) -> LatencyRecording:
 
 
 def _start(room: OperatingRoom) -> Rigid:
-    """The true pose, turned about the heart's centre and moved by what was drawn."""
+    """Turn the true pose about the heart's centre and move it by the drawn amounts."""
     turn_rad, shift_mm = random_displacement(
         room.rng("start"), shift_mm=room.drawn["start.shift_mm"], turn_deg=room.drawn["start.turn_deg"]
     )

@@ -1,4 +1,4 @@
-"""A heart as the second world takes it: shapes at end-diastole, and a motion of any strength."""
+"""Pre-operative heart of the second world: shapes at end-diastole, and a motion of any strength."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -15,29 +15,29 @@ from dvf_ig.core import FloatArray, IntArray, Landmarks, read_only_arrays
 
 
 class HeartMotion(Protocol):
-    """χ and its inverse, frame "mr"; phases are one for all points or one for each."""
+    """Motion χ and its inverse, frame "mr", at one phase for all points or one for each."""
 
     def push_forward(self, xyz_mm: FloatArray, model_phase: FloatArray | float) -> FloatArray:
-        """(n, 3) positions of (n, 3) end-diastolic points."""
+        """Compute (n, 3) positions of (n, 3) end-diastolic points."""
         ...
 
     def pull_back(self, xyz_mm: FloatArray, model_phase: FloatArray | float) -> FloatArray:
-        """(n, 3) end-diastolic positions of (n, 3) points."""
+        """Compute (n, 3) end-diastolic positions of (n, 3) points."""
         ...
 
 
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class RestingHeart:
-    """The pre-operative heart, frame "mr".
+    """Pre-operative heart, frame "mr".
 
     Attributes:
-        name: which heart.
+        name: name of the heart.
         shapes: implicit shapes at end-diastole.
         contracting: its motion with a factor on the contraction; 1 is the pre-operative one.
         ed_vertices_mm, triangles: (v, 3), (m, 3) epicardial surface at end-diastole.
         rr_s, es_fraction: timing of its motion.
-        targets, landmarks: where errors are declared, and what a stylus could touch.
+        targets, landmarks: points at which errors are stated, and those that a stylus could touch.
     """
 
     name: str
@@ -57,17 +57,17 @@ class RestingHeart:
 
     @property
     def wide_box_mm(self) -> FloatArray:
-        """(2, 3) the box with what lies around the heart."""
+        """Box (2, 3) that includes the heart's surroundings."""
         return box_of(self.ed_vertices_mm, MARGIN_MM)
 
 
 def box_of(points_mm: FloatArray, margin_mm: float = 0.0) -> FloatArray:
-    """(2, 3) lower and upper corner."""
+    """Compute the (2, 3) lower and upper corner."""
     return np.stack([points_mm.min(axis=0) - margin_mm, points_mm.max(axis=0) + margin_mm])
 
 
 def four_chamber_heart(motion: MotionPreset, seed: int, kind: HeartKind) -> RestingHeart:
-    """The four-chamber phantom as the anatomy of this world."""
+    """Build the four-chamber phantom as the anatomy of this world."""
     heart = phantom_anatomy(motion=motion, mismatch_mm=0.0, seed=seed, heart=HeartSpec(kind))
     resting = heart.resting_motion
 

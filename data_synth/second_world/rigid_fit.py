@@ -1,4 +1,4 @@
-"""The best rigid map between corresponding points, for the truth's own use."""
+"""Best rigid map between corresponding points, for the truth."""
 
 import numpy as np
 
@@ -12,7 +12,7 @@ def best_rigid(
     source: str,
     weights: FloatArray | None = None,
 ) -> Rigid:
-    """Least-squares target_from_source of (n, 3) points.
+    """Fit target_from_source to (n, 3) points by least squares.
 
     Source: Kabsch, Acta Cryst. A32:922, 1976.
     """

@@ -1,4 +1,4 @@
-"""Where the second world's probes stand, and how they are swept: turned, rocked, slid or moved by hand.
+"""Positions and sweeps of the second world's probes: turned, rocked, slid or moved by hand.
 
 Frame "plane": x lateral, y depth, z elevation, origin at the apex of the fan.
 """
@@ -24,7 +24,7 @@ WAYS: dict[str, dict[str, float]] = {
     "tee": {"turned": 0.6, "rocked": 0.2, "free": 0.2},
     "ice": {"turned": 0.3, "rocked": 0.7},
 }
-"""How each probe is swept, and how often."""
+"""Manners of sweeping each probe, with their probabilities."""
 
 _WINDOWS = np.array([[0.5, -0.85, -0.2], [0.1, -0.98, 0.15], [0.75, -0.45, -0.5]])
 """Directions from the heart's centre (LPS) of an open chest: from the left front, the front, the apex."""
@@ -32,12 +32,12 @@ _CONE_DEG = 22.0
 
 
 def sweep_way(drawn: Drawn) -> str:
-    """How this heart is swept."""
+    """Draw the manner of the sweep."""
     return drawn.choice("sweep", WAYS[probe_kind(drawn)])
 
 
 def sweep(heart: RestingHeart, reference: ReferenceMap, drawn: Drawn) -> tuple[PosePath, FloatArray]:
-    """mr_from_plane over time, and (3,) the direction from the heart's centre to the probe."""
+    """Draw mr_from_plane over time, and (3,) the direction from the heart's centre to the probe."""
     eye, aim = probe_place(probe_kind(drawn), heart, reference, drawn)
     return _swept(eye, aim, sweep_way(drawn), drawn), (eye - aim) / np.linalg.norm(eye - aim)
 
@@ -45,14 +45,14 @@ def sweep(heart: RestingHeart, reference: ReferenceMap, drawn: Drawn) -> tuple[P
 def probe_place(
     kind: str, heart: RestingHeart, reference: ReferenceMap, drawn: Drawn
 ) -> tuple[FloatArray, FloatArray]:
-    """Where the fan's apex is with a kind of probe, and what it looks at: (3,) each, frame "mr"."""
+    """Place the fan's apex of a kind of probe and the point it looks at: (3,) each, frame "mr"."""
     rng = child_rng(drawn.seed, "second world window")
     middle = heart.ed_vertices_mm.mean(axis=0)
     miss = rng.standard_normal(3)
     aim = middle + drawn["sweep.aim_mm"] * miss / np.linalg.norm(miss)
     standoff = drawn[f"{kind}.standoff_mm"]
     if kind in ("ice", "tee"):
-        # from behind or within, the ventricles are what is looked for
+        # from behind or within, the probe looks at the ventricles
         ventricles = 0.5 * (_chamber(reference, Tissue.LV_BLOOD) + _chamber(reference, Tissue.RV_BLOOD))
         aim = aim + 0.5 * (ventricles - middle)
     if kind == "ice":
@@ -92,7 +92,7 @@ def _swept(eye: FloatArray, aim: FloatArray, way: str, drawn: Drawn) -> PosePath
         main, other = 2 * np.pi * t / period + start, 2 * np.pi * t / (2.7 * period) + 2 * start
         hand = slow(t)
         fast, even = np.sin(main), np.sin(other)
-        # the movement that gives a sweep its name is the quick one
+        # the movement that names the sweep is the fast one
         roll = turned * turn * (fast if way == "turned" else even)
         tilt = rocked * rock * (fast if way == "rocked" else even)
         along = slid * slide * (fast if way == "slid" else even)
@@ -109,25 +109,25 @@ def _swept(eye: FloatArray, aim: FloatArray, way: str, drawn: Drawn) -> PosePath
 
 
 def _chamber(reference: ReferenceMap, chamber: Tissue) -> FloatArray:
-    """(3,) middle of a chamber."""
+    """Find the (3,) middle of a chamber."""
     nodes = np.argwhere((reference.inner == chamber) & (reference.organ_mm > 0))
     return np.asarray(reference.origin_mm + reference.spacing_mm * nodes.mean(axis=0))
 
 
 def _looked_up(reference: ReferenceMap, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Depth below the epicardium (−100 beyond the map), and code of the surroundings."""
+    """Look up depth below the epicardium (−100 outside the map), and code of the surroundings."""
     index = np.rint((points - reference.origin_mm) / reference.spacing_mm).astype(int)
     shape = np.array(reference.organ_mm.shape)
-    known = ((index >= 0) & (index < shape)).all(axis=1)
+    inside = ((index >= 0) & (index < shape)).all(axis=1)
     at = tuple(np.clip(index, 0, shape - 1).T)
-    depth = np.where(known, reference.organ_mm[at], -100.0)
-    return depth, np.where(known, reference.outer[at], int(Tissue.MEDIASTINUM))
+    depth = np.where(inside, reference.organ_mm[at], -100.0)
+    return depth, np.where(inside, reference.outer[at], int(Tissue.MEDIASTINUM))
 
 
 def _outside(
     reference: ReferenceMap, start: FloatArray, direction: FloatArray, standoff_mm: float
 ) -> FloatArray:
-    """The last point of the heart along a ray, and the standoff further."""
+    """Find the last point of the heart along a ray, and go a standoff further."""
     steps = np.arange(0.0, 180.0, 0.5)
     depth, _ = _looked_up(reference, start + steps[:, None] * direction)
     last = steps[np.flatnonzero(depth > 0)[-1]] if (depth > 0).any() else 0.0
@@ -135,7 +135,7 @@ def _outside(
 
 
 def _blocked(reference: ReferenceMap, eye: FloatArray, aim: FloatArray) -> float:
-    """Share of a cone of rays from the eye towards the heart that lung or bone stop."""
+    """Compute the share of a cone of rays from the eye towards the heart that lung or bone stop."""
     beam = _unit(aim - eye)
     side = perpendicular(beam, np.array([0.0, 0.0, 1.0]))
     up = np.cross(beam, side)

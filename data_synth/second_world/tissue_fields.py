@@ -25,18 +25,18 @@ _NEIGHBOURS = (Tissue.LUNG, Tissue.LIVER, Tissue.BONE)
 _TRABECULATED = (Tissue.LV_BLOOD, Tissue.RV_BLOOD)
 
 Slab = tuple[FloatArray, NDArray[np.uint8], NDArray[np.uint8]]
-"""Property rows, tissue codes and labels as drawn of the points of one slab."""
+"""Property rows, tissue codes and drawn labels of the points of one slab."""
 
 
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class TissueFields:
-    """What MR, its labels and ultrasound look up at end-diastole.
+    """Fields that MR, its labels and ultrasound look up at end-diastole.
 
     Attributes:
         reference: tissue, acoustics and MR signal.
-        drawn_labels: (nx, ny, nz) uint8 codes inside the heart as the observer's bias has them.
-        outer_bias_mm: how far outside the epicardium the observer draws it.
+        drawn_labels: (nx, ny, nz) uint8 codes inside the heart with the observer's bias.
+        outer_bias_mm: distance outside the epicardium at which the observer draws it.
     """
 
     reference: ReferenceMap
@@ -47,7 +47,7 @@ class TissueFields:
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class _Patches:
-    """Thickness in mm of what varies over the heart, and the noise of trabeculae, on the grid's nodes."""
+    """Thickness in mm of varying layers, and the noise of trabeculae, on the grid's nodes."""
 
     fat: NDArray[np.float32]
     effusion: NDArray[np.float32]
@@ -98,7 +98,7 @@ def _patches(shape: tuple[int, ...], axes: list[FloatArray], heart: RestingHeart
 
     patchy = 1.0 + 0.8 * noise(drawn["heart.fat_patch_mm"], "fat")
     fat = np.clip(drawn["heart.fat_mean_mm"] * patchy, 0.0, drawn["heart.fat_most_mm"])
-    # fluid gathers behind and below, as the patient lies
+    # fluid gathers behind and below in a lying patient
     center, half = heart.box_mm.mean(axis=0), 0.5 * np.ptp(heart.box_mm, axis=0)
     y, z = (axes[1] - center[1]) / half[1], (axes[2] - center[2]) / half[2]
     low = np.clip(0.4 + 0.5 * y[:, None] - 0.4 * z[None, :], 0.0, 1.0).astype(np.float32)
@@ -116,7 +116,7 @@ def _patches(shape: tuple[int, ...], axes: list[FloatArray], heart: RestingHeart
 
 
 class _Painter:
-    """Paints the layers of one heart over each other."""
+    """Painter of the layers of one heart."""
 
     def __init__(self, heart: RestingHeart, drawn: Drawn) -> None:
         self.shapes = heart.shapes
@@ -131,7 +131,7 @@ class _Painter:
     def outside(
         self, points: FloatArray, depth: FloatArray, patches: _Patches
     ) -> tuple[FloatArray, NDArray[np.uint8]]:
-        """Property rows and codes around the heart."""
+        """Compute property rows and codes around the heart."""
         out = -depth
         sac = patches.fat + patches.effusion
         layers = [(int(t), d) for t, d in self.shapes.outside(points, depth) if t in _NEIGHBOURS]
@@ -149,7 +149,7 @@ class _Painter:
     def inside(
         self, points: FloatArray, depth: FloatArray, patches: _Patches, kept: NDArray[np.bool_]
     ) -> Slab:
-        """Property rows, codes and labels as drawn inside the heart (and just outside of it)."""
+        """Compute property rows, codes and drawn labels inside the heart (and just outside of it)."""
         rows, codes = self._ground(len(points), int(self.shapes.base))
         labels = codes.copy()
         for tissue, layer in self.shapes.inside(points, depth):
@@ -157,7 +157,7 @@ class _Painter:
             codes[layer > 0] = tissue
             labels[layer + self._bias_mm(tissue) > 0] = tissue
             if tissue in _TRABECULATED:
-                # ridges stand on the wall and taper into the blood
+                # ridges rise from the wall and taper into the blood
                 taper = 1.5 * layer / self.trabeculae_mm - 0.5
                 ridge = patches.trabeculae[kept] - self.trabecula_mm * np.maximum(taper, 0.0)
                 self._paint(rows, TRABECULA, np.minimum(ridge, layer))
@@ -186,13 +186,13 @@ class _Painter:
 
 
 def wall_normals(muscle: NDArray[np.bool_], drop_db: float) -> NDArray[np.float32]:
-    """Normals of the walls on every second node, each as long as the square root of the drop along them.
+    """Estimate wall normals on every second node, each as long as the square root of the drop along it.
 
-    The direction in which smoothed muscle changes most, from its structure tensor; none away from muscle.
+    They point in the direction in which smoothed muscle changes most (structure tensor); zero elsewhere.
 
     Args:
         muscle: (nx, ny, nz).
-        drop_db: what a beam along a wall gets less than one across it.
+        drop_db: loss of a beam along a wall compared with one across it.
     """
     soft = gaussian_filter(muscle[::2, ::2, ::2].astype(np.float32), 0.7)
     slope = np.gradient(soft)

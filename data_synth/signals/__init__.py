@@ -1,1 +1,1 @@
-"""ECG, beats and tracker as they are recorded."""
+"""Recordings of ECG, beats and tracker."""

@@ -2,7 +2,7 @@
 
 Source: McSharry, Clifford, Tarassenko, Smith, IEEE TBME 50:289 (2003).
 Differs from source: the waves of the dynamical model are evaluated in closed form, so that the R peak stays
-where the rhythm puts it; QRS has a fixed duration in seconds, and the T wave follows RR^0.2, as in real
+at the rhythm's beat; QRS has a fixed duration in seconds, and the T wave follows RR^0.2, as in real
 records, rather than RR^0.5.
 """
 
@@ -34,7 +34,7 @@ _ECTOPIC_MV = np.array([[-0.12, 1.45, -0.55, -0.45], [-0.25, 1.20, -0.80, -0.35]
 
 @dataclass(frozen=True, slots=True)
 class EcgSpec:
-    """Disturbances of the recording.
+    """Recording of an ECG and its disturbances.
 
     Attributes:
         rate_hz: sampling rate.
@@ -44,13 +44,13 @@ class EcgSpec:
         emg_mv: RMS of muscle noise, 20 Hz to 0.4 of the sampling rate.
         mains_mv, mains_hz: amplitude and frequency of mains interference (with its third harmonic).
         resolution_mv: step of the digitiser.
-        lead_off_s: (start, stop) pairs in which the electrodes have come off: a flat line.
+        lead_off_s: (start, stop) pairs in which the electrodes are off: a flat line.
         noise_bursts_s: (start, stop) pairs with strong noise: electrocautery, a patient who shivers.
         burst_mv: RMS of that noise, in the muscle's band.
         missed_beats: indices of beats that leave no trace in the ECG although the heart beat; beat 0 is the
             first with an R peak in the recording.
-        latency_s: every sample's stamp is this much later than the instant at which it was measured: a
-            filter's delay, or a clock that was never set.
+        latency_s: delay of every sample's stamp after its measurement, by a filter or a clock that was never
+            set.
     """
 
     rate_hz: float = 500.0
@@ -83,7 +83,7 @@ class EcgSpec:
 
 
 def clean_ecg(beats: Beats, t_s: FloatArray, spec: EcgSpec) -> FloatArray:
-    """(n, leads) mV without any disturbance; each R wave peaks at its R peak."""
+    """Compute (n, leads) mV without any disturbance; each R wave peaks at its R peak."""
     out = np.zeros((len(t_s), spec.leads))
     rr_before = np.diff(beats.r_peaks_s, prepend=2 * beats.r_peaks_s[0] - beats.r_peaks_s[1])
     first_beat = int(np.searchsorted(beats.r_peaks_s, t_s[0]))
@@ -100,7 +100,7 @@ def clean_ecg(beats: Beats, t_s: FloatArray, spec: EcgSpec) -> FloatArray:
 
 
 def _beat_waves(rr_s: float, ectopic: bool) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Wave centres relative to R (s), widths (s) and amplitudes (leads, waves) after an interval `rr_s`."""
+    """Compute wave centres relative to R (s), widths (s) and amplitudes (leads, waves) after an interval."""
     scale = float(np.clip(rr_s, 0.35, 1.6)) ** 0.2
     if ectopic:
         return _ECTOPIC_S, _ECTOPIC_WIDTHS_S, _ECTOPIC_MV
@@ -109,7 +109,7 @@ def _beat_waves(rr_s: float, ectopic: bool) -> tuple[FloatArray, FloatArray, Flo
 
 
 def synthetic_ecg(beats: Beats, seconds: float, spec: EcgSpec, rng: np.random.Generator) -> Signal:
-    """ECG from 0 to `seconds`, stamped when it was measured: without `latency_s`."""
+    """Simulate an ECG from 0 to `seconds`, stamped when measured: without `latency_s`."""
     n = round(seconds * spec.rate_hz)
     t_s = np.arange(n) / spec.rate_hz
     mv = clean_ecg(beats, t_s, spec)
@@ -127,7 +127,7 @@ def synthetic_ecg(beats: Beats, seconds: float, spec: EcgSpec, rng: np.random.Ge
 
 
 def _baseline(t_s: FloatArray, spec: EcgSpec, rng: np.random.Generator) -> FloatArray:
-    """Breathing plus slow drift below 0.3 Hz, of the wanted RMS."""
+    """Draw breathing plus slow drift below 0.3 Hz, of the specified RMS."""
     frequencies = np.concatenate([[spec.respiration_hz], rng.uniform(0.03, 0.3, 5)])
     weights = np.concatenate([[1.0], rng.uniform(0.2, 0.6, 5)])
     phases = rng.uniform(0, 2 * np.pi, 6)
@@ -136,7 +136,7 @@ def _baseline(t_s: FloatArray, spec: EcgSpec, rng: np.random.Generator) -> Float
 
 
 def _muscle(n: int, spec: EcgSpec, rng: np.random.Generator) -> FloatArray:
-    """White noise band-passed to the muscle's band, of the wanted RMS."""
+    """Draw white noise band-passed to the muscle's band, of the specified RMS."""
     sos = butter(2, (20.0, 0.4 * spec.rate_hz), btype="bandpass", fs=spec.rate_hz, output="sos")
     noise = sosfiltfilt(sos, rng.standard_normal(n + 200))[100:-100]
     return np.asarray(noise * spec.emg_mv / noise.std())

@@ -1,4 +1,4 @@
-"""When the tracker's line of sight is blocked while the tool touches the heart."""
+"""Blocking of the tracker's line of sight while the tool touches the heart."""
 
 from dataclasses import dataclass
 
@@ -14,7 +14,7 @@ class OcclusionSpec:
     """Long losses of one marker.
 
     Attributes:
-        losses_per_min: how many a minute; at least one in a recording where it is not 0.
+        losses_per_min: number a minute; at least one in a recording if not 0.
         loss_s: (shortest, longest) loss.
     """
 
@@ -30,9 +30,9 @@ class OcclusionSpec:
 
 
 def losses_in_contact(contact: ToolTruth, spec: OcclusionSpec, rng: np.random.Generator) -> Intervals:
-    """(start, stop) of every loss, each around a moment in which the tip truly touched.
+    """Draw (start, stop) of every loss, each around a time of true contact.
 
-    The moments are spread over all the time in contact (without any, over the whole recording): each lies in
+    The times are spread over all the time in contact (without any, over the whole recording): each is in
     the middle third of an equal share of it.
     """
     if spec.losses_per_min == 0:

@@ -1,4 +1,4 @@
-"""When the synthetic heart beats: RR series with variability, rate ramps and early beats."""
+"""Beats of the synthetic heart: RR series with variability, rate ramps and early beats."""
 
 from dataclasses import dataclass
 
@@ -11,10 +11,10 @@ SHORTEST_RR_S = 0.24
 
 @dataclass(frozen=True, slots=True)
 class RhythmSpec:
-    """How the RR interval varies.
+    """Parameters of the variation of the RR interval.
 
     Attributes:
-        rate_bpm: (time s, beats/min) knots, linear between, held outside: a ramp needs two.
+        rate_bpm: (time s, beats/min) knots, linear between, constant outside: a ramp needs two.
         respiratory: relative amplitude of respiratory sinus arrhythmia.
         respiration_hz: breathing rate (ventilator).
         mayer: relative amplitude of the slow (0.1 Hz) component.
@@ -44,7 +44,7 @@ class RhythmSpec:
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class Beats:
-    """R peaks with what kind of beat each is.
+    """R peaks with the kind of each beat.
 
     Attributes:
         r_peaks_s: (k,) increasing.
@@ -56,7 +56,7 @@ class Beats:
 
 
 def beat_series(spec: RhythmSpec, start_s: float, stop_s: float, rng: np.random.Generator) -> Beats:
-    """R peaks from at or before `start_s` to at or after `stop_s`.
+    """Draw R peaks from at or before `start_s` to at or after `stop_s`.
 
     RR_k = 60/rate(t) · (1 + respiratory·sin(2πf t + a) + mayer·sin(2π 0.1 t + b) + jitter·ε).
     """

@@ -10,11 +10,11 @@ from dvf_ig.core import FloatArray
 def smooth_noise(
     columns: int, low_hz: float, high_hz: float, rng: np.random.Generator, waves: int = 12
 ) -> Callable[[FloatArray], FloatArray]:
-    """A random function of time with unit RMS per column and a spectrum inside a band.
+    """Draw a function of time with unit RMS per column and a spectrum inside a band.
 
     Returns:
         times (n,) s to values (n, columns): a sum of sinusoids at random frequencies and phases, hence
-        smooth, defined at every time, and independent of where it is sampled.
+        smooth, defined at every time, and independent of its sampling.
     """
     frequencies = rng.uniform(low_hz, high_hz, (columns, waves))
     phases = rng.uniform(0, 2 * np.pi, (columns, waves))

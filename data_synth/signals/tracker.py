@@ -1,4 +1,4 @@
-"""What a tracking system makes of a true motion: sampling, time stamps, noise and drop-outs."""
+"""Tracking of a true motion: sampling, time stamps, noise and drop-outs."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -24,7 +24,7 @@ class TrackerSpec:
         rotation_deg: RMS angle of the rotation noise.
         dropouts_per_min: mean number of drop-outs a minute.
         dropout_s: (shortest, longest) drop-out.
-        latency_s: the stamp is this much later than the instant at which the pose held.
+        latency_s: delay of the stamp after the time of the pose.
         lost_s: (start, stop) pairs, true time, in which the sensor was out of sight.
     """
 
@@ -51,7 +51,7 @@ class TrackerSpec:
 def sampling_times(
     spec: TrackerSpec, start_s: float, stop_s: float, rng: np.random.Generator
 ) -> tuple[FloatArray, FloatArray]:
-    """True sampling instants and the stamps written for them, both (n,) and strictly increasing."""
+    """Draw true sampling times and their stamps, both (n,) and strictly increasing."""
     step = 1.0 / spec.rate_hz
     grid = np.arange(start_s, stop_s - 1e-9, step)
     limit = 0.4 * step
@@ -71,7 +71,7 @@ def tracked(
     spec: TrackerSpec,
     rng: np.random.Generator,
 ) -> PoseStream:
-    """Measured target_from_source: `path` sampled at `true_s`, stamped `stamp_s`, with noise and drop-outs.
+    """Measure target_from_source: `path` at `true_s`, stamped `stamp_s`, with noise and drop-outs.
 
     Rotation noise acts at the sensor, on the source side; a sample that is not OK holds the identity.
     """
@@ -87,7 +87,7 @@ def tracked(
 
 
 def _dropped(t_s: FloatArray, spec: TrackerSpec, rng: np.random.Generator) -> BoolArray:
-    """(n,) True where the line of sight was lost."""
+    """Draw (n,) flags of a lost line of sight."""
     lost = np.zeros(len(t_s), dtype=np.bool_)
     minutes = (t_s[-1] - t_s[0]) / 60.0
     for _ in range(int(rng.poisson(spec.dropouts_per_min * minutes))):

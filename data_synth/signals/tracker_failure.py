@@ -1,4 +1,4 @@
-"""A tracked sensor that fails while it goes on moving: lost for good, frozen, or on a restarted clock."""
+"""Failure of a tracked sensor that keeps moving: lost for good, frozen, or on a restarted clock."""
 
 from dataclasses import dataclass
 
@@ -11,12 +11,12 @@ from .occlusion import Intervals
 
 @dataclass(frozen=True, slots=True)
 class TrackerFailureSpec:
-    """One failure of one sensor.
+    """Failure of one sensor.
 
     Attributes:
-        at_share: when it begins, as a share of the live part.
+        at_share: start of the failure, as a share of the live part.
         lost: no pose is OK from then to the end: the sensor is laid aside, or its cable breaks.
-        frozen_s: for this long the last pose is reported again and again, bit for bit, with status OK.
+        frozen_s: time for which the last pose is repeated, bit for bit, with status OK.
     """
 
     at_share: float = 0.5
@@ -31,17 +31,17 @@ class TrackerFailureSpec:
             )
 
     def lost_s(self, seconds: float) -> Intervals:
-        """(start, stop) in which no pose is OK, in a live part of `seconds`."""
+        """Return (start, stop) in which no pose is OK, in a live part of `seconds`."""
         return ((self.at_share * seconds, np.inf),) if self.lost else ()
 
 
 @dataclass(frozen=True, slots=True)
 class ClockRestartSpec:
-    """A tracker's clock that restarts once.
+    """Restart of a tracker's clock.
 
     Attributes:
-        at_share: when, as a share of the live part.
-        back_s: the stamps of all later poses are this much earlier; 0 is a clock that runs on.
+        at_share: time of the restart, as a share of the live part.
+        back_s: time by which the stamps of all later poses are earlier; 0 is no restart.
     """
 
     at_share: float = 0.5
@@ -56,16 +56,16 @@ class ClockRestartSpec:
 
 
 def with_frozen_poses(stream: PoseStream, spec: TrackerFailureSpec, seconds: float) -> PoseStream:
-    """The stream with the last OK pose from before the failure in place of every pose during it.
+    """Replace every pose during a failure by the last OK pose before it.
 
-    Before any OK pose there is nothing to repeat: the stream is returned as it is.
+    Without an OK pose before, the stream is returned unchanged.
     """
     start_s = spec.at_share * seconds
-    held = np.flatnonzero(stream.valid & (stream.t_s < start_s))
+    ok_before = np.flatnonzero(stream.valid & (stream.t_s < start_s))
     frozen = (stream.t_s >= start_s) & (stream.t_s < start_s + spec.frozen_s)
-    if not len(held) or not frozen.any():
+    if not len(ok_before) or not frozen.any():
         return stream
-    source = np.where(frozen, held[-1], np.arange(len(stream)))
+    source = np.where(frozen, ok_before[-1], np.arange(len(stream)))
     return PoseStream(
         stream.target,
         stream.source,
@@ -79,7 +79,7 @@ def with_frozen_poses(stream: PoseStream, spec: TrackerFailureSpec, seconds: flo
 def split_at_restart(
     stream: PoseStream, spec: ClockRestartSpec, seconds: float
 ) -> tuple[PoseStream, PoseStream | None]:
-    """What was reported before the clock restarted, and what came after it with the stamps it then got."""
+    """Split a stream into the poses before the clock's restart and those after, with their new stamps."""
     before = stream.t_s < spec.at_share * seconds
     if spec.back_s == 0 or before.all() or not before.any():
         return stream, None

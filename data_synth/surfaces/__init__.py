@@ -1,1 +1,1 @@
-"""A beating anatomy made of real corresponding surfaces."""
+"""Beating anatomy built from real corresponding surfaces."""

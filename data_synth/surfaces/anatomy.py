@@ -1,4 +1,4 @@
-"""A beating anatomy made of real corresponding surfaces."""
+"""Beating anatomy built from real corresponding surfaces."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -54,7 +54,7 @@ class DepthGrid:
 def depth_grid(
     vertices_mm: FloatArray, triangles: IntArray, box_mm: FloatArray, spacing_mm: float, band_mm: float
 ) -> DepthGrid:
-    """Exact within `band_mm` of the surface, ±band beyond; the sign by parity of crossings along z."""
+    """Compute depth, exact within `band_mm` of the surface, ±band beyond; sign by parity along z."""
     count = np.ceil((box_mm[1] - box_mm[0]) / spacing_mm).astype(int) + 1
     squared = np.full(tuple(count), band_mm**2)
     flips = np.zeros((count[0], count[1], count[2] + 1), dtype=np.bool_)
@@ -110,7 +110,7 @@ class SurfaceShapes:
 class SurfaceAnatomy:
     """Real surfaces, moved by periodic cubic interpolation of their vertices.
 
-    The epicardium is exactly the interpolated surface (plus mismatch); tissue rides on a dense motion fitted
+    The epicardium is exactly the interpolated surface (plus mismatch); tissue follows a dense motion fitted
     to all surfaces, and agrees with them to a few tenths of a millimetre.
 
     Attributes:
@@ -118,7 +118,7 @@ class SurfaceAnatomy:
         closed: the closed (and, for the epicardium, refined) surfaces by name.
         splines: vertex trajectories over the cycle by name.
         mismatch: pre-operative to intra-operative difference.
-        atria: stubs of them; None: the surfaces hold all there is.
+        atria: stubs of them; None: the surfaces are complete.
     """
 
     series: tuple[SurfaceSeries, ...]
@@ -196,7 +196,7 @@ class SurfaceAnatomy:
         return Landmarks(tuple(points), Points("mr", np.array(list(points.values()))))
 
     def preop(self) -> Preop:
-        """The surfaces as given: what was known before the intervention."""
+        """Return the surfaces as given, the data before the intervention."""
         return Preop(patient_id=self.series[0].patient_id, surfaces=self.series, surface=EPICARDIAL)
 
     def _anatomical_points(self) -> tuple[tuple[str, ...], FloatArray]:
@@ -219,12 +219,12 @@ class SurfaceAnatomy:
 def surface_anatomy(
     surfaces: Mapping[str, SurfaceSeries], *, mismatch_mm: float, seed: int
 ) -> SurfaceAnatomy:
-    """A beating anatomy from real surfaces in frame "mr" whose vertices correspond over the cycle.
+    """Build a beating anatomy from real surfaces in frame "mr" with corresponding vertices.
 
     Args:
         surfaces: EPICARDIAL (required), LV_ENDOCARDIAL, RV_ENDOCARDIAL (optional); open ones are closed.
         mismatch_mm: RMS over the heart box of the smooth non-rigid difference to these surfaces.
-        seed: draws the mismatch.
+        seed: seed of the mismatch.
     Raises:
         InvalidInputError: no epicardium, other frame, differing phase times, or a surface that cannot close.
     """
@@ -254,7 +254,7 @@ def surface_anatomy(
 
 
 def _apex(vertices: FloatArray, openings: IntArray) -> FloatArray:
-    """The vertex farthest from the openings, or the lowest one of a surface without openings."""
+    """Find the vertex farthest from the openings, or the lowest one of a surface without openings."""
     if len(openings) == 0:
         return np.asarray(vertices[vertices[:, 2].argmin()])
     center = vertices[openings].mean(axis=0)
@@ -262,7 +262,7 @@ def _apex(vertices: FloatArray, openings: IntArray) -> FloatArray:
 
 
 def _spread_vertices(vertices: FloatArray, count: int) -> FloatArray:
-    """Farthest-point sample of the vertices, starting at the first."""
+    """Sample vertices by farthest points, starting at the first."""
     chosen = [0]
     nearest = ((vertices - vertices[0]) ** 2).sum(axis=1)
     for _ in range(count - 1):

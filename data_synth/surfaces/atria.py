@@ -1,4 +1,4 @@
-"""Stubs of atria for hearts whose ventricles alone are known."""
+"""Stubs of atria for hearts of which only the ventricles are known."""
 
 from dataclasses import dataclass
 
@@ -14,12 +14,12 @@ ATRIAL_WALL_MM = 2.5
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class AtrialStub:
-    """Atria where only the ventricles are known: blood beyond the valve plane, within the epicardium.
+    """Stub of atria: blood beyond the valve plane, within the epicardium.
 
     Attributes:
         valves_mm: (3,) a point of the plane at which they begin.
         along: (3,) unit vector from the ventricles to the atria.
-        left_mm, right_mm: (3,) middle of each ventricle; the septum lies half-way between.
+        left_mm, right_mm: (3,) middle of each ventricle; the septum is half-way between.
     """
 
     valves_mm: FloatArray
@@ -28,7 +28,7 @@ class AtrialStub:
     right_mm: FloatArray
 
     def layers(self, xyz_mm: FloatArray, organ: FloatArray) -> Layers:
-        """Wall, then the blood of either side, to be painted over the base tissue."""
+        """Return wall, then the blood of each side, to be painted over the base tissue."""
         above = (xyz_mm - self.valves_mm) @ self.along
         across = self.left_mm - self.right_mm
         across = across - (across @ self.along) * self.along

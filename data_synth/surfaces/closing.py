@@ -14,7 +14,7 @@ WELD_MM = 1e-6
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class ClosedSeries:
-    """A watertight surface over the cycle.
+    """Watertight surface over the cycle.
 
     Attributes:
         vertices_mm: (n, v, 3).
@@ -49,7 +49,7 @@ def closed_series(series: SurfaceSeries) -> ClosedSeries:
 
 
 def refined(closed: ClosedSeries) -> ClosedSeries:
-    """Each triangle split into four at its mid-edges: the same surface with four times the triangles."""
+    """Split each triangle into four at its mid-edges."""
     t = closed.triangles
     edges = np.sort(np.concatenate([t[:, [0, 1]], t[:, [1, 2]], t[:, [2, 0]]]), axis=1)
     unique, index = np.unique(edges, axis=0, return_inverse=True)
@@ -72,7 +72,7 @@ def _welded(vertices: FloatArray, triangles: IntArray) -> tuple[FloatArray, IntA
 
 
 def _oriented(triangles: IntArray, name: str) -> IntArray:
-    """Triangles turned so that neighbours agree, piece by piece."""
+    """Turn triangles so that neighbours agree, piece by piece."""
     by_edge: dict[tuple[int, int], list[int]] = defaultdict(list)
     for f, (a, b, c) in enumerate(triangles.tolist()):
         for u, v in ((a, b), (b, c), (c, a)):

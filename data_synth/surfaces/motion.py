@@ -1,4 +1,4 @@
-"""A dense motion of space that follows real surfaces: smooth interpolation of their vertex displacements."""
+"""Dense motion of space that follows real surfaces: smooth interpolation of their vertex displacements."""
 
 from dataclasses import dataclass
 
@@ -25,7 +25,7 @@ MODE_TOLERANCE_MM = 0.03
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class GriddedMotion:
-    """x = X + u(X, phase): u trilinear on a grid, linear between knots at i/k of the cycle.
+    """Motion x = X + u(X, phase): u trilinear on a grid, linear between knots at i/k of the cycle.
 
     Attributes:
         forward_mm: (k, nx, ny, nz, 3) float32.
@@ -44,19 +44,19 @@ class GriddedMotion:
         return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
 
     def backward(self) -> InverseMotion:
-        """The inverse at the same nodes and knots: a first guess between them."""
+        """Inverse at the same nodes and knots; between them a first guess."""
         nodes = self.nodes()
         table = np.empty_like(self.forward_mm)
 
         def fill(part: IntArray) -> None:
-            found = nodes[part]
+            reference = nodes[part]
             for k in range(len(table)):
                 knot = np.full(len(part), k)
                 gridded_motion.polish(
                     nodes[part], self.forward_mm, self.origin_mm, 1.0 / self.spacing_mm,
-                    knot, knot, np.zeros(len(part)), found,
+                    knot, knot, np.zeros(len(part)), reference,
                 )  # fmt: skip
-                table[k].reshape(-1, 3)[part] = found - nodes[part]
+                table[k].reshape(-1, 3)[part] = reference - nodes[part]
 
         for_each(fill, np.array_split(np.arange(len(nodes)), 32))
         return InverseMotion(table, self.origin_mm, self.spacing_mm)
@@ -64,7 +64,7 @@ class GriddedMotion:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SurfaceMotion:
-    """χ⁻¹ of a gridded motion, to 1e-4 mm, behind the inverse mismatch.
+    """Inverse χ⁻¹ of a gridded motion, to 1e-4 mm, after the inverse mismatch.
 
     Where a real cavity nearly empties, the interpolated motion squeezes its blood hard (det ∇χ down to 0.05
     in the real patient, below 0.2 in 0.6 % of the heart box): two in 100 000 searches there end up to 0.2 mm
@@ -81,7 +81,7 @@ class SurfaceMotion:
     mismatch: TabulatedMap | None = None
 
     def pull_back(self, xyz_mm: FloatArray, model_phase: FloatArray | float) -> FloatArray:
-        """(n, 3) reference positions of (n, 3) points."""
+        """Compute (n, 3) reference positions of (n, 3) points."""
         points = np.ascontiguousarray(xyz_mm if self.mismatch is None else self.mismatch.at(xyz_mm))
         out = self.backward.pull_back(points, model_phase)
         gridded_motion.polish(
@@ -96,7 +96,7 @@ class SurfaceMotion:
 
 
 def periodic_spline(timing: CycleTiming, values: FloatArray) -> CubicSpline:
-    """Interpolating periodic cubic spline over the cycle of (n, …) values at the phase times."""
+    """Fit the interpolating periodic cubic spline to (n, …) values at the phase times."""
     times = np.append(timing.fractions, timing.fractions[0] + 1.0)
     return CubicSpline(times, np.concatenate([values, values[:1]]), bc_type="periodic")
 
@@ -109,7 +109,7 @@ def dense_motion(
     Args:
         vertices_mm: (n, v, 3) corresponding vertices of all surfaces.
         reference_mm: (v, 3) the same vertices at model phase 0.
-        box_mm: (2, 3) where the motion is needed.
+        box_mm: (2, 3) box in which the motion is needed.
     """
     controls = _thinned(reference_mm, CONTROL_MM)
     centers = np.concatenate([reference_mm[controls], _anchors(reference_mm)])
@@ -130,7 +130,7 @@ def dense_motion(
 
 
 def _modes(series: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Few temporal modes that reproduce every (k, n) series to MODE_TOLERANCE_MM: (k, r) and (n, r)."""
+    """Find few temporal modes, (k, r) and (n, r), that reproduce every (k, n) series to MODE_TOLERANCE_MM."""
     left, strength, right = np.linalg.svd(series, full_matrices=False)
     for rank in range(1, len(strength) + 1):
         modes = left[:, :rank] * strength[:rank]
@@ -142,7 +142,7 @@ def _modes(series: FloatArray) -> tuple[FloatArray, FloatArray]:
 def _two_scale_field(
     nodes: FloatArray, centers: FloatArray, weights: FloatArray, surface: FloatArray
 ) -> NDArray[np.float32]:
-    """Kernel sum at (nx, ny, nz, 3) nodes: exact near the surfaces, every second node interpolated far away.
+    """Sum the kernel at (nx, ny, nz, 3) nodes: exact near the surfaces, every second node far away.
 
     Returns (nodes, r, 3) float32: mode-major, so that the modes come before the components.
     """
@@ -163,7 +163,7 @@ def _two_scale_field(
     flat = nodes.reshape(-1, 3)
     near = np.flatnonzero(np.isfinite(cKDTree(surface).query(flat, distance_upper_bound=NEAR_MM)[0]))
     field[near] = summed(np.ascontiguousarray(flat[near]))
-    # columns are component-major as the displacements were; the caller wants mode-major
+    # columns are component-major as the displacements; the caller needs mode-major
     return np.ascontiguousarray(field.reshape(len(flat), 3, -1).transpose(0, 2, 1))
 
 
@@ -176,7 +176,7 @@ def _doubled(values: NDArray[np.float32], axis: int) -> NDArray[np.float32]:
 
 
 def _kernel_weights(centers: FloatArray, values: FloatArray) -> FloatArray:
-    """Coefficients of the kernel and of an affine part, (c + 4, k)."""
+    """Solve for coefficients of the kernel and of an affine part, (c + 4, k)."""
     n = len(centers)
     system = np.zeros((n + 4, n + 4))
     system[:n, :n] = _radial(centers, centers)
@@ -192,19 +192,19 @@ def _radial(points: FloatArray, centers: FloatArray) -> FloatArray:
 
 
 def _thinned(points: FloatArray, pitch_mm: float) -> NDArray[np.int64]:
-    """Indices of a subset no two of which are closer than the pitch: first come, first kept."""
+    """Select indices of a subset no two of which are closer than the pitch, in order."""
     tree = cKDTree(points)
     dropped = np.zeros(len(points), dtype=np.bool_)
-    kept = []
+    selected = []
     for i in range(len(points)):
         if not dropped[i]:
-            kept.append(i)
+            selected.append(i)
             dropped[tree.query_ball_point(points[i], pitch_mm)] = True
-    return np.array(kept, dtype=np.int64)
+    return np.array(selected, dtype=np.int64)
 
 
 def _anchors(points: FloatArray) -> FloatArray:
-    """Points on the faces of a box ANCHOR_MM outside, which do not move."""
+    """List points on the faces of a box ANCHOR_MM outside, which do not move."""
     low, high = points.min(axis=0) - ANCHOR_MM, points.max(axis=0) + ANCHOR_MM
     axes = [np.linspace(low[k], high[k], 6) for k in range(3)]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)

@@ -1,1 +1,1 @@
-"""The ultrasound simulator: probe, beam, scan lines, images and volumes."""
+"""Ultrasound simulator: probe, beam, scan lines, images and volumes."""

@@ -1,4 +1,4 @@
-"""The point spread function of a scan as filter weights, scaled so that speckle keeps its power."""
+"""Point spread function of a scan as filter weights, scaled so that speckle keeps its power."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,14 +11,14 @@ LATTICE_MM = 0.15
 """Pitch of the scatterer lattice: a third of the default pulse's axial width."""
 
 ELEVATION_REACH = 2.0
-"""The outermost elevation planes lie this many standard deviations off the middle one."""
+"""Distance of the outermost elevation planes from the middle one, in standard deviations."""
 
 NARROWEST_LINES = 0.02
-"""Least standard deviation of a beam, in fine lines: at a curved array's face it has none at all."""
+"""Smallest standard deviation of a beam, in fine lines: at a curved array's face it would be 0."""
 
 
 def lattice_correlation(distance_mm: FloatArray) -> FloatArray:
-    """Chance that two points this far apart lie in the same lattice cell, averaged over directions."""
+    """Compute the chance that two points are in the same lattice cell, averaged over directions."""
     turn = np.pi * (3 - np.sqrt(5)) * np.arange(64)
     height = 1 - (np.arange(64) + 0.5) / 32
     ring = np.sqrt(1 - height**2)
@@ -28,7 +28,7 @@ def lattice_correlation(distance_mm: FloatArray) -> FloatArray:
 
 
 def axial_taps(fwhm_mm: float, step_mm: float) -> NDArray[np.float32]:
-    """Even number of Gaussian weights on the half-step raster.
+    """Compute an even number of Gaussian weights on the half-step raster.
 
     Scaled so that scatterers of unit power give unit power, although neighbours share lattice cells.
     """
@@ -43,7 +43,7 @@ def axial_taps(fwhm_mm: float, step_mm: float) -> NDArray[np.float32]:
 
 
 def lateral_taps(fwhm_rad: FloatArray, pitch_rad: float, radius_mm: FloatArray) -> NDArray[np.float32]:
-    """(k, samples) Gaussian weights over fine lines at each depth; k is even.
+    """Compute (k, samples) Gaussian weights over fine lines at each depth; k is even.
 
     Scaled so that scatterers of unit power give unit power at every depth, although neighbouring fine lines
     share lattice cells near the probe.
@@ -67,14 +67,14 @@ def lateral_taps(fwhm_rad: FloatArray, pitch_rad: float, radius_mm: FloatArray) 
 
 
 def elevation_offsets(probe: SectorProbe) -> FloatArray:
-    """(planes,) distance of each elevation plane from the middle one, in standard deviations of the beam."""
+    """Compute (planes,) distances of elevation planes from the middle one, in SDs of the beam."""
     if probe.elevation_planes == 1:
         return np.zeros(1)
     return np.linspace(-ELEVATION_REACH, ELEVATION_REACH, probe.elevation_planes)
 
 
 def elevation_weights(probe: SectorProbe) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """(planes, samples) weights of scatterers, which add in power, and of interfaces, which add in phase."""
+    """Compute (planes, samples) weights of scatterers, added in power, and interfaces, added in phase."""
     offsets = elevation_offsets(probe)
     sigma_mm = probe.elevation_fwhm_mm(probe.depths_mm) / FWHM_PER_SIGMA
     weights = np.exp(-0.5 * offsets**2)
@@ -88,12 +88,12 @@ def elevation_weights(probe: SectorProbe) -> tuple[NDArray[np.float32], NDArray[
 
 
 def receive_gain(probe: SectorProbe) -> NDArray[np.float32]:
-    """(samples,) time-gain compensation as an amplitude factor."""
+    """Compute (samples,) time-gain compensation as an amplitude factor."""
     decibel = 2 * probe.tgc_db_per_cm_mhz * probe.frequency_mhz * probe.depths_mm / 10
     return np.asarray(10 ** (decibel / 20), dtype=np.float32)
 
 
 def haze(probe: SectorProbe) -> NDArray[np.float32]:
-    """(samples,) amplitude of near-field clutter, decaying exponentially from the face."""
+    """Compute the (samples,) amplitude of near-field clutter, decaying exponentially from the face."""
     level = 10 ** (probe.haze_db / 20) * np.exp(-probe.depths_mm / probe.haze_mm)
     return np.asarray(level, dtype=np.float32)

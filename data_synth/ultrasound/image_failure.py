@@ -1,4 +1,4 @@
-"""Ultrasound that stops showing the heart while the recorder goes on: noise, black, or a frozen image."""
+"""Failures of the ultrasound image while the recorder continues: noise, black, or a frozen image."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -16,17 +16,18 @@ from .sequence import log_compressed
 ImageContent = Literal["heart", "noise", "black", "frozen"]
 
 NOISE_DB = -27.0
-"""Mean power of the noise, re myocardium: like blood, and 12 dB above black where +21 to −39 dB are shown."""
+"""Mean power of the noise relative to myocardium: like blood, 12 dB above black if +21 to −39 dB are
+shown."""
 
 
 @dataclass(frozen=True, slots=True)
 class ImageFailureSpec:
-    """What images show from some moment to the end.
+    """Content of images from some time to the end.
 
     Attributes:
-        at_share: when that begins, as a share of the live part.
+        at_share: start of the failure, as a share of the live part.
         shows: "heart" is no failure; "noise" weak noise, redrawn in every image; "black" nothing (a video
-            cable out); "frozen" the last image again and again (a frame grabber that hangs).
+            cable out); "frozen" the last image repeated (a frame grabber that hangs).
     """
 
     at_share: float = 0.5
@@ -48,10 +49,10 @@ def with_failure(
     seconds: float,
     rng: np.random.Generator,
 ) -> NDArray[np.uint8]:
-    """(n, rows, columns) images with what is shown instead from the failure on; themselves where none fails.
+    """Replace (n, rows, columns) images from the failure on; without a failure return them unchanged.
 
     Args:
-        t_s: (n,) when each image was taken, increasing.
+        t_s: (n,) times of the images, increasing.
         seconds: length of the live part.
     """
     first = int(np.searchsorted(t_s, spec.at_share * seconds))
@@ -66,7 +67,7 @@ def with_failure(
 
 
 def noise_images(probe: SectorProbe, count: int, rng: np.random.Generator) -> NDArray[np.uint8]:
-    """(count, rows, columns) receiver noise of mean power NOISE_DB, independent from line to line."""
+    """Simulate (count, rows, columns) receiver noise of mean power NOISE_DB, independent between lines."""
     sigma = probe.axial_fwhm_mm / FWHM_PER_SIGMA / probe.step_mm
     convert = ScanConverter.of(probe.polar, probe.pixels)
     out = np.empty((count, probe.rows, probe.columns), dtype=np.uint8)

@@ -1,4 +1,4 @@
-"""What degrades ultrasound images beyond the physics of tissue: clutter, shadows, little dynamic range.
+"""Degradation of ultrasound images beyond the physics of tissue: clutter, shadows, low dynamic range.
 
 Applied to compressed images, whose grey is a linear scale of decibels: shadows subtract from it, and clutter
 adds as power.
@@ -17,7 +17,7 @@ from dvf_ig.core import FloatArray, InvalidInputError
 from .probe import FWHM_PER_SIGMA, SectorProbe
 
 CLUTTER_DB = -24.0
-"""Ordinary clutter near the probe, re myocardium (Lediju 2009 measured 0 to −50 dB in vivo)."""
+"""Ordinary clutter near the probe, relative to myocardium (Lediju 2009 measured 0 to −50 dB in vivo)."""
 
 CLUTTER_DECAY_MM = 80.0
 """Depth over which the amplitude of clutter falls to 1/e: reverberation of the chest wall dies out."""
@@ -30,12 +30,12 @@ class ImageSpec:
     """Faults of the images.
 
     Attributes:
-        clutter: amplitude of the clutter as a multiple of CLUTTER_DB; 0 is none. It stands still in the
+        clutter: amplitude of the clutter as a multiple of CLUTTER_DB; 0 is none. It is fixed in the
             image while the heart moves behind it.
         shadows: number of shadows (ribs, lost contact); they wander slowly through the sector.
         shadow_deg: full width of a shadow at half its loss.
         shadow_db: two-way loss in its middle.
-        dynamic_range_db: of the log compression; the probe's own where it is larger.
+        dynamic_range_db: dynamic range of the log compression, at most the probe's own.
     """
 
     clutter: float = 0.0
@@ -60,10 +60,10 @@ def degraded(
     spec: ImageSpec,
     rng: np.random.Generator,
 ) -> NDArray[np.uint8]:
-    """(n, rows, columns) images with the faults of `spec`; the images themselves where there are none.
+    """Add the faults of `spec` to (n, rows, columns) images; without any, return them unchanged.
 
     Args:
-        t_s: (n,) when each image was taken.
+        t_s: (n,) times of the images.
     """
     narrow = spec.dynamic_range_db < probe.dynamic_range_db
     if spec.clutter == 0 and spec.shadows == 0 and not narrow:
@@ -86,11 +86,11 @@ def degraded(
 def with_echoes(
     grey: NDArray[np.uint8], probe: SectorProbe, loss_db: FloatArray, power: FloatArray, range_db: float
 ) -> FloatArray:
-    """(n,) grey levels 0 to 255 of pixels after a loss, with the power of other echoes added.
+    """Compute (n,) grey levels 0 to 255 of pixels after a loss, with the power of other echoes added.
 
     Args:
-        grey: (n,) as the probe shows them.
-        loss_db: (n,) of what they show; power: (n,) re myocardium's scatter, which is not lost.
+        grey: (n,) grey levels of the probe.
+        loss_db: (n,) loss of these; power: (n,) relative to myocardium's scatter, which is not lost.
         range_db: dynamic range of the result.
     """
     shown = grey.astype(np.float64)
@@ -108,7 +108,7 @@ def _shadows(
     spec: ImageSpec,
     rng: np.random.Generator,
 ) -> Callable[[int], FloatArray]:
-    """Loss in dB at every pixel of an image by its number: shadows spread over the sector, wandering."""
+    """Draw the loss in dB at every pixel by image number: wandering shadows spread over the sector."""
     count = spec.shadows
     spread = (np.arange(count) + rng.uniform(0.2, 0.8, count)) / max(count, 1)
     wander = smooth_noise(max(count, 1), 0.02, 0.15, rng)(t_s)[:, :count]
@@ -132,7 +132,7 @@ def _clutter(
     spec: ImageSpec,
     rng: np.random.Generator,
 ) -> NDArray[np.complex128]:
-    """(2, pixels) complex amplitude of two independent clutter fields, speckled like any other echo."""
+    """Draw the (2, pixels) complex amplitude of two independent clutter fields, speckled like echoes."""
     sigma = (1.2, probe.axial_fwhm_mm / FWHM_PER_SIGMA / probe.step_mm)
     at = np.stack([line, sample])
     depth_mm = (sample + 0.5) * probe.step_mm
@@ -142,6 +142,6 @@ def _clutter(
         parts = [gaussian_filter(rng.standard_normal((probe.lines, probe.samples)), sigma) for _ in range(2)]
         real, imaginary = (map_coordinates(part, at, order=1) for part in parts)
         field = real + 1j * imaginary
-        # interpolation takes some power away; the level is that of what is seen
+        # interpolation removes some power; the level is that of the image
         fields.append(level * field / np.sqrt(np.mean(np.abs(field) ** 2)))
     return np.stack(fields)

@@ -1,6 +1,6 @@
-"""A probe with a calibration that was measured on a real one: its image size, pixel size and mounting.
+"""Probe with a calibration measured on a real one: its image size, pixel size and mounting.
 
-Such a file says where the image's pixels are, not how the scanner fills the image. Here a curved array fills
+Such a file gives the positions of pixels, not how the scanner fills the image. Here a curved array fills
 it: the widest sector of IMAGE_HALF_ANGLE_RAD whose face touches the upper edge and whose deepest line ends at
 the lower one. In an image as deep as it is narrow it becomes a phased array.
 """
@@ -17,7 +17,7 @@ from .probe import SectorProbe
 IMAGE_HALF_ANGLE_RAD = float(np.deg2rad(20.0))
 """In 66 x 46 mm the face is 37 mm wide: a 38 mm linear array that steers its outer lines outwards."""
 SHALLOW_MM = 100.0
-"""Images no deeper than this are those of a high-frequency array."""
+"""Largest depth of an image from a high-frequency array."""
 _STANDARD = SectorProbe()
 _HIGH_FREQUENCY = SectorProbe(
     frequency_mhz=7.0,
@@ -33,7 +33,7 @@ _HIGH_FREQUENCY = SectorProbe(
 
 @dataclass(frozen=True)
 class CalibratedImage:
-    """The B-mode image of a probe as its calibration and its recordings give it.
+    """B-mode image of a probe from its calibration and its recordings.
 
     Attributes:
         probe_from_image: image calibration, frame "probe".
@@ -53,7 +53,7 @@ class CalibratedImage:
         if not 20.0 <= min(across_mm, down_mm) <= max(across_mm, down_mm) <= 400.0:
             raise InvalidInputError(
                 f"the probe's image is {across_mm:.4g} x {down_mm:.4g} mm; needed 20 to 400 mm each way: "
-                "does the size in pixels belong to this calibration?"
+                "check that the size in pixels belongs to this calibration"
             )
 
     @property
@@ -63,7 +63,7 @@ class CalibratedImage:
 
     @cached_property
     def probe(self) -> SectorProbe:
-        """The scanner that makes this image."""
+        """Build the scanner that makes this image."""
         across, down = (float(mm) for mm in self.probe_from_image.scale_mm_per_px)
         width_mm, height_mm = self._size_mm
         half = IMAGE_HALF_ANGLE_RAD
@@ -85,5 +85,5 @@ class CalibratedImage:
 
     @property
     def probe_from_plane(self) -> Rigid:
-        """The calibration from the fan apex, in mm."""
+        """Calibration from the fan apex, in mm."""
         return self.probe_from_image.rigid @ self.probe.plane_from_image.rigid.inverse()

@@ -1,4 +1,4 @@
-"""A still anatomy made from any label volume, for the ultrasound simulator."""
+"""Static anatomy from any label volume, for the ultrasound simulator."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -32,7 +32,7 @@ WALL_MM: dict[Tissue, tuple[Tissue, float]] = {
     Tissue.AORTA: (Tissue.VESSEL_WALL, 2.0),
     Tissue.PULMONARY_ARTERY: (Tissue.VESSEL_WALL, 1.5),
 }
-"""Wall that a labelled blood pool gets where nothing else is labelled."""
+"""Thickness of the wall around a labelled blood pool without another label."""
 
 VALVES = (
     {Tissue.LA_BLOOD, Tissue.LV_BLOOD},
@@ -40,7 +40,7 @@ VALVES = (
     {Tissue.RA_BLOOD, Tissue.RV_BLOOD},
     {Tissue.RV_BLOOD, Tissue.PULMONARY_ARTERY},
 )
-"""Pools that meet at a valve; others that touch are parted by a wall."""
+"""Pools that meet at a valve; others that touch are separated by a wall."""
 
 FAT_MM, PERICARDIUM_MM = 2.0, 1.0
 MARGIN_MM = 25.0
@@ -50,7 +50,7 @@ _SAME_MM = 0.75
 
 @dataclass(frozen=True, slots=True)
 class NoMotion:
-    """No motion: what is here now was always here."""
+    """Motion of a static anatomy."""
 
     def pull_back(self, xyz_mm: FloatArray, model_phase: FloatArray | float) -> FloatArray:
         return xyz_mm
@@ -58,14 +58,14 @@ class NoMotion:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LabelAnatomy:
-    """What the ultrasound simulator needs, from labels; frame "mr"."""
+    """Anatomy for the ultrasound simulator from labels; frame "mr"."""
 
     reference: ReferenceMap
     inverse_motion: NoMotion
 
     @property
     def center_mm(self) -> FloatArray:
-        """(3,) centre of the heart."""
+        """Centre (3,) of the heart."""
         nodes = np.argwhere(self.reference.organ_mm > 0)
         return np.asarray(self.reference.origin_mm + self.reference.spacing_mm * nodes.mean(axis=0))
 
@@ -73,7 +73,7 @@ class LabelAnatomy:
 def label_anatomy(
     labels: Volume, tissues: Mapping[int, Tissue] | None = None, *, spacing_mm: float = 1.0
 ) -> LabelAnatomy:
-    """Tissue fields around the labelled structures: walls, valves, epicardial fat, pericardium.
+    """Build tissue fields around the labelled structures: walls, valves, epicardial fat, pericardium.
 
     Args:
         labels: integer volume; 0 and labels not in `tissues` are background.
@@ -82,8 +82,8 @@ def label_anatomy(
     Raises:
         InvalidInputError: no voxel carries a mapped label, or the labels are not integers.
     """
-    known = WHOLE_HEART if tissues is None else tissues
-    codes, origin = _resampled(labels, known, spacing_mm)
+    tissue_of = WHOLE_HEART if tissues is None else tissues
+    codes, origin = _resampled(labels, tissue_of, spacing_mm)
     codes = _with_valves(codes, spacing_mm)
     codes, organ_mm = _with_walls(codes, spacing_mm)
     inner = np.where(organ_mm > 0, codes, Tissue.ATRIAL_WALL).astype(np.uint8)
@@ -99,7 +99,7 @@ def label_anatomy(
 def _resampled(
     labels: Volume, tissues: Mapping[int, Tissue], spacing_mm: float
 ) -> tuple[NDArray[np.uint8], FloatArray]:
-    """Tissue codes by nearest neighbour on a grid along patient axes around the labels, and its origin."""
+    """Resample tissue codes by nearest neighbour to a grid along patient axes; also return its origin."""
     box = _occupied(labels.values)
     values = np.asarray(labels.values)[box]
     if not np.issubdtype(values.dtype, np.integer) and not np.array_equal(values, np.rint(values)):
@@ -123,24 +123,28 @@ def _resampled(
     for i, x in enumerate(axes[0]):
         xyz = np.stack(np.meshgrid(x, axes[1], axes[2], indexing="ij"), axis=-1)[0]
         index = np.rint(labels.grid.to_index(xyz)).astype(int) - low
-        held = ((index >= 0) & (index < shape)).all(axis=-1)
+        inside = ((index >= 0) & (index < shape)).all(axis=-1)
         index = np.clip(index, 0, shape - 1)
-        out[i] = np.where(held, codes[index[..., 0], index[..., 1], index[..., 2]], 0)
+        out[i] = np.where(inside, codes[index[..., 0], index[..., 1], index[..., 2]], 0)
     return out, origin
 
 
 def _occupied(values: AnyArray) -> tuple[slice, slice, slice]:
-    """The box of the voxels that are not 0; all of an empty volume."""
+    """Find the box of the voxels that are not 0; all of an empty volume."""
     filled = values != 0
     spans = []
     for axis in range(3):
-        held = np.flatnonzero(filled.any(axis=tuple(a for a in range(3) if a != axis)))
-        spans.append(slice(int(held[0]), int(held[-1]) + 1) if len(held) else slice(0, values.shape[axis]))
+        filled_at = np.flatnonzero(filled.any(axis=tuple(a for a in range(3) if a != axis)))
+        spans.append(
+            slice(int(filled_at[0]), int(filled_at[-1]) + 1)
+            if len(filled_at)
+            else slice(0, values.shape[axis])
+        )
     return spans[0], spans[1], spans[2]
 
 
 def _with_valves(codes: NDArray[np.uint8], spacing_mm: float) -> NDArray[np.uint8]:
-    """A leaflet where two pools meet at a valve, a wall where two others touch."""
+    """Add a leaflet where two pools meet at a valve, and a wall where two others touch."""
     out = codes.copy()
     present = [t for t in BLOOD if (codes == t).any()]
     far = {t: _distance_mm(codes == t, spacing_mm, 2 * _SAME_MM + spacing_mm) for t in present}
@@ -154,7 +158,7 @@ def _with_valves(codes: NDArray[np.uint8], spacing_mm: float) -> NDArray[np.uint
 
 
 def _with_walls(codes: NDArray[np.uint8], spacing_mm: float) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
-    """Thin walls around bare blood, then fat and pericardium around all; and depth below the epicardium."""
+    """Add thin walls around bare blood, then fat and pericardium; also return depth below the epicardium."""
     out = codes.copy()
     bare = codes == 0
     for pool, (wall, thickness_mm) in WALL_MM.items():
@@ -169,7 +173,7 @@ def _with_walls(codes: NDArray[np.uint8], spacing_mm: float) -> tuple[NDArray[np
 
 
 def _acoustic_fields(codes: NDArray[np.uint8], spacing_mm: float) -> NDArray[np.float32]:
-    """(nx, ny, nz, CHANNELS) as `ReferenceMap` has them, with edges softened over about a node."""
+    """Compute (nx, ny, nz, CHANNELS) as in `ReferenceMap`, with edges softened over about a node."""
     fields = np.empty((*codes.shape, CHANNELS), dtype=np.float32)
     table = np.zeros((max(Tissue) + 1, CHANNELS - 1), dtype=np.float32)
     for tissue, a in ACOUSTICS.items():
@@ -183,7 +187,7 @@ def _acoustic_fields(codes: NDArray[np.uint8], spacing_mm: float) -> NDArray[np.
 
 
 def _distance_mm(pool: NDArray[np.bool_], spacing_mm: float, reach_mm: float) -> NDArray[np.float32]:
-    """Distance to a pool; infinite beyond the box around it that holds all within `reach_mm`."""
+    """Compute the distance to a pool; infinite outside the box around all within `reach_mm`."""
     out = np.full(pool.shape, np.inf, dtype=np.float32)
     margin = int(np.ceil(reach_mm / spacing_mm)) + 1
     box = tuple(slice(max(0, part.start - margin), part.stop + margin) for part in _occupied(pool))

@@ -1,4 +1,4 @@
-"""Reference positions along scan lines: exact where the motion has creases, straight in between."""
+"""Reference positions along scan lines: exact at creases of the motion, straight between them."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,9 +12,9 @@ TOLERANCE_MM = 0.03
 
 
 def traced_lines(motion: PullBack, points_mm: FloatArray, phases: FloatArray) -> FloatArray:
-    """(lines, count, 3) reference positions of points along smooth lines, to TOLERANCE_MM.
+    """Trace (lines, count, 3) reference positions of points along smooth lines, to TOLERANCE_MM.
 
-    Every COARSE-th point is pulled back. Between them straight lines do, unless second differences show that
+    Every COARSE-th point is pulled back. Straight lines connect them, unless second differences show that
     the path bends: there the intervals are halved until they are straight or one step long.
 
     Args:
@@ -38,9 +38,9 @@ def traced_lines(motion: PullBack, points_mm: FloatArray, phases: FloatArray) ->
         half = stride // 2
         fill_middles(path, stride)
         middle = node + half
-        found = motion.pull_back(points_mm[line, middle], phases[line])
-        missed = ((found - path[line, middle]) ** 2).sum(axis=1) > (0.5 * TOLERANCE_MM) ** 2
-        path[line, middle] = found
+        traced = motion.pull_back(points_mm[line, middle], phases[line])
+        missed = ((traced - path[line, middle]) ** 2).sum(axis=1) > (0.5 * TOLERANCE_MM) ** 2
+        path[line, middle] = traced
         line, node = np.repeat(line[missed], 2), np.repeat(node[missed], 2)
         node[1::2] += half
         stride = half
@@ -48,14 +48,14 @@ def traced_lines(motion: PullBack, points_mm: FloatArray, phases: FloatArray) ->
 
 
 def _bent(nodes_mm: FloatArray) -> NDArray[np.bool_]:
-    """(lines, intervals) whether a crease between two nodes could make the chord miss by TOLERANCE_MM.
+    """Flag (lines, intervals) in which a crease could make the chord miss by TOLERANCE_MM.
 
     A crease at fraction f of an interval shows as a share 1 − f and f of its bend in the second differences
     at either end, and the chord misses it by f(1 − f) of the bend: by their product over their sum.
     """
     second = nodes_mm[:, 2:] - 2.0 * nodes_mm[:, 1:-1] + nodes_mm[:, :-2]
     bend = np.sqrt((second**2).sum(axis=2))
-    # beyond the ends of the line anything might be
+    # outside the ends of the line anything is possible
     bend = np.pad(bend, ((0, 0), (1, 1)), constant_values=1e9)
     left, right = bend[:, :-1], bend[:, 1:]
     return np.asarray(left * right > TOLERANCE_MM * (left + right))

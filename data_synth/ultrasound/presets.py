@@ -1,4 +1,4 @@
-"""Named probes, and how a side-fire catheter holds its array."""
+"""Named probes, and the mounting of a side-fire catheter's array."""
 
 import numpy as np
 
@@ -88,7 +88,7 @@ ARRAY_BEHIND_TIP_MM = 8.0
 
 
 def probe_named(name: str) -> SectorProbe | MatrixProbe:
-    """The probe of that name.
+    """Return the probe of a name.
 
     Raises:
         InvalidInputError: unknown name.
@@ -99,10 +99,10 @@ def probe_named(name: str) -> SectorProbe | MatrixProbe:
 
 
 def catheter_from_plane(turn_rad: float = 0.0) -> Rigid:
-    """Where a side-fire catheter holds its image plane.
+    """Return the pose of a side-fire catheter's image plane.
 
     Frame "catheter", mm: origin at the tip, z along the shaft away from it. The array lies along the shaft
-    and looks sideways: lateral is −z, and depth is at `turn_rad` from x towards y.
+    and faces sideways: lateral is −z, and depth is at `turn_rad` from x towards y.
     """
     depth = np.array([np.cos(turn_rad), np.sin(turn_rad), 0.0])
     lateral = np.array([0.0, 0.0, -1.0])

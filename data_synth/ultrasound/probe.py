@@ -1,4 +1,4 @@
-"""A fan-shaped scan: its beam, its receiver, and where its lines and pixels lie."""
+"""Fan-shaped scan: its beam, its receiver, and the geometry of its lines and pixels."""
 
 import math
 from dataclasses import dataclass
@@ -32,21 +32,21 @@ class SectorProbe:
         rows, columns: image raster.
         mm_per_px: (column, row) size of a pixel.
         apex_px: (column, row) of the fan apex.
-        tgc_db_per_cm_mhz: one-way attenuation that time-gain compensation makes up for.
-        noise_db: receiver noise before compensation, re myocardium at the transducer.
-        dynamic_range_db, top_db: log compression, and the level (re myocardium) shown as white.
-        specular_db: echo of a facing interface, re its reflection coefficient.
+        tgc_db_per_cm_mhz: one-way attenuation that time-gain compensation corrects.
+        noise_db: receiver noise before compensation, relative to myocardium at the transducer.
+        dynamic_range_db, top_db: log compression, and the level (relative to myocardium) shown as white.
+        specular_db: echo of a facing interface, relative to its reflection coefficient.
         specular_power: exponent of the cosine with which interface echoes fall off when not facing the beam.
         fine_lines: lateral oversampling of the scatterers.
         face_radius_mm: radius of a curved array; 0 is a phased array.
         elevation_planes: planes summed over the beam's thickness; 1 is an infinitely thin slice.
         elevation_aperture_mm, elevation_focus_mm: height of the array and focus of its lens.
         bands: frequency compounding: this many disjoint sub-bands are detected and averaged.
-        persistence: weight of the image shown before in the one shown now, in a sequence.
-        haze_db, haze_mm: level at the face (re myocardium) and decay length of near-field clutter.
-        face_reflection: amplitude that the transducer's face sends back into the body: the reverberations
+        persistence: weight of the previous image in the current one, in a sequence.
+        haze_db, haze_mm: level at the face (relative to myocardium) and decay length of near-field clutter.
+        face_reflection: amplitude that the transducer's face reflects into the body: the reverberations
             behind lung and bone.
-        dirty_shadow_db: clutter behind a total reflector, re the level that reaches it.
+        dirty_shadow_db: clutter behind a total reflector, relative to the level that reaches it.
     """
 
     lines: int = 128
@@ -104,33 +104,33 @@ class SectorProbe:
 
     @property
     def depths_mm(self) -> FloatArray:
-        """(samples,) depth of each receive sample below the face."""
+        """Depth (samples,) of each receive sample below the face."""
         return np.asarray((np.arange(self.samples) + 0.5) * self.step_mm)
 
     @property
     def polar(self) -> PolarGrid:
-        """The scan lines about the fan apex."""
+        """Scan lines about the fan apex."""
         stop_mm = self.face_radius_mm + self.depth_mm
         return PolarGrid(self.lines, self.samples, self.face_radius_mm, stop_mm, self.half_angle_rad)
 
     @property
     def line_angles_rad(self) -> FloatArray:
-        """(lines,) angle of each line from the depth axis, towards +x."""
+        """Angle (lines,) of each line from the depth axis, towards +x."""
         return self.polar.angles_rad
 
     @property
     def pixels(self) -> PixelGrid:
-        """The image raster."""
+        """Image raster."""
         return PixelGrid(self.rows, self.columns, self.mm_per_px, self.apex_px)
 
     def pixel_lookup(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """(rows, columns) fractional line and sample index of each pixel; line −1 outside the sector."""
+        """Fractional line and sample index (rows, columns) of each pixel; line −1 outside the sector."""
         converter = ScanConverter.of(self.polar, self.pixels)
         return converter.line, converter.sample
 
     @property
     def directions(self) -> FloatArray:
-        """(lines, 3) unit vectors of the scan lines, frame "plane"."""
+        """Unit vectors (lines, 3) of the scan lines, frame "plane"."""
         angles = self.line_angles_rad
         return np.column_stack([np.sin(angles), np.cos(angles), np.zeros(self.lines)])
 
@@ -140,15 +140,15 @@ class SectorProbe:
 
     @property
     def axial_fwhm_mm(self) -> float:
-        """0.44 c/Δf of the whole band; sub-bands are `bands` times longer."""
+        """Axial pulse width, 0.44 c/Δf of the whole band; sub-bands are `bands` times longer."""
         return 0.44 * SOUND_MM_PER_US / self.bandwidth_mhz * self.bands
 
     def lateral_fwhm_mm(self, depth_mm: FloatArray | float) -> FloatArray:
-        """0.886 λ d/D · √(1 + ((d − focus)/depth of field)²): the off-focus law of this simulator."""
+        """Compute the beam width 0.886 λ d/D · √(1 + ((d − focus)/depth of field)²)."""
         return self._beam_fwhm(depth_mm, self.aperture_mm, self.focus_mm)
 
     def elevation_fwhm_mm(self, depth_mm: FloatArray | float) -> FloatArray:
-        """Thickness of the beam: the lateral law with the array's height and its lens."""
+        """Compute the beam's thickness by the lateral law with the array's height and its lens."""
         return self._beam_fwhm(depth_mm, self.elevation_aperture_mm, self.elevation_focus_mm)
 
     def _beam_fwhm(self, depth_mm: FloatArray | float, aperture_mm: float, focus_mm: float) -> FloatArray:
@@ -158,7 +158,7 @@ class SectorProbe:
 
     @property
     def fan(self) -> Fan:
-        """The insonified sector in image pixels; of pixels that are not square, the largest inside it."""
+        """Insonified sector in image pixels; for pixels that are not square, the largest inside it."""
         across, down = self.mm_per_px
         start_mm, stop_mm = self.polar.start_mm, self.polar.stop_mm
         if across == down:
@@ -171,7 +171,7 @@ class SectorProbe:
 
     @property
     def plane_from_image(self) -> ImageMap:
-        """Pixel (column, row) to in-plane mm (x lateral, y depth, z = 0)."""
+        """Map of pixel (column, row) to in-plane mm (x lateral, y depth, z = 0)."""
         scale = np.array(self.mm_per_px)
         origin = -np.append(scale * np.array(self.apex_px), 0.0)
         return ImageMap(Rigid("plane", "image", np.eye(3), origin), scale)

@@ -1,4 +1,4 @@
-"""Scan conversion: where scan lines and their samples lie, and the image made from them."""
+"""Scan conversion: the geometry of scan lines and their samples, and the image made from them."""
 
 from dataclasses import dataclass
 
@@ -15,9 +15,9 @@ class PolarGrid:
 
     Attributes:
         lines, samples: scan lines, and samples along each; sample i covers the i-th of equal depth intervals
-            and stands at its middle.
-        start_mm, stop_mm: distances from the apex at which lines begin and end.
-        half_angle_rad: the first line lies at −, the last at + this angle from the depth axis.
+            and is at its middle.
+        start_mm, stop_mm: distances of the lines' start and end from the apex.
+        half_angle_rad: angle of the last line from the depth axis; the first is at minus this angle.
     """
 
     lines: int
@@ -45,13 +45,13 @@ class PolarGrid:
 
     @property
     def angles_rad(self) -> FloatArray:
-        """(lines,) angle of each line from the depth axis, towards growing columns."""
+        """Angle (lines,) of each line from the depth axis, towards growing columns."""
         return np.linspace(-self.half_angle_rad, self.half_angle_rad, self.lines)
 
 
 @dataclass(frozen=True, slots=True)
 class PixelGrid:
-    """An image, with (column, row) size of its pixels and place of the apex, which may lie outside it."""
+    """Image raster, with (column, row) size of its pixels and the apex, which may be outside it."""
 
     rows: int
     columns: int
@@ -62,7 +62,7 @@ class PixelGrid:
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class ScanConverter:
-    """The lookup from pixels to lines and samples, made once for a geometry.
+    """Lookup from pixels to lines and samples, made once for a geometry.
 
     Attributes:
         line, sample: (rows, columns) float32 fractional indices; line is −1 outside the insonified sector.
@@ -84,7 +84,7 @@ class ScanConverter:
         return cls(np.where(inside, line, -1.0).astype(np.float32), sample.astype(np.float32))
 
     def __call__(self, grey: NDArray[np.float32]) -> NDArray[np.uint8]:
-        """(rows, columns) image of (lines, samples) grey levels 0…255, bilinear; 0 outside the sector."""
+        """Convert (lines, samples) grey levels 0…255 to a (rows, columns) image; 0 outside the sector."""
         image = np.empty(self.line.shape, dtype=np.uint8)
         scan.scan_convert(grey, self.line, self.sample, image)
         return image

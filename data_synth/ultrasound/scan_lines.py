@@ -1,4 +1,4 @@
-"""The envelope along scan lines: trace, insonify, scatter, form beams, detect."""
+"""Envelope along scan lines: trace, insonify, scatter, form beams, detect."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -24,7 +24,7 @@ Raster = NDArray[np.float32]
 
 
 class AcousticAnatomy(Protocol):
-    """What the simulator needs of an anatomy: tissue at end-diastole, and where it came from."""
+    """Anatomy as the simulator needs it: tissue at end-diastole, and the inverse motion."""
 
     @property
     def reference(self) -> ReferenceMap: ...
@@ -35,7 +35,7 @@ class AcousticAnatomy(Protocol):
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class BeamTables:
-    """Tables that depend on the probe alone.
+    """Tables that depend only on the probe.
 
     Attributes:
         axial: pulse, see `beam`.
@@ -62,13 +62,13 @@ class BeamTables:
 
 @lru_cache(maxsize=8)
 def beam_tables(probe: SectorProbe) -> BeamTables:
-    """Made once for each probe."""
+    """Compute a probe's tables, once for each probe."""
     depths: FloatArray = probe.depths_mm
     radius = probe.face_radius_mm + depths
     pitch = 2 * probe.half_angle_rad / (probe.lines - 1) / probe.fine_lines
     end_mm: FloatArray = probe.step_mm * np.arange(probe.samples + 1.0)
     sigma_mm = probe.elevation_fwhm_mm(end_mm) / FWHM_PER_SIGMA
-    # one fixed table of deviates; the seed enters through the hash that picks from it
+    # one fixed table of deviates; the seed enters through the hash that selects from it
     deviates = np.random.default_rng(20080101).standard_normal((speckle.TABLE, 2)) / np.sqrt(2)
     return BeamTables(
         beam.axial_taps(probe.axial_fwhm_mm, probe.step_mm),
@@ -85,7 +85,7 @@ def beam_tables(probe: SectorProbe) -> BeamTables:
 
 @dataclass(frozen=True, slots=True)
 class Seeds:
-    """64-bit seeds: one of the tissue texture for each band, one of this frame's blood and noise."""
+    """Seeds of 64 bits: of the tissue texture for each band, and of this frame's blood and noise."""
 
     texture: tuple[np.uint64, ...]
     frame: np.uint64
@@ -100,11 +100,11 @@ class Seeds:
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class InsonifiedLines:
-    """What the beams of one plane meet.
+    """Echoes along the beams of one plane.
 
     Attributes:
         path_mm: (lines, samples + 1, 3) reference positions of the ends of the samples.
-        amplitudes: that return from each sample.
+        amplitudes: amplitudes that return from each sample.
     """
 
     path_mm: FloatArray
@@ -119,7 +119,7 @@ def envelope_lines(
     seed: int,
     frame: int,
 ) -> Raster:
-    """(lines, samples) envelope in dB re myocardium's scatter, before log compression."""
+    """Simulate the (lines, samples) envelope in dB relative to myocardium, before log compression."""
     require_same_frame("mr", mr_from_plane.target, "image plane")
     require_same_frame("plane", mr_from_plane.source, "image plane")
     seeds = Seeds.of(seed, frame, probe.bands)
@@ -151,12 +151,12 @@ def insonified_lines(
     phases: FloatArray,
     plane: int = 0,
 ) -> InsonifiedLines:
-    """Trace the scan lines back to end-diastole, and what returns from along them.
+    """Trace the scan lines back to end-diastole, and compute the echoes along them.
 
     Args:
         directions: (lines, 3) unit vectors of the scan lines, frame "mr".
         phases: (lines,) model phase of each.
-        plane: which elevation plane.
+        plane: index of the elevation plane.
     """
     tables = beam_tables(probe)
     along_mm = probe.face_radius_mm + tables.end_mm[:, None]
@@ -173,7 +173,7 @@ def insonified_lines(
 
 
 def _returned(path: FloatArray, reference: ReferenceMap, probe: SectorProbe) -> Amplitudes:
-    """Amplitudes from along (lines, samples + 1, 3) paths, with reverberations."""
+    """Compute amplitudes along (lines, samples + 1, 3) paths, with reverberations."""
     tissue, blood, interface = (np.empty((len(path), path.shape[1] - 1), dtype=np.float32) for _ in range(3))
     out = Amplitudes(tissue, blood, interface, np.zeros((len(path), 3)))
     per_mm = 1.0 / reference.spacing_mm
@@ -203,7 +203,7 @@ def scatter(
 
 
 def add_haze(probe: SectorProbe, seeds: Seeds, band: int, parts: Raster) -> None:
-    """Add near-field clutter, where the probe has any."""
+    """Add near-field clutter, if the probe has any."""
     if probe.haze_db == -np.inf:
         return
     tables = beam_tables(probe)
@@ -215,7 +215,7 @@ def add_haze(probe: SectorProbe, seeds: Seeds, band: int, parts: Raster) -> None
 
 
 def form_beams(probe: SectorProbe, part: Raster, out: Raster) -> None:
-    """Lateral beam and axial pulse: (lines·fine, 2·samples) to (lines, samples)."""
+    """Apply lateral beam and axial pulse: (lines·fine, 2·samples) to (lines, samples)."""
     tables = beam_tables(probe)
     wide = np.empty((probe.lines, part.shape[1]), dtype=np.float32)
     receive.lateral_blur(part, tables.lateral, probe.fine_lines, wide)
@@ -223,6 +223,6 @@ def form_beams(probe: SectorProbe, part: Raster, out: Raster) -> None:
 
 
 def detect(probe: SectorProbe, beams: Raster, seeds: Seeds, band: int, envelope: Raster) -> None:
-    """Receiver noise and gain on `beams` (2, lines, samples); their envelope is added to `envelope`."""
+    """Apply receiver noise and gain to `beams` (2, lines, samples); add their envelope to `envelope`."""
     tables, noise = beam_tables(probe), np.float32(10 ** (probe.noise_db / 20))
     receive.detect(beams[0], beams[1], noise, tables.gain, band, tables.deviates, seeds.frame, envelope)

@@ -25,12 +25,12 @@ def simulate_frame(
     seed: int,
     frame: int,
 ) -> NDArray[np.uint8]:
-    """One B-mode image, (rows, columns).
+    """Simulate one B-mode image, (rows, columns).
 
     Args:
         mr_from_plane: pose of the image plane ("plane" as defined by `SectorProbe`).
         line_phases: (lines,) model phase at which each line was acquired.
-        seed: of the scatterers; the same heart and seed carry the same speckle in every frame.
+        seed: seed of the scatterers; the same heart and seed give the same speckle in every frame.
         frame: number of the frame; blood and receiver noise are redrawn with it.
     Raises:
         InvalidInputError: wrong number of line phases, or a non-finite one.
@@ -49,7 +49,7 @@ def simulate_lines(
     seed: int,
     frame: int,
 ) -> NDArray[np.float32]:
-    """Envelope before log compression and scan conversion: (lines, samples), dB re myocardium's scatter.
+    """Simulate the envelope before log compression and scan conversion: (lines, samples), dB.
 
     Arguments and errors as in `simulate_frame`.
     """
@@ -67,19 +67,19 @@ def simulate_sequence(
     progress: Progress | None = None,
     threads: int = THREADS,
 ) -> NDArray[np.uint8]:
-    """(frames, rows, columns) images; bit-identical for any number of threads.
+    """Simulate (frames, rows, columns) images, bit-identical for any number of threads.
 
     Args:
         mr_from_plane: pose of the image plane for each frame.
         line_phases: (frames, lines) model phases.
-        progress: called with (frames done, frames in all).
+        progress: called with (frames done, total frames).
     Raises:
         InvalidInputError: phases do not match the poses.
     """
     phases = checked_phases(line_phases, (len(mr_from_plane), probe.lines))
     # cached values are filled before threads share them
     _ = (anatomy.reference, anatomy.inverse_motion)
-    convert, kept = _converter(probe), np.float32(probe.persistence)
+    convert, persistence = _converter(probe), np.float32(probe.persistence)
     out = np.empty((len(mr_from_plane), probe.rows, probe.columns), dtype=np.uint8)
 
     def make(i: int) -> NDArray[np.float32]:
@@ -88,7 +88,7 @@ def simulate_sequence(
 
     shown: NDArray[np.float32] | None = None
     for i, grey in enumerate(in_order(make, range(len(out)), threads)):
-        shown = grey if shown is None or kept == 0 else kept * shown + (1 - kept) * grey
+        shown = grey if shown is None or persistence == 0 else persistence * shown + (1 - persistence) * grey
         out[i] = convert(shown)
         if progress is not None:
             progress(i + 1, len(out))
@@ -96,14 +96,14 @@ def simulate_sequence(
 
 
 def log_compressed(level_db: NDArray[np.float32], probe: SectorProbe) -> NDArray[np.float32]:
-    """Grey levels 0…255 of an envelope in dB."""
+    """Convert an envelope in dB to grey levels 0…255."""
     floor_db = np.float32(probe.top_db - probe.dynamic_range_db)
     grey = (level_db - floor_db) * np.float32(255 / probe.dynamic_range_db)
     return np.asarray(np.clip(grey, 0, 255), dtype=np.float32)
 
 
 def checked_phases(line_phases: FloatArray, shape: tuple[int, ...]) -> FloatArray:
-    """The phases as float64.
+    """Check line phases and convert them to float64.
 
     Raises:
         InvalidInputError: another shape than one for each scan line, or not finite.

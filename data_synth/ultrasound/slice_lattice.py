@@ -1,8 +1,8 @@
-"""The lattice of scatterers as one image slice sees it: its cells are as thick as the slice.
+"""Lattice of scatterers for one image slice, with cells as thick as the slice.
 
 A slice some millimetres thick sums all scatterers across its thickness, so that its speckle stays while
-tissue moves less than that out of the plane. Where one plane stands for the whole slice its scatterers have
-to be those sums: cells fine in the plane and long across it. The cells belong to the tissue and cannot turn
+tissue moves less than that out of the plane. If one plane represents the whole slice, its scatterers must be
+those sums: cells fine in the plane and long across it. The cells belong to the tissue and cannot turn
 with each image, so they have one of a few fixed orientations: the one nearest to the slice's.
 """
 
@@ -22,10 +22,10 @@ _COUNT = 24
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class Lattice:
-    """A lattice of scatterers: its orientation and its cells.
+    """Lattice of scatterers: its orientation and its cells.
 
     Attributes:
-        number: which orientation; each has its own texture.
+        number: index of the orientation; each has its own texture.
         axes: (3, 3) unit rows, two in the cells' plane and one across, frame "mr".
         per_mm: (3,) cells a millimetre along the axes.
     """
@@ -36,12 +36,12 @@ class Lattice:
 
 
 def fine_lattice() -> Lattice:
-    """Cubic cells along patient axes, for beams that resolve elevation themselves."""
+    """Return cubic cells along patient axes, for beams that resolve elevation themselves."""
     return Lattice(0, np.eye(3), np.full(3, 1.0 / LATTICE_MM))
 
 
 def slice_lattice(probe: SectorProbe, normal: FloatArray) -> Lattice:
-    """Of an image plane with this (3,) unit normal, frame "mr"."""
+    """Choose the lattice of an image plane with this (3,) unit normal, frame "mr"."""
     if probe.elevation_planes > 1:
         return fine_lattice()
     number = int(np.abs(_NORMALS @ normal).argmax())
@@ -54,7 +54,7 @@ def slice_lattice(probe: SectorProbe, normal: FloatArray) -> Lattice:
 
 
 def _half_sphere() -> FloatArray:
-    """(_COUNT, 3) unit vectors spread evenly over the upper half."""
+    """List (_COUNT, 3) unit vectors spread evenly over the upper half."""
     turn = np.pi * (3 - np.sqrt(5)) * np.arange(_COUNT)
     height = 1 - (np.arange(_COUNT) + 0.5) / _COUNT
     ring = np.sqrt(1 - height**2)

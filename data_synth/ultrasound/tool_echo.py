@@ -1,7 +1,7 @@
-"""What a scan shows of a metal tool: a bright echo where it meets the shaft, ringing and a shadow behind it.
+"""Echo of a metal tool in a scan: a bright echo at the shaft, with ringing and a shadow behind it.
 
 Applied to compressed images, whose grey is a linear scale of decibels: the echo adds as power, and the shadow
-subtracts. Of a shaft that crosses the image a short piece is shown, as long as the beam is thick; a shaft
+subtracts. If the shaft crosses the image, a short piece is shown, as long as the beam is thick; a shaft
 within the image is a line that ends at the tip.
 """
 
@@ -20,21 +20,21 @@ from .probe import FWHM_PER_SIGMA, SectorProbe
 _SHAFT_STEP_MM = 0.25
 _GLINT_STEPS = 4.0
 _LEAST_SHARE = 1e-3
-"""Of the echo of a shaft in the middle of the beam, below which nothing is drawn."""
+"""Share of the echo of a shaft in the middle of the beam below which nothing is drawn."""
 
 
 @dataclass(frozen=True, slots=True)
 class ToolEchoSpec:
-    """A straight tool of metal.
+    """Straight metal tool.
 
     Attributes:
         shown: whether images show it at all.
-        level_db: echo of a shaft across the beam, re myocardium's scatter.
-        along_db: how much weaker a shaft along the beam is: it reflects away from the probe.
+        level_db: echo of a shaft across the beam, relative to myocardium's scatter.
+        along_db: loss of a shaft along the beam, which reflects away from the probe.
         glint_db: standard deviation of the echo along the shaft, redrawn with every image.
-        ringing_mm: depth over which the echo rings on to 1/e of its amplitude.
+        ringing_mm: depth over which the ringing falls to 1/e of its amplitude.
         shadow_db: two-way loss behind it.
-        length_mm: of the shaft from the tip on that may be seen.
+        length_mm: length of the shaft from the tip on that may be visible.
     """
 
     shown: bool = False
@@ -59,10 +59,10 @@ def with_tool(
     spec: ToolEchoSpec,
     rng: np.random.Generator,
 ) -> NDArray[np.uint8]:
-    """(n, rows, columns) images with the tool in those that meet it.
+    """Add the tool to those of (n, rows, columns) images that meet it.
 
     Args:
-        tip_mm: (n, 3) the tip at each image, frame "plane".
+        tip_mm: (n, 3) tip at each image, frame "plane".
         shaft: (n, 3) unit vector from the tip up the shaft, frame "plane".
         hidden: (number of the image, (k, 3) points in frame "plane") to (k,) points that lung or bone hides.
     """
@@ -84,7 +84,7 @@ def with_tool(
 def _in_view(
     probe: SectorProbe, tip_mm: FloatArray, up: FloatArray, spec: ToolEchoSpec
 ) -> tuple[FloatArray, FloatArray]:
-    """(k, 3) points of the shaft in the beams, and (k,) how much of their echo the beam's thickness shows."""
+    """Find (k, 3) points of the shaft in the beams, and (k,) the share of their echo in the beam."""
     points = tip_mm + np.arange(0.0, spec.length_mm, _SHAFT_STEP_MM)[:, None] * up
     depth = np.hypot(points[:, 0], points[:, 1]) - probe.face_radius_mm
     sigma_mm = probe.elevation_fwhm_mm(np.maximum(depth, 1.0)) / FWHM_PER_SIGMA
@@ -102,7 +102,7 @@ def _scan_lines(
     spec: ToolEchoSpec,
     rng: np.random.Generator,
 ) -> tuple[FloatArray, FloatArray]:
-    """(lines, samples) amplitude of the echo, and loss in dB."""
+    """Compute the (lines, samples) amplitude of the echo, and loss in dB."""
     glint = gaussian_filter1d(rng.standard_normal(len(points)), _GLINT_STEPS)
     glint_db = spec.glint_db * glint * np.sqrt(2 * _GLINT_STEPS * np.sqrt(np.pi))
     depth = np.hypot(points[:, 0], points[:, 1]) - probe.face_radius_mm
@@ -118,7 +118,7 @@ def _scan_lines(
 
 
 def _shown(probe: SectorProbe, echo: FloatArray, depth_mm: float, spec: ToolEchoSpec) -> FloatArray:
-    """Amplitudes along the shaft as wide as the beam, and ringing on in depth; peaks keep their height."""
+    """Spread amplitudes over the beam's width, with ringing in depth; peaks keep their height."""
     pitch_mm = depth_mm * 2 * probe.half_angle_rad / (probe.lines - 1)
     lateral = float(probe.lateral_fwhm_mm(depth_mm)) / FWHM_PER_SIGMA / pitch_mm
     axial = probe.axial_fwhm_mm / FWHM_PER_SIGMA / probe.step_mm
@@ -132,5 +132,5 @@ def _shown(probe: SectorProbe, echo: FloatArray, depth_mm: float, spec: ToolEcho
 
 
 def _loss_db(probe: SectorProbe, met: FloatArray, spec: ToolEchoSpec) -> FloatArray:
-    """Loss behind what the beams have met, blurred as the beams are."""
+    """Compute the loss behind the shaft, blurred like the beams."""
     return np.asarray(gaussian_filter1d(spec.shadow_db * np.maximum.accumulate(met, axis=1), 1.0, axis=0))

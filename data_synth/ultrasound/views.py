@@ -7,7 +7,7 @@ from data_synth.heart.tissue import Tissue
 from dvf_ig.core import FloatArray, InvalidInputError, Rigid
 
 COUPLING_MM = 5.0
-"""Gel or fluid between the transducer's face and what it looks at."""
+"""Thickness of gel or fluid between the transducer's face and the tissue."""
 
 VIEWS = ("apical four-chamber", "tee four-chamber", "epicardial short-axis", "ice atria")
 
@@ -17,11 +17,11 @@ VIEW_PROBE = {
     "epicardial short-axis": "epicardial",
     "ice atria": "ice",
 }
-"""The probe that each view is usually taken with."""
+"""Usual probe of each view."""
 
 
 def standard_view(name: str, reference: ReferenceMap) -> Rigid:
-    """mr_from_plane of a view at end-diastole; image columns grow towards the patient's left where they can.
+    """Find mr_from_plane of a view at end-diastole; columns grow towards the patient's left if possible.
 
     apical four-chamber: from the left ventricle's apex to the atria, through the right ventricle.
     tee four-chamber: the same plane from behind the left atrium.
@@ -49,16 +49,18 @@ def standard_view(name: str, reference: ReferenceMap) -> Rigid:
 
 
 def view_from(eye_mm: FloatArray, towards_mm: FloatArray, roll_rad: float = 0.0) -> Rigid:
-    """mr_from_plane of a probe at a point, looking at another.
+    """Build mr_from_plane of a probe at a point, looking at another.
 
-    Without roll, image columns grow towards the patient's left (or head, where the probe looks sideways).
+    Without roll, image columns grow towards the patient's left (or head, if the probe looks sideways).
 
     Raises:
         InvalidInputError: the points coincide.
     """
     depth = np.asarray(towards_mm, dtype=np.float64) - eye_mm
     if np.linalg.norm(depth) < 1e-3:
-        raise InvalidInputError("the probe looks at the place where it is; choose two points")
+        raise InvalidInputError(
+            "the probe's position and the point it looks at coincide; choose two different points"
+        )
     sideways = np.array([1.0, 0.0, 0.0])
     if abs(_unit(depth) @ sideways) > 0.95:
         sideways = np.array([0.0, 0.0, 1.0])
@@ -79,23 +81,23 @@ def _unit(v: FloatArray) -> FloatArray:
 
 
 def _center(reference: ReferenceMap, chamber: Tissue) -> FloatArray:
-    """Centroid of a chamber's blood."""
+    """Compute the centroid of a chamber's blood."""
     nodes = np.argwhere((reference.inner == chamber) & (reference.organ_mm > 0))
     if not len(nodes):
         raise InvalidInputError(
-            f"the tissue map holds no {chamber.name.lower()}; give the probe's place instead of a view"
+            f"the tissue map holds no {chamber.name.lower()}; give the probe's position instead of a view"
         )
     return np.asarray(reference.origin_mm + reference.spacing_mm * nodes.mean(axis=0))
 
 
 def _outside(reference: ReferenceMap, start_mm: FloatArray, direction: FloatArray) -> FloatArray:
-    """The first point along a ray that has left the heart for good, and a coupling layer further."""
+    """Find the first point along a ray that is outside the heart for good, and go past the coupling layer."""
     steps_mm = np.arange(0.0, 200.0, 0.5)
     points = start_mm + steps_mm[:, None] * direction
     shape = np.array(reference.organ_mm.shape)
     index = np.rint((points - reference.origin_mm) / reference.spacing_mm).astype(int)
-    known = ((index >= 0) & (index < shape)).all(axis=1)
+    in_map = ((index >= 0) & (index < shape)).all(axis=1)
     index = np.clip(index, 0, shape - 1)
-    inside = known & (reference.organ_mm[tuple(index.T)] > 0)
+    inside = in_map & (reference.organ_mm[tuple(index.T)] > 0)
     last = int(np.flatnonzero(inside)[-1]) if inside.any() else 0
     return np.asarray(points[last] + COUPLING_MM * direction)

@@ -32,10 +32,10 @@ _ROW_SEED = 0x9E3779B97F4A7C15
 
 @dataclass(frozen=True, slots=True)
 class MatrixProbe:
-    """A square matrix array that steers in two directions.
+    """Square matrix array that steers in two directions.
 
     Attributes:
-        sector: the scan in the plane z = 0; its beam holds in elevation as well. Planes and bands are 1.
+        sector: the scan in the plane z = 0; its beam also applies in elevation. Planes and bands are 1.
         tall: lines in elevation; they fan out over the same angle as the sector's.
         voxel_mm: pitch of the converted volume.
     """
@@ -60,7 +60,7 @@ class MatrixProbe:
 
     @property
     def directions(self) -> FloatArray:
-        """(tall, lines, 3) unit vectors of the lines, frame "plane"."""
+        """Unit vectors (tall, lines, 3) of the lines, frame "plane"."""
         rows = np.linspace(-self.sector.half_angle_rad, self.sector.half_angle_rad, self.tall)
         z, x = np.meshgrid(np.tan(rows), np.tan(self.sector.line_angles_rad), indexing="ij")
         raw = np.stack([x, np.ones_like(x), z], axis=-1)
@@ -68,7 +68,7 @@ class MatrixProbe:
 
     @property
     def grid(self) -> Grid:
-        """Voxels over the pyramid, frame "plane"."""
+        """Voxel grid over the pyramid, frame "plane"."""
         s, h = self.sector, self.voxel_mm
         half = int(np.ceil(s.depth_mm * np.sin(s.half_angle_rad) / h))
         side = 2 * half + 1
@@ -78,7 +78,7 @@ class MatrixProbe:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EchoVolume:
-    """One 3-D ultrasound image.
+    """3-D ultrasound image.
 
     Attributes:
         image: uint8, frame "plane": lateral, depth, elevation.
@@ -99,7 +99,7 @@ def simulate_volume(
     frame: int = 0,
     threads: int = THREADS,
 ) -> EchoVolume:
-    """One 3-D image; bit-identical for any number of threads.
+    """Simulate one 3-D image, bit-identical for any number of threads.
 
     Args:
         mr_from_plane: pose of the array.
@@ -115,7 +115,7 @@ def simulate_volume(
 
 
 def shown_volume(level_db: NDArray[np.float32], probe: MatrixProbe, *, threads: int = THREADS) -> EchoVolume:
-    """Log compression and conversion to voxels of a pyramid of scan lines."""
+    """Convert a pyramid of scan lines to voxels, with log compression."""
     return _converted(log_compressed(level_db, probe.sector), probe, threads)
 
 
@@ -129,7 +129,7 @@ def simulate_pyramid(
     frame: int = 0,
     threads: int = THREADS,
 ) -> NDArray[np.float32]:
-    """Envelope before log compression and conversion: (tall, lines, samples), dB re myocardium's scatter.
+    """Simulate the envelope before log compression and conversion: (tall, lines, samples), dB.
 
     Arguments and errors as in `simulate_volume`.
     """
@@ -146,7 +146,7 @@ def simulate_pyramid(
 def _insonified_rows(
     anatomy: AcousticAnatomy, probe: MatrixProbe, mr_from_plane: Rigid, phases: FloatArray, threads: int
 ) -> list[InsonifiedLines]:
-    """One fan of lines for each of the `tall` rows."""
+    """Trace one fan of lines for each of the `tall` rows."""
     directions = probe.directions @ mr_from_plane.rotation.T
 
     def row(e: int) -> InsonifiedLines:
@@ -156,7 +156,7 @@ def _insonified_rows(
 
 
 def _rows_of_beams(probe: MatrixProbe, rows: list[InsonifiedLines], seeds: Seeds, threads: int) -> Raster:
-    """(2, tall · fine_lines, lines, samples) echoes, formed laterally and axially but not in elevation."""
+    """Form (2, tall · fine_lines, lines, samples) echoes laterally and axially but not in elevation."""
     s, fine, tall = probe.sector, probe.sector.fine_lines, probe.tall
     beams = np.empty((2, tall * fine, s.lines, s.samples), dtype=np.float32)
     lattice = fine_lattice()
@@ -177,7 +177,7 @@ def _rows_of_beams(probe: MatrixProbe, rows: list[InsonifiedLines], seeds: Seeds
 
 
 def _detected(probe: MatrixProbe, beams: Raster, seeds: Seeds, threads: int) -> NDArray[np.float32]:
-    """(tall, lines, samples) dB: the beam in elevation, noise, gain and envelope."""
+    """Compute (tall, lines, samples) dB: the beam in elevation, noise, gain and envelope."""
     s, shape = probe.sector, (probe.tall, probe.sector.lines, probe.sector.samples)
     formed, level = np.empty((2, *shape), dtype=np.float32), np.zeros(shape, dtype=np.float32)
     taps = _elevation_taps(probe)
@@ -199,7 +199,7 @@ def _detected(probe: MatrixProbe, beams: Raster, seeds: Seeds, threads: int) -> 
 
 @lru_cache(maxsize=4)
 def _elevation_taps(probe: MatrixProbe) -> Raster:
-    """(k, lines · samples): the lateral beam, across elevation lines."""
+    """Compute (k, lines · samples) weights of the lateral beam across elevation lines."""
     s = probe.sector
     pitch = 2 * s.half_angle_rad / (probe.tall - 1) / s.fine_lines
     taps = beam.lateral_taps(s.lateral_fwhm_mm(s.depths_mm) / s.depths_mm, pitch, s.depths_mm)

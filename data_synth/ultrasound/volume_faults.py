@@ -1,4 +1,4 @@
-"""The faults of `image_faults` in 3-D: clutter adds power to a pyramid of scan lines, shadows take it."""
+"""Faults of `image_faults` in 3-D: clutter adds power to a pyramid of scan lines, shadows remove it."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,11 +14,11 @@ from .volume import MatrixProbe
 def degraded_pyramid(
     level_db: NDArray[np.float32], probe: MatrixProbe, spec: ImageSpec, rng: np.random.Generator
 ) -> NDArray[np.float32]:
-    """(tall, lines, samples) dB with clutter and shadows; the same values where there are none.
+    """Add clutter and shadows to (tall, lines, samples) dB; unchanged without any.
 
     Args:
         level_db: echo level of `simulate_pyramid`.
-        spec: faults; its dynamic range is that of the display and does not act here.
+        spec: faults; its dynamic range belongs to the display and has no effect here.
     """
     if spec.clutter == 0 and spec.shadows == 0:
         return level_db
@@ -28,7 +28,7 @@ def degraded_pyramid(
 
 
 def _shadow_db(probe: MatrixProbe, spec: ImageSpec, rng: np.random.Generator) -> FloatArray:
-    """Loss behind what lies on the probe's face: ribs or lost contact, each a cone of lines."""
+    """Draw the loss behind ribs or lost contact at the probe's face, each a cone of lines."""
     half, s = probe.sector.half_angle_rad, probe.sector
     across, up = np.meshgrid(s.line_angles_rad, np.linspace(-half, half, probe.tall))
     width = np.deg2rad(spec.shadow_deg) / FWHM_PER_SIGMA

@@ -1,6 +1,6 @@
 """Inliers of a least-squares fit: residuals within some robust standard deviations, refitted until stable.
 
-The one rule of every calibration here: pivot, N-wire, cross-wire, wall, hand–eye, dwells.
+Pivot, N-wire, cross-wire, wall, hand–eye and dwell fits all use this rule.
 """
 
 from collections.abc import Callable, Sequence
@@ -15,7 +15,7 @@ from dvf_ig.core import BoolArray, FloatArray, read_only_arrays
 LEAST_LIMIT = 1e-6
 """Smallest limit, in the residuals' unit: what rounding leaves of exact data counts as an inlier."""
 MIN_INLIERS = 3
-"""Fewer samples are not fitted."""
+"""Fewest samples that are fitted."""
 MAX_ROUNDS = 50
 MEDIAN_LENGTH = float(np.sqrt(chi2.ppf(0.5, 3)))
 """Median length of a 3-D Gaussian vector over the standard deviation of a coordinate (Maxwell)."""
@@ -25,7 +25,7 @@ M = TypeVar("M")
 
 @dataclass(frozen=True, slots=True)
 class InlierRule:
-    """Which residual lengths are those of inliers.
+    """Rule that selects inliers by the lengths of their residuals.
 
     Attributes:
         keep_sigma: an inlier's residual is at most this many robust standard deviations long.
@@ -40,7 +40,7 @@ class InlierRule:
     scale_below: float = np.inf
 
     def limit(self, lengths: FloatArray, inliers: BoolArray) -> float:
-        """Longest residual of an inlier, from (n,) or (n, k) lengths and the (n,) current inliers."""
+        """Compute an inlier's longest residual from (n,) or (n, k) lengths and the (n,) current inliers."""
         near = lengths[inliers] if self.scale_from_inliers else lengths
         near = near[near <= self.scale_below]
         sigma = robust_sd(near, self.dimensions) if near.size else 0.0
@@ -49,7 +49,7 @@ class InlierRule:
     def select(
         self, lengths: Sequence[FloatArray], inliers: BoolArray
     ) -> tuple[BoolArray, tuple[float, ...]]:
-        """(n,) samples within the limit of every measure, and those limits.
+        """Select the (n,) samples within the limit of every measure; also return the limits.
 
         Args:
             lengths: of each measure (millimetres, degrees), (n,) or (n, k); all k must be within the limit.
@@ -69,7 +69,7 @@ class Consensus(Generic[M]):
     """A fit and the samples that agree with it.
 
     Attributes:
-        model: fitted to the inliers; None where they determine none.
+        model: fitted to the inliers; None if they determine none.
         inliers: (n,).
         limits: longest residual of an inlier, of each measure.
     """
@@ -80,7 +80,7 @@ class Consensus(Generic[M]):
 
 
 def robust_sd(lengths: FloatArray, dimensions: int = 3) -> float:
-    """Standard deviation of one component of Gaussian residual vectors, from the median of their lengths.
+    """Estimate the SD of one component of Gaussian residual vectors from the median of their lengths.
 
     The median squared length is that of a chi-squared distribution times the variance: see MEDIAN_LENGTH.
     """
@@ -96,7 +96,7 @@ def fit_inliers(
     """Fit and select in alternation until the inliers no longer change.
 
     Args:
-        fit: the model of the given inliers, from the last model (None at first); None where the inliers do
+        fit: the model of the given inliers, from the last model (None at first); None if the inliers do
             not determine one.
         lengths: residual lengths of all samples under a model, one array a measure.
         start: (n,) first inliers.

@@ -8,7 +8,7 @@ from dvf_ig.core import QualityGateError
 
 
 class Gate(StrEnum):
-    """What is asked of an estimate; the value says what is wrong where it fails."""
+    """Quality gates of an estimate; the value describes the failure."""
 
     SMALL_ROTATION = "rotations too small"
     ONE_AXIS = "rotations about one axis only"
@@ -30,7 +30,7 @@ class Refusal:
 
 
 class Judged(Protocol):
-    """A result with its verdict: it may be used where no gate refused it."""
+    """Result with its refusals; it may be used if there are none."""
 
     @property
     def refusals(self) -> tuple[Refusal, ...]: ...
@@ -40,7 +40,7 @@ R = TypeVar("R", bound=Judged)
 
 
 def accepted(result: R) -> R:
-    """The result, for callers that must not use a refused one.
+    """Return the result, or raise if a gate refused it.
 
     Raises:
         QualityGateError: a gate refused it; the message holds the sentence of each gate that did.

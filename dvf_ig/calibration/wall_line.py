@@ -11,7 +11,7 @@ from dvf_ig.core import BoolArray, FloatArray, InvalidInputError, QualityGateErr
 
 @dataclass(frozen=True, slots=True)
 class WallLineOptions:
-    """What counts as the floor.
+    """Criteria by which an echo counts as the floor.
 
     Attributes:
         bright_share: a column's echo counts when it reaches this share of the image's brightest echo.
@@ -39,7 +39,7 @@ class WallLines:
 
     Attributes:
         column_px: the column at which rows are given: the image's centre.
-        row_px, slope: (n,) NaN where no line was found.
+        row_px, slope: (n,) NaN if no line was found.
         found: (n,).
     """
 
@@ -59,9 +59,9 @@ class WallLines:
 def find_wall_lines(
     images: NDArray[np.uint8], *, rng: Generator, options: WallLineOptions | None = None
 ) -> WallLines:
-    """The strongest straight echo of each frame.
+    """Find the strongest straight echo of each frame.
 
-    What stands still in all frames (scale, text, transducer face) is removed first.
+    What does not change between frames (scale, text, transducer face) is removed first.
 
     Args:
         images: (n, rows, columns) grey values, depth along rows.
@@ -83,7 +83,7 @@ def wall_trace(
     t_s: FloatArray, images: NDArray[np.uint8], valid: BoolArray, *, rng: Generator,
     options: WallLineOptions | None = None,
 ) -> Trace:  # fmt: skip
-    """Row of the tank's floor at the image centre over time, frames without one left out.
+    """Trace the row of the tank's floor at the image centre over time, skipping frames without one.
 
     Raises:
         QualityGateError: fewer than half of the valid frames show a floor.
@@ -104,7 +104,7 @@ def wall_trace(
 def _line(
     image: FloatArray, center: float, rng: Generator, options: WallLineOptions
 ) -> tuple[float, float] | None:
-    """Row at the centre column and slope, or None."""
+    """Find a line's row at the centre column and its slope, or None."""
     column, row, strength = _echoes(image, options)
     if len(column) < max(8, options.min_columns * image.shape[1]):
         return None

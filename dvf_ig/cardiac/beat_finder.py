@@ -65,7 +65,7 @@ class Complex:
 
 
 class BeatFinder:
-    """Takes one envelope sample of all leads at a time, in order; returns the beats that this one decided."""
+    """Streaming QRS detector: one envelope sample of all leads at a time gives the beats it decided."""
 
     def __init__(self, rate_hz: float, leads: int, options: RPeakOptions, warm_up: int = 0) -> None:
         """Peaks within the first `warm_up` samples, the transient of the envelope's filters, are ignored."""
@@ -86,7 +86,7 @@ class BeatFinder:
         self._candidates: deque[Complex] = deque(maxlen=16)
 
     def step(self, row: Sequence[float], off: Sequence[bool]) -> list[Complex]:
-        """Envelope values and "lead off" flags of the next sample."""
+        """Process envelope values and "lead off" flags of the next sample."""
         if self._learnt:
             return self._decide(row, off)
         self._learning.append((row, off))
@@ -95,32 +95,32 @@ class BeatFinder:
         return self._finish_learning()
 
     def _finish_learning(self) -> list[Complex]:
-        """Classify the first seconds once their levels are known; everything found is known only now."""
+        """Classify the first seconds once their levels are known; their beats are detected only now."""
         self._learnt = True
         rows = np.array([row for row, _ in self._learning])
         self._levels.learn(rows, self._rate)
-        found = [beat for row, off in self._learning for beat in self._decide(row, off)]
+        beats = [beat for row, off in self._learning for beat in self._decide(row, off)]
         self._learning = []
-        return [Complex(beat.top, self._now, beat.height) for beat in found]
+        return [Complex(beat.top, self._now, beat.height) for beat in beats]
 
     def _decide(self, row: Sequence[float], off: Sequence[bool]) -> list[Complex]:
         self._now += 1
         self._history.append(row)
         height = self._levels.combined(row, off)
-        found: list[Complex] = []
+        beats: list[Complex] = []
         if height > self._top:
             self._top, self._top_at = height, self._now
         elif (
             height < self._options.close_share * self._top
             or self._now - self._top_at > self._options.close_s * self._rate
         ):
-            self._classify(found)
+            self._classify(beats)
             self._top, self._top_at = height, self._now
-        self._search_back(found)
-        return found
+        self._search_back(beats)
+        return beats
 
-    def _classify(self, found: list[Complex]) -> None:
-        """The peak that just ended is a beat, a candidate for search-back, or neither."""
+    def _classify(self, beats: list[Complex]) -> None:
+        """Classify the peak that just ended: a beat, a candidate for search-back, or neither."""
         if self._top_at < self._warm_up:
             return
         peak = Complex(self._top_at, self._now, self._top)
@@ -128,14 +128,14 @@ class BeatFinder:
         since = np.inf if self._last is None else (peak.top - self._last) / self._rate
         if since <= options.refractory_s:
             if since > 0.08 and peak.height > max(options.override * self._last_height, 0.6):
-                self._accept(peak, found, regular=False)
+                self._accept(peak, beats, regular=False)
         elif peak.height > max(self._threshold(since), self._min_height()):
-            self._accept(peak, found)
+            self._accept(peak, beats)
         else:
             self._candidates.append(peak)
 
     def _min_height(self) -> float:
-        """Height that a complex must reach to stand out from the noise; larger where no rhythm is present."""
+        """Height that a complex must reach to stand out from the noise; larger if no rhythm is present."""
         options = self._options
         rhythm = len(self._recent) == RHYTHM_BEATS and self._now - self._recent[0] < RHYTHM_S * self._rate
         return (options.contrast if rhythm else options.start_contrast) * self._levels.background()
@@ -149,7 +149,7 @@ class BeatFinder:
         overdue = min(1.0, max(0.0, (since_s - rr_s) / rr_s))
         return options.share + (options.late_share - options.share) * overdue
 
-    def _search_back(self, found: list[Complex]) -> None:
+    def _search_back(self, beats: list[Complex]) -> None:
         """Accept the highest candidate when a beat is overdue; after 2 s lower the levels."""
         if self._last is None:
             return
@@ -159,7 +159,7 @@ class BeatFinder:
             late = [c for c in self._candidates if c.top - self._last > options.t_wave_s * self._rate]
             best = max(late, key=lambda c: (c.height, c.top), default=None)
             if best is not None and best.height > max(options.search_back_share, self._min_height()):
-                self._accept(Complex(best.top, self._now, best.height), found)
+                self._accept(Complex(best.top, self._now, best.height), beats)
                 self._candidates.extend(
                     c for c in late if c.top > best.top + options.refractory_s * self._rate
                 )
@@ -167,7 +167,7 @@ class BeatFinder:
         if waited > 2 * second and waited % second == 0:
             self._levels.decay()
 
-    def _accept(self, beat: Complex, found: list[Complex], *, regular: bool = True) -> None:
+    def _accept(self, beat: Complex, beats: list[Complex], *, regular: bool = True) -> None:
         if self._last is not None and regular and beat.top - self._last < 2 * self._rate:
             self._intervals.append(beat.top - self._last)
             self._rr = sorted(self._intervals)[len(self._intervals) // 2]
@@ -177,4 +177,4 @@ class BeatFinder:
         back = self._now - beat.top
         if back < len(self._history):
             self._levels.follow(self._history[-1 - back])
-        found.append(beat)
+        beats.append(beat)

@@ -10,7 +10,7 @@ from dvf_ig.core import FloatArray
 
 
 class BeatKind(IntEnum):
-    """How an interval ended: as expected (after an early beat: with its pause), early, or late."""
+    """End of an interval: as expected (after an early beat: with its pause), early, or late."""
 
     NORMAL = 0
     EARLY = 1
@@ -19,11 +19,11 @@ class BeatKind(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class BeatPatternOptions:
-    """How patterns are learnt.
+    """Options of the pattern model.
 
     Attributes:
         longest_run: runs of normal beats longer than this are treated as equal.
-        runs: number of earlier runs in the longest context, besides the current one.
+        runs: number of earlier runs in the longest context, in addition to the current one.
         backoff_count: weight of the shorter context's estimate, in observations.
         forgetting: factor on the counts of a context at each new observation.
         prior: probabilities assumed before the first observation.
@@ -55,7 +55,7 @@ class BeatPattern:
         self._begun_by = BeatKind.NORMAL
 
     def add(self, kind: BeatKind) -> None:
-        """How an interval ended."""
+        """Record how an interval ended."""
         for context in self._contexts():
             counts = self._counts[context]
             counts *= self._options.forgetting
@@ -67,7 +67,7 @@ class BeatPattern:
             self._begun_by = kind
 
     def probabilities(self) -> FloatArray:
-        """(3,) by BeatKind, of the current interval."""
+        """Return (3,) probabilities by BeatKind for the current interval."""
         estimate = np.array(self._options.prior)
         for context in self._contexts():
             counts = self._counts[context]
@@ -76,6 +76,6 @@ class BeatPattern:
         return np.asarray(estimate)
 
     def _contexts(self) -> list[tuple[int, ...]]:
-        """The shortest first."""
+        """List the contexts, the shortest first."""
         longest = [int(self._begun_by), *self._runs]
         return [(), *(tuple(longest[: depth + 2]) for depth in range(len(self._runs)))]

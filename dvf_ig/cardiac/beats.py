@@ -18,9 +18,9 @@ class BeatPhase:
     """Phase of times between R peaks.
 
     Attributes:
-        phi: (n,) fraction of the enclosing RR interval, [0, 1); 0 where there is none.
-        rr_s: (n,) length of that interval; NaN where there is none.
-        regular: (n,) True where the beat is complete and neither it nor the one before was early or late.
+        phi: (n,) fraction of the enclosing RR interval, [0, 1); 0 outside any.
+        rr_s: (n,) length of that interval; NaN outside any.
+        regular: (n,) True if the beat is complete and neither it nor the one before was early or late.
     """
 
     phi: FloatArray
@@ -29,11 +29,11 @@ class BeatPhase:
 
 
 def beat_phase(r_peaks_s: FloatArray, t_s: FloatArray) -> BeatPhase:
-    """Phase at `t_s` from the R peaks before and after it.
+    """Compute phase at `t_s` from the R peaks before and after it.
 
     Args:
         r_peaks_s: (k,) increasing.
-        t_s: (n,) times at which phase is wanted.
+        t_s: (n,) times at which phase is computed.
     """
     n = len(t_s)
     if len(r_peaks_s) < 2:

@@ -14,11 +14,11 @@ RELEARN_S = 2.0
 """A lead that was off for this long is observed for as long before it is used again."""
 NOISE_TIME_S = 0.4
 NOISE_QUANTILE = 0.6
-"""Noise is this quantile of the envelope, on which the complexes themselves have little influence."""
+"""Noise is this quantile of the envelope, which the complexes hardly influence."""
 MIN_CONTRAST = 3.0
-"""While no beat comes, levels fall no lower than this many times the noise."""
+"""Lowest level, in multiples of the noise, to which levels decay while no beat comes."""
 LEAST_LEVEL = 1e-9
-"""Lowest level, in the unit of the ECG: a lead without any signal has none, and weights divide by it."""
+"""Lowest level, in the unit of the ECG: weights divide by it, and a lead without signal has none."""
 NOISE_FLOOR = 0.02
 """Smallest noise assumed, as a share of the level: a noise-free lead does not exclude the others."""
 
@@ -57,7 +57,7 @@ class LeadLevels:
         self._update_weights()
 
     def combined(self, row: Sequence[float], off: Sequence[bool]) -> float:
-        """One sample of the leads' envelopes as one weighted sum; leads that are off are left out."""
+        """Combine one sample of the leads' envelopes by their weights; leads that are off are left out."""
         self._age += 1
         if self._age % self._period == 0:
             self._update_weights()
@@ -76,7 +76,7 @@ class LeadLevels:
         return height
 
     def _returned(self, k: int, value: float) -> None:
-        """A lead that was off for long is observed for a while, then restarts with new levels."""
+        """Observe a lead that was off for long, then restart it with new levels."""
         if self._off_samples[k] >= self._relearn_samples:
             self._relearning[k], self._relearned[k] = self._relearn_samples, []
         self._off_samples[k] = 0
@@ -90,7 +90,7 @@ class LeadLevels:
                 self._update_weights()
 
     def background(self) -> float:
-        """Weighted sum of the noise; close to 1 where no complex stands out (flutter, noise)."""
+        """Weighted sum of the noise; close to 1 if no complex stands out (flutter, noise)."""
         return sum(w * noise for w, noise in zip(self._weights, self._noise, strict=True))
 
     def follow(self, row: Sequence[float]) -> None:
@@ -102,7 +102,7 @@ class LeadLevels:
         self._update_weights()
 
     def decay(self) -> None:
-        """No beat for long: lower the levels, but not below what stands out from the noise."""
+        """Lower the levels after a long time without beat, but not to the level of the noise."""
         self._level = [
             min(level, max(0.8 * level, MIN_CONTRAST * noise, LEAST_LEVEL))
             for level, noise in zip(self._level, self._noise, strict=True)

@@ -12,7 +12,7 @@ FLAT_S = 0.2
 
 @dataclass(frozen=True, slots=True)
 class LeadChange:
-    """The moment at which the ECG as a whole was lost (`on` False) or came back (`on` True)."""
+    """Time at which the ECG as a whole was lost (`on` False) or came back (`on` True)."""
 
     t_s: float
     on: bool
@@ -28,7 +28,7 @@ class LeadOffDetector:
         self._started = False
 
     def push(self, samples: FloatArray) -> tuple[FloatArray, BoolArray]:
-        """(n, leads) samples, NaN where missing, to samples with gaps held, and lead-off flags."""
+        """Convert (n, leads) samples, NaN if missing, to samples with gaps filled, and lead-off flags."""
         if not self._started:
             self._held = np.where(np.isfinite(samples[0]), samples[0], 0.0)
             self._started = True

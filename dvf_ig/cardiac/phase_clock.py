@@ -1,4 +1,4 @@
-"""Cardiac phase estimator: from the R peaks so far to phase, its uncertainty and state from now on."""
+"""Cardiac phase estimator: phase, its uncertainty and its state from the R peaks up to now."""
 
 import math
 from collections import deque
@@ -10,11 +10,11 @@ from .rhythm import Rhythm, RhythmOptions
 from .rpeak import RPeak
 
 SAME_BEAT_S = 0.25
-"""An R peak this soon after the last one replaces it: a correction by the detector."""
+"""An R peak within this time of the last one replaces it: a correction by the detector."""
 R_TIMING_S = 0.005
 """Standard deviation of the time of a detected R peak."""
 LATEST_S = 1e10
-"""No clock reaches it: seconds since 1970 are below 1e10 for another 200 years."""
+"""Latest valid time: seconds since 1970 stay below 1e10 for another 200 years."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,13 +54,13 @@ class PhaseClockOptions:
 
 
 class PhaseClock:
-    """Takes R peaks with `add` when they are detected; between them phase is a function of time.
+    """Causal phase estimator: takes R peaks as they are detected and forecasts phase between them.
 
-    LOCKED only where the forecast of the current beat is confident and such forecasts have recently been
+    LOCKED only if the forecast of the current beat is confident and such forecasts have recently been
     right; never in a beat that came early. Unwrapped phase (beats + phi) never decreases: it waits for a late
     R and catches up with an early one at a bounded rate. While no R comes it continues past 1 and wraps. The
     predicted RR is updated once a beat. A beat that is overdue changes the state at exactly its deadline,
-    whenever the clock is asked, so what it says of a time does not depend on the times asked before.
+    whenever the clock is queried, so its phase at a time does not depend on earlier queries.
     """
 
     def __init__(self, options: PhaseClockOptions | None = None) -> None:
@@ -86,10 +86,10 @@ class PhaseClock:
         return self._state
 
     def add(self, peak: RPeak) -> None:
-        """An R peak that has just been detected.
+        """Add an R peak that has just been detected.
 
         Raises:
-            InvalidInputError: it lies before the last one, or its times or its quality are no numbers.
+            InvalidInputError: it lies before the last one, or its times or its quality are not numbers.
         """
         _require_time(peak.t_s)
         _require_time(peak.detected_at_s)
@@ -108,10 +108,10 @@ class PhaseClock:
         self._update_forecast(self._now_s)
 
     def signal_changed(self, t_s: float, on: bool) -> None:
-        """The ECG was lost (flat, railed or missing for 200 ms) or has returned.
+        """Record that the ECG was lost (flat, railed or missing for 200 ms) or has returned.
 
         Raises:
-            InvalidInputError: the time is no number.
+            InvalidInputError: the time is not a number.
         """
         _require_time(t_s)
         self._advance(t_s)
@@ -121,10 +121,10 @@ class PhaseClock:
             self._update_forecast(self._now_s)
 
     def forecast(self, now_s: float) -> PhaseForecast:
-        """Phase from now on, as known now.
+        """Forecast phase from `now_s` on, from the peaks known now.
 
         Raises:
-            InvalidInputError: `now_s` is no number, or lies before an event or an earlier query.
+            InvalidInputError: `now_s` is not a number, or lies before an event or an earlier query.
         """
         _require_time(now_s)
         if not now_s >= self._now_s:
@@ -135,7 +135,7 @@ class PhaseClock:
         return self._forecast
 
     def at(self, now_s: float) -> PhaseReading:
-        """Phase now: `forecast(now_s).at(now_s)`."""
+        """Return phase now: `forecast(now_s).at(now_s)`."""
         return self.forecast(now_s).at(now_s)
 
     # ------------------------------------------------------------------ phase
@@ -149,13 +149,13 @@ class PhaseClock:
         self._now_s = max(self._now_s, t_s)
 
     def _update_forecast(self, t_s: float) -> None:
-        """Phase goes on from where it is at `t_s`, towards the target that is known now."""
+        """Continue phase from its value at `t_s`, towards the target known now."""
         reached = float(self._forecast.unwrapped(t_s))
         whole = math.floor(reached)
         phi = reached - whole
         self._cycles -= whole
         if self._state != PhaseState.LOCKED and self._rr_s > 0:
-            # only the position in the cycle matters now: advance to it, or wait where that is shorter
+            # only the position in the cycle matters now: advance to it, or wait if that is shorter
             gap = self._cycles + (t_s - self._last_r_s) / self._rr_s - phi
             self._cycles -= math.floor(gap + 0.5)
         until_s, after = self._deadline()
@@ -178,7 +178,7 @@ class PhaseClock:
         return forecast.early and self._rr_s < forecast.normal_s
 
     def _deadline(self) -> tuple[float, PhaseState]:
-        """When the next beat is overdue, unless it comes first, and the state from then on."""
+        """Return when the next beat is overdue, and the state from then on."""
         if self._overdue or not (self._beats and self._rr_s > 0):
             return math.inf, PhaseState.LOST
         forecast, known_s = self._rhythm.forecast, self._last_r_s + self._latency_s
@@ -189,7 +189,7 @@ class PhaseClock:
         return known_s + self._options.lost_share * forecast.longest_s, after
 
     def _expire(self) -> None:
-        """An expected early beat has not come, or no R at all for too long."""
+        """Handle an expected early beat that did not come, or a time too long without R."""
         if not self._early_expected():
             self._overdue = True
             self._set_lost()
@@ -201,7 +201,7 @@ class PhaseClock:
     # ------------------------------------------------------------------ state
 
     def _add_beat(self, peak: RPeak) -> None:
-        """A new beat begins."""
+        """Begin a new beat."""
         self._latencies.append(peak.detected_at_s - peak.t_s)
         self._latency_s = sorted(self._latencies)[len(self._latencies) // 2]
         interval_s = peak.t_s - self._last_r_s
@@ -234,7 +234,7 @@ class PhaseClock:
             self._missed += options.record_gain * (float(error > options.miss_share) - self._missed)
 
     def _confident(self) -> bool:
-        """Whether the forecast of the current beat is precise enough for phase to be used."""
+        """Return whether the forecast of the current beat is precise enough for phase to be used."""
         forecast = self._rhythm.forecast
         return forecast.spread <= self._options.lock_spread and not forecast.unreliable
 
@@ -256,8 +256,6 @@ class PhaseClock:
 
 
 def _require_time(t_s: float) -> None:
-    """Refuse a time that no clock shows: with it, every later one would come too early."""
+    """Refuse a time beyond any clock, after which every valid time would count as too early."""
     if not abs(t_s) <= LATEST_S:
-        raise InvalidInputError(
-            f"the phase clock was given the time {t_s:g} s; needed at most {LATEST_S:g} s"
-        )
+        raise InvalidInputError(f"the phase clock got the time {t_s:g} s; needed at most {LATEST_S:g} s")

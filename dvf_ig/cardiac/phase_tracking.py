@@ -1,4 +1,4 @@
-"""Phase over a recorded ECG or trigger, causally: at each time from what was known by then."""
+"""Causal phase over a recorded ECG or trigger: each time uses only what was known by then."""
 
 from dataclasses import dataclass
 
@@ -38,8 +38,8 @@ def track_phase(
 
     Args:
         source: the ECG, or the pulses of a trigger.
-        t_s: (n,) strictly increasing times at which phase is wanted, in its time base.
-        progress: told the share that is done.
+        t_s: (n,) strictly increasing times at which phase is computed, in its time base.
+        progress: called with the fraction done.
     Raises:
         InvalidInputError: sampled below 100 Hz, or times that do not increase.
     """
@@ -51,7 +51,7 @@ def track_phase(
 def stream_recording(
     source: Signal | TriggerTimes, progress: Progress = untold
 ) -> tuple[tuple[RPeak, ...], tuple[LeadChange, ...]]:
-    """R peaks and lead changes of a whole recording, detected causally."""
+    """Detect R peaks and lead changes of a whole recording, detected causally."""
     if isinstance(source, TriggerTimes):
         return trigger_peaks(source)
     detector = RPeakDetector(source.rate_hz, len(source.leads))
@@ -72,13 +72,13 @@ def phase_from_peaks(
     options: PhaseClockOptions | None = None,
     progress: Progress = untold,
 ) -> PhaseTrack:
-    """Phase at each time from the peaks and lead changes known by then.
+    """Estimate phase at each time from the peaks and lead changes known by then.
 
     Args:
         peaks: in order of detection; each is used from its `detected_at_s` on.
         changes: in order of time.
         t_s: (n,) strictly increasing.
-        progress: told the share that is done.
+        progress: called with the fraction done.
     """
     times = np.asarray(t_s, dtype=np.float64)
     events: list[tuple[float, int, RPeak | LeadChange]] = [(p.detected_at_s, 0, p) for p in peaks]
@@ -101,7 +101,7 @@ def phase_from_peaks(
 
 
 def _fill(clock: PhaseClock, t_s: FloatArray, out: FloatArray) -> None:
-    """Rows (φ, σ_φ, RR, state) at times between two events, each from the forecast that holds there."""
+    """Fill rows (φ, σ_φ, RR, state) at times between two events, each from the forecast that holds there."""
     first = 0
     while first < len(t_s):
         forecast = clock.forecast(float(t_s[first]))

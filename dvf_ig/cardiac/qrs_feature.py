@@ -40,7 +40,7 @@ class QrsFeature:
         self.delay = half_width + (width - 1) / 2
 
     def push(self, samples: FloatArray) -> FloatArray:
-        """(n, leads) finite samples to (n, leads) envelope values."""
+        """Convert (n, leads) finite samples to (n, leads) envelope values."""
         if not self._states:
             taps = (*self._filters, self._smoother)
             self._states = [np.zeros((len(b) - 1, self._leads)) for b in taps]

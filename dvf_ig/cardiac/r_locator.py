@@ -17,7 +17,7 @@ HEIGHT_GAIN = 0.1
 
 
 class RLocator:
-    """Buffers a few seconds of signal and finds the largest deflection from the local mean near a complex."""
+    """Buffer of a few seconds of signal, in which R is the largest deflection from the local mean."""
 
     def __init__(self, rate_hz: float, leads: int) -> None:
         self._rate = rate_hz
@@ -38,7 +38,7 @@ class RLocator:
             self._samples, self._first = self._samples[surplus:], self._first + surplus
 
     def locate(self, center: float, now: int) -> float:
-        """Sample position of the R peak of a complex centred at `center`, from samples up to `now`."""
+        """Locate a complex's R peak (a sample position) near `center`, from samples up to `now`."""
         half_width = round(SEARCH_S * self._rate)
         middle = round(center)
         low = max(self._first, middle - half_width)

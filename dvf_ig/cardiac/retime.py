@@ -2,7 +2,7 @@
 
 Ren 2008 shows each of the model's N frames for T_d = RR/N (`frame_period_s`): the model's phase advances
 evenly from R to R, which is `retime` in mode "uniform". The clock gives phase, time since R over the
-predicted RR, so T_d enters through that RR; `dvf-ig replay` reports T_d beside it.
+predicted RR, so T_d enters through that RR; `dvf-ig replay` reports T_d next to it.
 """
 
 from typing import Literal
@@ -28,7 +28,7 @@ def retime(
     *,
     slope_s_per_bpm: float = SYSTOLE_SLOPE_S_PER_BPM,
 ) -> FloatArray:
-    """Model phase at fraction `phi` of a beat that lasts `rr_s`.
+    """Compute model phase at fraction `phi` of a beat that lasts `rr_s`.
 
     Args:
         phi: (...) in [0, 1), share of the current RR interval since R.
@@ -38,7 +38,7 @@ def retime(
         mode: "uniform" stretches the whole cycle (Ren 2008, Section VII); "two-segment" shortens systole by
             `slope_s_per_bpm` and lets diastole take the rest, joined by a monotone periodic cubic.
     Returns:
-        (...) model phase in [0, 1), increasing with phi; equal to phi where rr_s equals timing_rr_s.
+        (...) model phase in [0, 1), increasing with phi; equal to phi if rr_s equals timing_rr_s.
     Raises:
         InvalidInputError: unknown mode, or an RR interval or end-systole out of range.
     Source: Ren 2008, Section VII (uniform); Weissler 1968 for the slope; docs/theory/cardiac.md.
@@ -62,7 +62,7 @@ def retiming_curve(
     *,
     slope_s_per_bpm: float = SYSTOLE_SLOPE_S_PER_BPM,
 ) -> RetimingCurve:
-    """`retime` of one beat as a function of phase; arguments and errors are those of `retime`."""
+    """Build `retime` of one beat as a function of phase; arguments and errors are those of `retime`."""
     _check(timing_rr_s, es_fraction, mode)
     _check_rr(np.asarray(rr_s))
     if mode == "uniform":
@@ -83,7 +83,7 @@ def _check(timing_rr_s: float, es_fraction: float, mode: RetimeMode) -> None:
 
 def _check_rr(rr_s: FloatArray) -> None:
     if not (rr_s > 0).all():
-        raise InvalidInputError("retiming needs an RR interval above 0 s; use phase only where it is valid")
+        raise InvalidInputError("retiming needs an RR interval above 0 s; use phase only while it is valid")
 
 
 def systole_share(
@@ -93,7 +93,7 @@ def systole_share(
     *,
     slope_s_per_bpm: float = SYSTOLE_SLOPE_S_PER_BPM,
 ) -> FloatArray:
-    """(...) share of a beat of length `rr_s` that systole takes: S/RR, S = S0 + k(HR0 − HR), limited."""
+    """Compute systole's (...) share of a beat of length `rr_s`: S/RR, S = S0 + k(HR0 − HR), limited."""
     rr = np.asarray(rr_s, dtype=np.float64)
     systole_s = es_fraction * timing_rr_s + slope_s_per_bpm * (60.0 / timing_rr_s - 60.0 / rr)
     low, high = min(SYSTOLE_BOUNDS[0], es_fraction), max(SYSTOLE_BOUNDS[1], es_fraction)
@@ -101,7 +101,7 @@ def systole_share(
 
 
 def frame_period_s(rr_s: float, frames: int) -> float:
-    """T_d = RR / N: how long each of the model's N frames is shown in a beat of length `rr_s` (Section VII).
+    """Compute T_d = RR / N, the time of each of the model's N frames in a beat of `rr_s` (Section VII).
 
     Raises:
         InvalidInputError: no frames, or an RR interval that is not positive.
@@ -114,7 +114,7 @@ def frame_period_s(rr_s: float, frames: int) -> float:
 
 
 def _joined(systole: FloatArray, es_fraction: float) -> CubicPieces:
-    """Monotone cubic through (0, 0), (systole, es), (1, 1), continued periodically on both sides.
+    """Build the monotone cubic through (0, 0), (systole, es), (1, 1), continued periodically on both sides.
 
     With three knots a period PCHIP's slopes have a closed form, so that every beat may have its own systole.
     """

@@ -9,23 +9,23 @@ from .beat_pattern import BeatKind, BeatPattern, BeatPatternOptions
 from .rr_predictor import PredictorName, make_predictor
 
 FIRST_EARLY, FIRST_LATE = 0.65, 1.35
-"""Early and late intervals relative to the normal one, before any was observed."""
+"""Early and late intervals relative to the normal one, before the first observation."""
 FIRST_SPREAD = 0.1
 STATISTICS_GAIN = 0.15
 COMPENSATED_SHARE = 0.25
-"""Compensatory pause: with the early beat before it two normal intervals, within this share of one."""
+"""Compensatory pause: it and the early beat before it last two normal intervals, within this share of one."""
 
 
 @dataclass(frozen=True, slots=True)
 class RhythmOptions:
-    """How intervals are classified and predicted.
+    """Options of the classification and prediction of intervals.
 
     Attributes:
         predictor: how the next normal interval is predicted.
         early_share: an interval below this share of the normal one ended early.
         late_share: one above this share of the normal one ended late.
         learn_beats: intervals before any is classified.
-        new_rate_beats: so many irregular intervals in a row that agree with each other are a new rate.
+        new_rate_beats: irregular intervals in a row that agree with each other and so make a new rate.
         new_rate_share: largest deviation of those from their median.
         residual_beats: intervals over which irregularity is measured.
         spread_gain: gain of the running variance on a normal interval's squared error.
@@ -84,7 +84,7 @@ class IntervalStatistics:
 
 
 class Rhythm:
-    """Takes finished intervals in order; forecasts the current one.
+    """Rhythm model: takes finished intervals in order and forecasts the current one.
 
     Normal intervals are predicted from normal ones alone: an early beat and the pause after it do not change
     that prediction. Whether the current one is normal is forecast from the pattern of irregular beats.
@@ -146,7 +146,7 @@ class Rhythm:
         self._predictor.add(interval_s)
 
     def _uncompensated(self) -> bool:
-        """The last two intervals were an early one and its pause, but not two normal intervals together."""
+        """Return whether the last two intervals, early beat and pause, do not add up to two normal ones."""
         if not self.forecast.ectopic:
             return False
         pair = self._recent[-1] + self._recent[-2]

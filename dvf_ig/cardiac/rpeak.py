@@ -1,4 +1,4 @@
-"""R peaks from a live ECG: samples in, peaks out, each with the time at which it was detected."""
+"""R peaks from a live ECG: each with the time at which it was detected."""
 
 from dataclasses import dataclass
 
@@ -22,7 +22,7 @@ class RPeak:
 
     Attributes:
         t_s: when the R wave peaked.
-        detected_at_s: time of the last sample that was needed to know it; never before t_s.
+        detected_at_s: time of the last sample needed to detect it; never before t_s.
         quality: 0 to 1, height of the complex against the recent ones; small for beats found by search-back.
     """
 
@@ -35,7 +35,7 @@ class RPeakDetector:
     """Causal detector. Feeding the same samples in any chunks gives the same peaks, bit for bit."""
 
     def __init__(self, rate_hz: float, leads: int = 1, options: RPeakOptions | None = None) -> None:
-        """Sampling rate and number of leads; R is timed in the first lead unless that is a weak one.
+        """Set sampling rate and number of leads; R is timed in the first lead unless that one is weak.
 
         Raises:
             InvalidInputError: a rate below 100 Hz, or no lead.
@@ -58,7 +58,7 @@ class RPeakDetector:
             samples: (n, leads), in any unit; NaN where samples are missing.
             start_s: time of the first of them; after a gap the detector restarts.
         Raises:
-            InvalidInputError: wrong number of leads, values that no ECG has, or samples that go back in time.
+            InvalidInputError: wrong number of leads, implausible values, or samples that go back in time.
         """
         chunk = np.asarray(samples, dtype=np.float64)
         if chunk.ndim != 2 or chunk.shape[1] != self.leads:
@@ -71,15 +71,15 @@ class RPeakDetector:
         envelope = self._feature.push(filled)
         self._locator.push(filled)
         self._record_changes(np.asarray(off.all(axis=1)))
-        found: list[RPeak] = []
+        peaks: list[RPeak] = []
         for row, flags in zip(envelope.tolist(), off.tolist(), strict=True):
             self._count += 1
-            found += [self._peak(beat) for beat in self._finder.step(row, flags)]
+            peaks += [self._peak(beat) for beat in self._finder.step(row, flags)]
         self._locator.discard_old()
-        return found
+        return peaks
 
     def take_lead_changes(self) -> list[LeadChange]:
-        """Losses and returns of the whole ECG since the last call, in order of time."""
+        """Return losses and returns of the whole ECG since the last call, in order of time."""
         changes, self._changes = self._changes, []
         return changes
 
@@ -112,7 +112,7 @@ class RPeakDetector:
                 "order of time and once only"
             )
         if offset > 1.5:
-            self._changes.append(LeadChange(start_s, False))  # nobody knew of the gap before
+            self._changes.append(LeadChange(start_s, False))  # only now is the gap known
             self._changes.append(LeadChange(start_s, True))
             self._on = True
             self._restart()
@@ -125,15 +125,15 @@ class RPeakDetector:
 
 
 def detect_r_peaks(signal: Signal, options: RPeakOptions | None = None) -> tuple[RPeak, ...]:
-    """All R peaks of a recording, detected causally.
+    """Detect all R peaks of a recording, causally.
 
     Raises:
         InvalidInputError: sampled below 100 Hz.
     """
     detector = RPeakDetector(signal.rate_hz, len(signal.leads), options)
     step = max(1, round(CHUNK_S * signal.rate_hz))
-    found: list[RPeak] = []
+    peaks: list[RPeak] = []
     for first in range(0, len(signal), step):
         chunk = signal.samples[first : first + step]
-        found.extend(detector.push(chunk, signal.start_s + first / signal.rate_hz))
-    return tuple(found)
+        peaks.extend(detector.push(chunk, signal.start_s + first / signal.rate_hz))
+    return tuple(peaks)

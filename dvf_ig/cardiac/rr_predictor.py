@@ -19,17 +19,17 @@ AR_LIMITS = (0.7, 1.4)
 
 
 class RrPredictor(Protocol):
-    """Predicts the next RR interval (s) from those added so far."""
+    """Predictor of the next RR interval (s) from those already added."""
 
     def add(self, rr_s: float) -> None:
-        """One finished interval, in order."""
+        """Add one finished interval, in order."""
 
     def predict(self) -> float:
-        """The next one; NaN before the first."""
+        """Predict the next interval; NaN before the first."""
 
 
 class LastRr:
-    """Predicts the last interval again."""
+    """Predictor that repeats the last interval."""
 
     def __init__(self) -> None:
         self._last = float("nan")
@@ -42,7 +42,7 @@ class LastRr:
 
 
 class EwmaRr:
-    """Exponentially weighted mean, gain 0.3."""
+    """Predictor by an exponentially weighted mean, gain 0.3."""
 
     def __init__(self) -> None:
         self._mean = float("nan")
@@ -55,7 +55,7 @@ class EwmaRr:
 
 
 class AutoregressiveRr:
-    """Recursive least squares on the last eight deviations from a running mean.
+    """Predictor by recursive least squares on the last eight deviations from a running mean.
 
     Respiratory sinus arrhythmia repeats every few beats; a running mean cannot follow it, this predictor can.
     Source: Haykin, Adaptive Filter Theory, RLS with exponential forgetting.
@@ -90,7 +90,7 @@ class AutoregressiveRr:
         return float(np.clip(raw, AR_LIMITS[0] * middle, AR_LIMITS[1] * middle))
 
     def _past(self) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
-        """(8,) relative deviations, the latest first, limited to 30 %."""
+        """Return (8,) relative deviations, the latest first, limited to 30 %."""
         return np.asarray(np.clip((np.array(self._recent) - self._mean) / self._mean, -0.3, 0.3))
 
 
@@ -102,7 +102,7 @@ PREDICTORS: dict[PredictorName, Callable[[], RrPredictor]] = {
 
 
 def make_predictor(name: PredictorName) -> RrPredictor:
-    """A fresh predictor by name.
+    """Create a predictor by name.
 
     Raises:
         InvalidInputError: unknown name.

@@ -20,7 +20,7 @@ class GateSummary:
     Attributes:
         rate_bpm: 60 / median RR interval.
         valid_share: share of the track's times at which the clock was LOCKED.
-        invalid_segments_s: (k, 2) start and stop of each interval in which it was not.
+        invalid_segments_s: (k, 2) start and stop of each interval in which it was not LOCKED.
     """
 
     rate_bpm: float
@@ -29,10 +29,10 @@ class GateSummary:
 
 
 def summarise_gating(peaks: tuple[RPeak, ...], track: PhaseTrack) -> GateSummary:
-    """Rate and validity of a whole recording.
+    """Summarise rate and validity of a whole recording.
 
     Raises:
-        InvalidInputError: fewer than five R peaks, too few for a phase.
+        InvalidInputError: fewer than five R peaks, the least for a phase.
     """
     if len(peaks) < MIN_BEATS:
         raise InvalidInputError(
@@ -53,7 +53,7 @@ def summarise_gating(peaks: tuple[RPeak, ...], track: PhaseTrack) -> GateSummary
 
 
 def state_segments(track: PhaseTrack) -> tuple[tuple[float, float, PhaseState], ...]:
-    """(start s, stop s, state) of each interval of one state, in order; together they cover the track."""
+    """List (start s, stop s, state) of each interval of one state, in order, to cover the whole track."""
     edges = [0, *(np.flatnonzero(np.diff(track.state)) + 1).tolist(), len(track.state)]
     last = len(track.t_s) - 1
     return tuple(

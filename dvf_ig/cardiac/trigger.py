@@ -8,16 +8,18 @@ from .phase_clock import SAME_BEAT_S
 from .rpeak import RPeak
 
 SHORTEST_INTERVAL_S = SAME_BEAT_S
-"""Two pulses closer than this are no two heart beats (240 per minute)."""
+"""Shortest time between pulses of two heart beats (240 per minute)."""
 
 
 class TriggerDetector:
-    """Takes pulses as they come. Pulses too close to be beats are no beats: which of them is R nobody knows,
-    so the trigger counts as lost until the next one, as an ECG does whose electrodes come off.
+    """R peaks from trigger pulses.
+
+    Pulses too close to be beats do not show which of them is R, so the trigger counts as lost until the next
+    one, as an ECG does while its electrodes are off.
     """
 
     def __init__(self, delay_s: float = 0.0) -> None:
-        """`delay_s`: how long after the R peak the device fires.
+        """Set `delay_s`, the time by which the device fires after the R peak.
 
         Raises:
             InvalidInputError: a delay outside 0 to 0.5 s.
@@ -28,10 +30,10 @@ class TriggerDetector:
         self._changes: list[LeadChange] = []
 
     def push(self, t_s: float) -> list[RPeak]:
-        """The next pulse: its R peak, `delay_s` before it and known when it fires; none for a double pulse.
+        """Take the next pulse and return its R peak, `delay_s` before it; none for a double pulse.
 
         Raises:
-            InvalidInputError: it fired before the last one.
+            InvalidInputError: the pulse comes before the last one.
         """
         if t_s < self._last_s:
             raise InvalidInputError(
@@ -45,13 +47,13 @@ class TriggerDetector:
         return [RPeak(t_s - self._delay_s, t_s, 1.0)]
 
     def take_lead_changes(self) -> list[LeadChange]:
-        """Losses and returns of the trigger since the last call, in order of time."""
+        """Return losses and returns of the trigger since the last call, in order of time."""
         changes, self._changes = self._changes, []
         return changes
 
 
 def trigger_peaks(trigger: TriggerTimes) -> tuple[tuple[RPeak, ...], tuple[LeadChange, ...]]:
-    """R peaks of a recorded trigger, and when it was lost and came back."""
+    """Return R peaks of a recorded trigger, and when it was lost and came back."""
     detector = TriggerDetector(trigger.delay_s)
     peaks = [peak for t_s in trigger.t_s.tolist() for peak in detector.push(t_s)]
     return tuple(peaks), tuple(detector.take_lead_changes())

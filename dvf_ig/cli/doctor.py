@@ -1,4 +1,4 @@
-"""`dvf-ig doctor`: what is missing on this machine and how to get it; where compiled kernels are kept."""
+"""`dvf-ig doctor`: what is missing on this machine, how to get it, and the folder of compiled kernels."""
 
 import ctypes.util
 import importlib.metadata
@@ -26,7 +26,7 @@ REQUIRED = (
     "zlib-ng",
 )
 EXTRAS = {"wfdb": ("ecg", "WFDB records"), "open3d": ("open3d", "points touched on the heart")}
-"""Optional package to the extra that brings it, and what needs it."""
+"""Optional packages, with the extra that installs each and its purpose."""
 SYSTEM_LIBRARIES = {
     "EGL": "libegl1",
     "GL": "libgl1",
@@ -39,7 +39,7 @@ SYSTEM_LIBRARIES = {
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """One thing looked for: what it is, what was found, and how to get it if it is missing."""
+    """Result of one check: what was checked, what was found, and how to get it if it is missing."""
 
     what: str
     found: str | None
@@ -48,15 +48,15 @@ class Check:
 
 
 def checks() -> list[Check]:
-    """Every check, in the order in which a user would mend them."""
+    """Run all checks, in the order in which a user would fix them."""
     python = platform.python_version()
     out = [Check("Python >= 3.11", python if sys.version_info >= (3, 11) else None, "install Python 3.11")]
     with_open3d = _version("open3d") is not None
     if sys.platform.startswith("linux"):
         for library, package in SYSTEM_LIBRARIES.items():
-            found = ctypes.util.find_library(library)
+            path = ctypes.util.find_library(library)
             remedy = f"sudo apt-get install {package}"
-            out.append(Check(f"system library {package}", found, remedy, needed=with_open3d))
+            out.append(Check(f"system library {package}", path, remedy, needed=with_open3d))
     remedy = "run scripts/setup, or pip install dvf-ig"
     out += [Check(f"package {name}", _version(name), remedy) for name in REQUIRED]
     out += [
@@ -87,9 +87,9 @@ def _version(distribution: str) -> str | None:
 
 
 def verdict(missing: int, optional: int) -> str:
-    """One sentence on what a user can expect of this machine."""
+    """Summarise the readiness of this machine in one sentence."""
     if missing:
-        return f"not ready: {_things(missing)} needed and missing; get what is named above, from the top"
+        return f"not ready: {_things(missing)} needed and missing; install what is named above, in this order"
     if optional:
         return f"ready; {_things(optional)} optional and missing"
     return "ready: nothing is missing"
@@ -100,9 +100,9 @@ def _things(count: int) -> str:
 
 
 def doctor(as_json: JsonFlag = False) -> None:
-    """Say what is missing on this machine and how to get it (exit 2 if something needed is missing).
+    """Report what is missing on this machine and how to get it (exit 2 if something needed is missing).
 
-    It also names the folder in which compiled kernels are kept.
+    Also report the folder of compiled kernels.
     """
     with command(lists_inputs=False):
         results = checks()

@@ -12,18 +12,18 @@ if TYPE_CHECKING:
 
 FEWEST_PAIRS = 3
 SWAPPED_SHARE = 0.5
-"""Sides count as swapped where exchanging them at least halves the mean TRE."""
+"""Sides count as swapped if exchanging them at least halves the mean TRE."""
 
 
 def evaluate(
-    transform: Annotated[Path, typer.Option("--transform", help="What `dvf-ig register` wrote.")],
+    transform: Annotated[Path, typer.Option("--transform", help="Result of `dvf-ig register`.")],
     landmarks: Annotated[
         Path, typer.Option("--landmarks", help="Points on the fixed side (.mrk.json, .fcsv), or a .tag pair.")
     ],
     moving: Annotated[Path | None, typer.Argument(help="The same points on the moving side.")] = None,
     start: Annotated[
         Path | None,
-        typer.Option("--start", help="Start pose (.tfm); default: the one in what `register` wrote."),
+        typer.Option("--start", help="Start pose (.tfm); default: the one in the result of `register`."),
     ] = None,
     truth: Annotated[Path | None, typer.Option("--truth", help="True transform (.tfm).")] = None,
     moving_first: Annotated[
@@ -31,10 +31,11 @@ def evaluate(
     ] = False,
     as_json: JsonFlag = False,
 ) -> None:
-    """Target registration error of a transform at landmarks that registration did not use.
+    """Measure the target registration error of a transform at landmarks that registration did not use.
 
-    Either against the same points on the moving side, or against the true transform. For a scenario the fixed
-    side is the tracker, the moving side the MR; for a pair of images they are the fixed and the moving image.
+    The comparison is with the same points on the moving side, or with the true transform. For a scenario the
+    fixed side is the tracker, the moving side the MR; for a pair of images they are the fixed and the moving
+    image.
     """
     with command():
         result = _result(transform, landmarks, moving, truth, start, moving_first=moving_first)
@@ -72,39 +73,39 @@ def _result(
     difference: tuple[float | None, list[float] | None] = (None, None)
     if truth is not None:
         true = read_transform(truth, target=estimate.target, source=estimate.source)
-        points, wanted = fixed.points, true.apply(fixed.points).xyz_mm
-        turn, shift = pose_difference(estimate, true, wanted.mean(axis=0))
+        points, targets_mm = fixed.points, true.apply(fixed.points).xyz_mm
+        turn, shift = pose_difference(estimate, true, targets_mm.mean(axis=0))
         difference = (turn, shift.tolist())
     elif theirs is not None:
         points, targets = _pairs(fixed, theirs)
-        wanted = targets.xyz_mm
-        _suspect_swapped_sides(estimate, points.xyz_mm, wanted)
+        targets_mm = targets.xyz_mm
+        _suspect_swapped_sides(estimate, points.xyz_mm, targets_mm)
     else:
-        raise InvalidInputError("one landmark file says nothing alone; add the moving side, or --truth FILE")
+        raise InvalidInputError("one landmark file is not enough; add the moving side, or --truth FILE")
     before = _start(file, start, estimate)
     return {
-        "tre_mm": _tre_mm(estimate, points, wanted),
-        "start_tre_mm": None if before is None else _tre_mm(before, points, wanted),
+        "tre_mm": _tre_mm(estimate, points, targets_mm),
+        "start_tre_mm": None if before is None else _tre_mm(before, points, targets_mm),
         "rotation_deg": difference[0],
         "translation_mm": difference[1],
     }
 
 
-def _tre_mm(pose: "Rigid", points: "Points", wanted: "FloatArray") -> dict[str, Any]:
+def _tre_mm(pose: "Rigid", points: "Points", targets_mm: "FloatArray") -> dict[str, Any]:
     import numpy as np
 
     from dvf_ig.core import summarise_errors
 
-    return summarise_errors(np.linalg.norm(pose.apply(points).xyz_mm - wanted, axis=1)).tre_fields()
+    return summarise_errors(np.linalg.norm(pose.apply(points).xyz_mm - targets_mm, axis=1)).tre_fields()
 
 
-def _start(file: Path, given: Path | None, estimate: "Rigid") -> "Rigid | None":
-    """The pose that the registration started from: a file's, or the one in the evidence beside the result."""
+def _start(file: Path, start: Path | None, estimate: "Rigid") -> "Rigid | None":
+    """Read the pose from which the registration started: from a file, or from the result's evidence."""
     from dvf_ig.core import Rigid
     from dvf_ig.io import read_json, read_transform
 
-    if given is not None:
-        return read_transform(given, target=estimate.target, source=estimate.source)
+    if start is not None:
+        return read_transform(start, target=estimate.target, source=estimate.source)
     names = (f"{file.stem}.result.json", "result.json")
     evidence = next((file.with_name(name) for name in names if file.with_name(name).is_file()), None)
     written = read_json(evidence) if evidence is not None else None
@@ -114,31 +115,31 @@ def _start(file: Path, given: Path | None, estimate: "Rigid") -> "Rigid | None":
 
 
 def _suspect_swapped_sides(estimate: "Rigid", fixed_mm: "FloatArray", moving_mm: "FloatArray") -> None:
-    """Say so where the transform fits the landmarks far better with their sides exchanged."""
+    """Warn if the transform fits the landmarks far better with their sides exchanged."""
     import numpy as np
 
     def mean_mm(source: "FloatArray", target: "FloatArray") -> float:
         moved = source @ estimate.rotation.T + estimate.translation_mm
         return float(np.linalg.norm(moved - target, axis=1).mean())
 
-    given, exchanged = mean_mm(fixed_mm, moving_mm), mean_mm(moving_mm, fixed_mm)
-    if exchanged < SWAPPED_SHARE * given:
+    as_given, exchanged = mean_mm(fixed_mm, moving_mm), mean_mm(moving_mm, fixed_mm)
+    if exchanged < SWAPPED_SHARE * as_given:
         warn(
             f"with the two sides of the landmarks exchanged the mean TRE is {exchanged:.2f} mm instead of "
-            f"{given:.2f} mm: fixed and moving are probably swapped"
+            f"{as_given:.2f} mm: fixed and moving are probably swapped"
         )
 
 
 def _sides(
     landmarks: Path, moving: Path | None, estimate: "Rigid", moving_first: bool
 ) -> tuple["Landmarks", "Landmarks | None"]:
-    """Landmarks in the fixed frame and, where they are given, in the moving frame."""
+    """Read landmarks in the fixed frame and, if given, in the moving frame."""
     from dvf_ig.core import InvalidInputError
     from dvf_ig.io import read_landmarks, read_tag_pair
 
     pair = landmarks.suffix.lower() == ".tag" and moving is None
     if moving_first and not pair:
-        raise InvalidInputError("--moving-first is about one .tag file of two volumes; leave it out here")
+        raise InvalidInputError("--moving-first applies to one .tag file of two volumes; leave it out here")
     if pair and moving_first:
         theirs, fixed = read_tag_pair(landmarks, estimate.target, estimate.source)
         return fixed, theirs
@@ -149,15 +150,15 @@ def _sides(
 
 
 def _pairs(fixed: "Landmarks", moving: "Landmarks") -> tuple["Points", "Points"]:
-    """The points that both sides name; those that one side lacks are said."""
+    """Pair the points that both sides name; warn of those that one side lacks."""
     from dvf_ig.core import InvalidInputError
 
     names, points, targets = fixed.paired_with(moving)
     alone = sorted(set(fixed.names) ^ set(moving.names))
     if len(names) < FEWEST_PAIRS:
         raise InvalidInputError(
-            f"fixed and moving landmarks share {len(names)} names, needed at least {FEWEST_PAIRS}; name the "
-            f"same points alike (on one side only: {_some(alone)})"
+            f"fixed and moving landmarks share {len(names)} names, needed at least {FEWEST_PAIRS}; give the "
+            f"same points the same names on both sides (on one side only: {_some(alone)})"
         )
     if alone:
         warn(f"{len(alone)} landmarks are on one side only and are left out: {_some(alone)}")
@@ -168,15 +169,15 @@ def _some(names: list[str]) -> str:
     return ", ".join(names[:6]) + (", …" if len(names) > 6 else "") if names else "none"
 
 
-def _transform_file(given: Path) -> Path:
-    """The transform itself, or the one that `dvf-ig register` wrote into a folder."""
+def _transform_file(path: Path) -> Path:
+    """Return the transform itself, or the one that `dvf-ig register` wrote into a folder."""
     from dvf_ig.core import UnreadableFileError
 
-    if not given.is_dir():
-        return given
-    found = sorted(given.glob("*_from_*.tfm"))
-    if len(found) != 1:
+    if not path.is_dir():
+        return path
+    transforms = sorted(path.glob("*_from_*.tfm"))
+    if len(transforms) != 1:
         raise UnreadableFileError(
-            f"{given} holds {len(found)} transforms; name one .tfm file or a folder of `dvf-ig register`"
+            f"{path} holds {len(transforms)} transforms; name one .tfm file or a folder of `dvf-ig register`"
         )
-    return found[0]
+    return transforms[0]

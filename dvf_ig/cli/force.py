@@ -35,7 +35,7 @@ def force(
         typer.Option(
             "--points",
             help="Points in the model's frame, in mm: CSV of x,y,z (LPS; a header is allowed), or 3D "
-            "Slicer's .mrk.json or .fcsv (LPS or RAS, as the file says).",
+            "Slicer's .mrk.json or .fcsv (LPS or RAS, as the file states).",
         ),
     ],
     phase: Annotated[
@@ -68,12 +68,14 @@ def force(
     ] = None,
     damping: Annotated[
         float | None,
-        typer.Option("--device-damping", help="Its physical damping in N·s/m; checks passivity at 1 kHz."),
+        typer.Option(
+            "--device-damping", help="Physical damping of the device in N·s/m; checks passivity at 1 kHz."
+        ),
     ] = None,
     margin: MarginOption = None,
     sigma_mm: Annotated[
         float | None,
-        typer.Option("--sigma-mm", help="Of --margin adaptive: standard deviation of the distance, in mm."),
+        typer.Option("--sigma-mm", help="With --margin adaptive: standard deviation of the distance, in mm."),
     ] = None,
     as_json: JsonFlag = False,
 ) -> None:
@@ -85,10 +87,10 @@ def force(
         from dvf_ig.guidance import Fixtures
         from dvf_ig.io import read_model, read_points
 
-        given = {"law": law, "gamma": gamma, "delta": delta, "m": m, "cap_n": cap_n, "depth_mm": depth_mm}
-        given |= {"inside": inside, "blend": blend}
+        values = {"law": law, "gamma": gamma, "delta": delta, "m": m, "cap_n": cap_n, "depth_mm": depth_mm}
+        values |= {"inside": inside, "blend": blend}
         model = read_model(model_file)
-        options, _ = chosen_fixtures(given, fixtures, model.frame)
+        options, _ = chosen_fixtures(values, fixtures, model.frame)
         limits = dataclasses.replace(
             options.device,
             stiffness_n_per_m=options.device.stiffness_n_per_m if stiffness is None else stiffness,
@@ -98,7 +100,7 @@ def force(
         if free_zone_mm is not None:
             if law != "guidance" or delta is not None or m is not None:
                 raise typer.BadParameter(
-                    "--free-zone-mm goes with --law guidance and chooses its --delta and --m"
+                    "--free-zone-mm belongs to --law guidance and chooses its --delta and --m"
                 )
             options = _with_free_zone(options, free_zone_mm, detection_threshold_n)
         options, margin_mm = _with_margin(with_margin(options, margin), sigma_mm)
@@ -109,16 +111,16 @@ def force(
 
 
 def _with_margin(options: "FixtureSet", sigma_mm: float | None) -> "tuple[FixtureSet, float]":
-    """The fixtures with laws widened by their margin, and that margin in mm; a path keeps its law."""
+    """Widen the laws of fixtures by their margin, and return that margin in mm; a path keeps its law."""
     from dvf_ig.guidance.margins import widened
     from dvf_ig.guidance.margins.margin import NO_MARGIN
 
     adaptive = options.margin.mode == "adaptive"
     if adaptive != (sigma_mm is not None):
         raise typer.BadParameter(
-            "--margin adaptive needs --sigma-mm here: no session says how far the distance may be off"
+            "--margin adaptive needs --sigma-mm here: no session states the error of the distance"
             if adaptive
-            else "--sigma-mm goes with --margin adaptive"
+            else "--sigma-mm belongs to --margin adaptive"
         )
     margin_mm = options.margin.wanted_mm(math.nan if sigma_mm is None else sigma_mm)
     laws = [
@@ -131,7 +133,7 @@ def _with_margin(options: "FixtureSet", sigma_mm: float | None) -> "tuple[Fixtur
 def _with_free_zone(
     options: "FixtureSet", half_width_mm: float, detection_threshold_n: float
 ) -> "FixtureSet":
-    """The one fixture with the width and the exponent that the zone asks for."""
+    """Give the single fixture the width and the exponent that the zone needs."""
     from dvf_ig.guidance import FreeZone, gaussian_for_free_zone
 
     (one,) = options.fixtures
@@ -142,7 +144,7 @@ def _with_free_zone(
 
 
 def _felt(one: "FixtureOptions") -> str:
-    """Where a fixture is felt, for people."""
+    """Describe where a fixture is felt."""
     law, name = one.law, one.name or "the fixture"
     if math.isinf(law.reach_mm):
         return f"{name} pulls from everywhere, by at most {law.cap_n:g} N"

@@ -19,7 +19,7 @@ def gate(
         str,
         typer.Argument(
             help="wfdb:RECORD, edf:FILE, csv:FILE or plus:SEQUENCE[#FIELD] (an ending .hea, .dat, .edf, "
-            ".csv, .tsv, .mha or .nrrd says it too), or trigger:FILE.",
+            ".csv, .tsv, .mha or .nrrd is enough), or trigger:FILE.",
             metavar="ECG",
         ),
     ],
@@ -31,12 +31,12 @@ def gate(
     predictor: Annotated[str, typer.Option("--predictor", help="RR predictor: ar8, ewma or last.")] = "ar8",
     delay_s: Annotated[
         float | None,
-        typer.Option("--delay-s", help="trigger:FILE only: how long after R the trigger fires (s)."),
+        typer.Option("--delay-s", help="trigger:FILE only: time from R to the trigger (s)."),
     ] = None,
     output: Annotated[
         Path | None,
         typer.Option(
-            "-o", "--out", callback=output_file, help="Write the result (JSON), and a picture beside it."
+            "-o", "--out", callback=output_file, help="Write the result (JSON), and a picture next to it."
         ),
     ] = None,
     as_json: JsonFlag = False,
@@ -158,7 +158,7 @@ def _rows(result: dict[str, Any]) -> list[tuple[str, str]]:
 
 
 def _reasons(segments: list[dict[str, Any]]) -> list[str]:
-    """Seconds in each state other than LOCKED, the longest first."""
+    """List the seconds in each state other than LOCKED, the longest first."""
     seconds: dict[str, float] = {}
     for segment in segments:
         if segment["state"] != "LOCKED":

@@ -1,4 +1,4 @@
-"""Values and errors that everything else is written in. Frozen, validated once, read-only arrays."""
+"""Values and errors that all other packages use: frozen, validated once, with read-only arrays."""
 
 from .arrays import AnyArray as AnyArray
 from .arrays import BoolArray as BoolArray

@@ -20,11 +20,11 @@ T = TypeVar("T")
 def frozen_floats(
     values: Any, name: str, shape: tuple[int | None, ...], *, finite: bool = True
 ) -> FloatArray:
-    """A read-only float64 copy of `values`.
+    """Copy `values` to a read-only float64 array.
 
     Args:
-        values: anything numpy can turn into an array.
-        name: what the array is called in an error message.
+        values: anything that numpy can convert to an array.
+        name: name of the array in an error message.
         shape: needed shape; None leaves an axis free.
         finite: refuse NaN and infinity.
     Raises:
@@ -40,7 +40,7 @@ def frozen_floats(
 
 
 def frozen(values: Any, name: str, shape: tuple[int | None, ...], dtype: Any) -> AnyArray:
-    """A read-only copy of `values` with the given dtype and shape (None leaves an axis free)."""
+    """Copy `values` to a read-only array of the given dtype and shape (None leaves an axis free)."""
     array = np.array(values, dtype=dtype)
     check_shape(array, name, shape)
     array.setflags(write=False)
@@ -59,20 +59,20 @@ def check_shape(array: AnyArray, name: str, shape: tuple[int | None, ...]) -> No
 
 
 def read_only_arrays(cls: type[T]) -> type[T]:
-    """Class decorator of a frozen dataclass: the arrays that an instance holds cannot be written to.
+    """Decorate a frozen dataclass so that the arrays of its instances cannot be written to.
 
     An array that anybody could still write to is copied once at construction; others are shared. The same
-    holds for arrays within tuples and dicts, and after unpickling. It stands above `@dataclass`.
+    holds for arrays within tuples and dicts, and after unpickling. Place it above `@dataclass`.
     """
     names = [f.name for f in fields(cls)]  # type: ignore[arg-type]
     restore = getattr(cls, "__setstate__", _restored)
-    for method, given in (("__init__", cls.__init__), ("__setstate__", restore)):
-        setattr(cls, method, _then_protect(given, names))
+    for method, original in (("__init__", cls.__init__), ("__setstate__", restore)):
+        setattr(cls, method, _then_protect(original, names))
     return cls
 
 
 def _restored(self: object, state: dict[str, Any]) -> None:
-    """Unpickling of a class without slots."""
+    """Restore the state of an unpickled instance without slots."""
     for name, value in state.items():
         object.__setattr__(self, name, value)
 
@@ -82,12 +82,12 @@ def _then_protect(method: Callable[..., None], names: list[str]) -> Callable[...
     def protecting(self: object, *args: Any, **kwargs: Any) -> None:
         method(self, *args, **kwargs)
         for name in names:
-            given = getattr(self, name)
-            if not isinstance(given, _HOLDERS):
+            value = getattr(self, name)
+            if not isinstance(value, _HOLDERS):
                 continue
-            kept = _protected(given)
-            if kept is not given:
-                object.__setattr__(self, name, kept)
+            protected = _protected(value)
+            if protected is not value:
+                object.__setattr__(self, name, protected)
 
     return protecting
 
@@ -96,7 +96,7 @@ _HOLDERS = (np.ndarray, tuple, dict)
 
 
 def _protected(value: Any) -> Any:
-    """The value itself where nothing in it can be written to, else one that owns its arrays."""
+    """Return the value itself if nothing in it can be written to, else one that owns its arrays."""
     if isinstance(value, np.ndarray):
         if not _writable(value):
             return value
@@ -104,10 +104,10 @@ def _protected(value: Any) -> Any:
         copy.setflags(write=False)
         return copy
     if isinstance(value, tuple):
-        kept = [_protected(v) for v in value]
-        if all(k is v for k, v in zip(kept, value, strict=True)):
+        parts = [_protected(v) for v in value]
+        if all(k is v for k, v in zip(parts, value, strict=True)):
             return value
-        return type(value)(*kept) if hasattr(value, "_fields") else tuple(kept)
+        return type(value)(*parts) if hasattr(value, "_fields") else tuple(parts)
     if isinstance(value, dict):
         items = {k: _protected(v) for k, v in value.items()}
         return value if all(items[k] is v for k, v in value.items()) else items
@@ -115,7 +115,7 @@ def _protected(value: Any) -> Any:
 
 
 def _writable(array: AnyArray) -> bool:
-    """Whether the array, or one that it is a view of, can be written to."""
+    """Return whether the array, or one that it is a view of, can be written to."""
     seen: object = array
     while isinstance(seen, np.ndarray):
         if seen.flags.writeable:

@@ -1,4 +1,4 @@
-"""Mean, spread and quantiles of a set of errors: the one summary of every accuracy in this project."""
+"""Mean, spread and quantiles of a set of errors: the summary of every accuracy in this project."""
 
 from dataclasses import dataclass
 
@@ -18,7 +18,7 @@ class ErrorSummary:
     Attributes:
         mean, sd: over all errors; the SD divides by n - 1 and is 0 for a single error.
         median, p95, max: quantiles of all errors.
-        n: how many.
+        n: number of errors.
         mean95, sd95: over the lowest 95 % of the errors.
     """
 
@@ -32,12 +32,12 @@ class ErrorSummary:
     sd95: float
 
     def tre_fields(self) -> dict[str, float | int]:
-        """Mean, median, p95, max and n: the fields in which a target registration error is written."""
+        """Return mean, median, p95, max and n: the fields in which a target registration error is written."""
         return {"mean": self.mean, "median": self.median, "p95": self.p95, "max": self.max, "n": self.n}
 
 
 def summarise_errors(errors: FloatArray) -> ErrorSummary:
-    """Summary of (n,) errors, n >= 1.
+    """Summarise (n,) errors, n >= 1.
 
     Raises:
         InvalidInputError: no error given.

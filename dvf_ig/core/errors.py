@@ -1,8 +1,8 @@
-"""Everything that can go wrong by misuse or bad input, as one tree.
+"""Tree of the errors that misuse and bad input raise.
 
     DvfIgError (a ValueError)
     ├── InvalidInputError        what the caller gave cannot be used; says what, got, needed, what to do
-    │   ├── FrameMismatchError   frames of two values do not meet
+    │   ├── FrameMismatchError   frames of two values do not match
     │   └── UnreadableFileError  a file is missing, truncated, or not what its name says
     ├── MissingDependencyError   an optional package or a system library is absent
     ├── OutputError              a result could not be written
@@ -15,36 +15,36 @@ Expected numerical outcomes inside a method are `Stop` values, not exceptions.
 
 
 class DvfIgError(ValueError):
-    """Base of every error this package raises on purpose."""
+    """Base of all errors that this package raises."""
 
 
 class InvalidInputError(DvfIgError):
-    """The input cannot be used; the message says what, got, needed, and what to do."""
+    """Input that cannot be used; the message says what, got, needed, and what to do."""
 
 
 class FrameMismatchError(InvalidInputError):
-    """Two values whose coordinate frames do not meet were combined."""
+    """Combination of two values whose coordinate frames do not match."""
 
 
 class UnreadableFileError(InvalidInputError):
-    """A file is missing, truncated, or not of the format it claims."""
+    """File that is missing, truncated, or not of the format it claims."""
 
 
 class MissingDependencyError(DvfIgError):
-    """An optional package or a system library that this call needs is absent."""
+    """Missing optional package or system library that a call needs."""
 
 
 class OutputError(DvfIgError):
-    """A result could not be written."""
+    """Result that could not be written."""
 
 
 class NoOverlapError(DvfIgError):
-    """Two recordings or images that must share space or time do not."""
+    """Recordings or images that must share space or time, but do not."""
 
 
 class NotConvergedError(DvfIgError):
-    """An estimate did not converge."""
+    """Estimate that did not converge."""
 
 
 class QualityGateError(DvfIgError):
-    """An estimate converged but its evidence forbids its use."""
+    """Estimate that converged but must not be used because of its evidence."""

@@ -1,7 +1,7 @@
 """Compile kernels and keep them on disk, each valid for the digest of all sources that it may inline.
 
-numba's own cache follows the file of the outer kernel alone: after an edit to a function of another file it
-keeps running the old one. Here every entry holds the digest of its package's kernel sources, and a process
+numba's own cache depends on the file of the outer kernel alone: after an edit to a function of another file
+it keeps running the old one. Here every entry holds the digest of its package's kernel sources, and a process
 with another digest compiles and replaces it. Index and entry are separate files, so both hold the digest:
 neither a process that was killed between the two nor one of another version leaves old code under a new name.
 
@@ -35,7 +35,7 @@ def compile_kernel(function: Callable[..., Any], sources: KernelSources, **optio
 
 
 def compile_callback(function: Callable[..., Any], sources: KernelSources, signature: Any) -> Any:
-    """Compile a function to a C callback now, or load it; its `address` is what C calls."""
+    """Compile a function to a C callback now, or load it; C calls its `address`."""
     callback: Any = CFunc(
         function, sigutils.normalize_signature(signature), locals={}, options={"nopython": True}
     )
@@ -66,7 +66,7 @@ class _Entries(CompileResultCacheImpl):  # type: ignore[misc]
         super().__init__(function)
 
     def get_filename_base(self, fullname: str, abiflags: str) -> str:
-        """Name of the files, without numba's line number: a function that moves leaves no files behind."""
+        """Return the file name without numba's line number, so that moved functions leave no old files."""
         plain = fullname.replace("<", "").replace(">", "")
         return f"{plain}.{sys.implementation.cache_tag}{abiflags}"
 
@@ -74,7 +74,7 @@ class _Entries(CompileResultCacheImpl):  # type: ignore[misc]
         return self.digest, serialize.dumps(super().reduce(compiled))
 
     def rebuild(self, target_context: Any, entry: tuple[str, bytes]) -> Any:
-        """The compiled function; None if it is of other sources."""
+        """Return the compiled function, or None if it comes from other sources."""
         digest, reduced = entry
         return super().rebuild(target_context, pickle.loads(reduced)) if digest == self.digest else None
 
@@ -91,11 +91,11 @@ class _KernelCache(FunctionCache):  # type: ignore[misc]
         try:
             return super().load_overload(signature, target_context)
         except OSError:
-            return None  # saving fails as well, and says why
+            return None  # saving also fails, and reports why
 
     def save_overload(self, signature: Any, compiled: Any) -> None:
         if not self._sources.unchanged():
-            return  # edited while this process runs: what is in memory may be a mixture
+            return  # edited while this process runs: the code in memory may be a mixture
         try:
             super().save_overload(signature, compiled)
         except OSError as error:

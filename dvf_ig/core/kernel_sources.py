@@ -1,4 +1,4 @@
-"""The source files that kernels are inlined from, and their digest; for caches of what depends on them."""
+"""Source files from which kernels are inlined, and their digest for caches of compiled code."""
 
 import hashlib
 from dataclasses import dataclass
@@ -6,7 +6,7 @@ from pathlib import Path
 
 
 def source_digest(folder: Path) -> str:
-    """SHA-256 (hex) of the names and contents of all Python files in a folder and below it."""
+    """Compute the SHA-256 (hex) of the names and contents of all Python files in a folder and below it."""
     digest = hashlib.sha256()
     for path in sorted(folder.rglob("*.py")):
         content = path.read_bytes()
@@ -16,7 +16,7 @@ def source_digest(folder: Path) -> str:
 
 @dataclass(frozen=True, slots=True)
 class KernelSources:
-    """A folder of kernels, as it was before the first of them was imported.
+    """Sources of a folder of kernels, recorded before the first kernel is imported.
 
     Attributes:
         digest: see `source_digest`.
@@ -27,10 +27,10 @@ class KernelSources:
 
     @classmethod
     def of_package(cls, init_file: str) -> "KernelSources":
-        """Sources of the package whose `__init__.py` this is; to be called there, before any is imported."""
+        """Record the sources of the package with this `__init__.py`; call it there, before any import."""
         folder = Path(init_file).parent
         return cls(folder, source_digest(folder))
 
     def unchanged(self) -> bool:
-        """Whether the files are still what they were: what was imported since is then what they say."""
+        """Return whether the files are unchanged, so that modules imported since agree with them."""
         return source_digest(self.folder) == self.digest

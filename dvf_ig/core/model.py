@@ -14,7 +14,7 @@ from .timing.cycle import CycleTiming
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Chamber:
-    """The closed surface of blood-filled space, which ultrasound shows, through the cycle.
+    """Closed surface of a blood-filled space, which ultrasound shows, over the cycle.
 
     Attributes:
         name: for example "LV_ENDOCARDIAL" or "lv_blood".
@@ -41,8 +41,8 @@ class DvfModel:
     """Signed distance d(q, phase i) = Σ p_ijk B(x) B(y) B(z), cubic (Ren 2008, eq. 1); d > 0 inside.
 
     Attributes:
-        patient_id: whose heart.
-        surface_name: which surface, for example "EPICARDIAL".
+        patient_id: identifier of the patient.
+        surface_name: name of the surface, for example "EPICARDIAL".
         frame: frame of every coordinate here, normally "mr".
         timing: phase times and the RR interval they were acquired at.
         es_fraction: end-systole (smallest enclosed volume) as a fraction of the cycle.
@@ -53,8 +53,8 @@ class DvfModel:
         knot_spacing_mm: knot pitch, the same along each axis.
         reference: one mesh a phase, the surface the model was fitted to.
         reference_caps: per phase, True for triangles that close an opening and were never measured.
-        sources: what it was built from, for the record.
-        chambers: the blood within the organ, which ultrasound shows; none where it is not known.
+        sources: data it was built from, for the record.
+        chambers: the blood within the organ, which ultrasound shows; none if it is not known.
     """
 
     patient_id: str
@@ -105,11 +105,11 @@ class DvfModel:
         object.__setattr__(self, "reference_caps", caps)
 
     def require_patient(self, patient_id: str, this_is: str = "the model is") -> None:
-        """Raise InvalidInputError, with what to do, unless this is the model of that patient."""
+        """Raise InvalidInputError, with advice, unless this is the model of that patient."""
         if self.patient_id != patient_id:
             raise InvalidInputError(
                 f"{this_is} of patient '{self.patient_id}', needed patient '{patient_id}'; choose the right "
-                "patient's model, or, where it is the same patient, name the other data alike: "
+                "patient's model, or, if it is the same patient, give the other data the same name: "
                 f"--patient '{self.patient_id}', or patient_id: '{self.patient_id}' in their YAML file"
             )
 
@@ -119,7 +119,7 @@ class DvfModel:
 
     @property
     def upper_mm(self) -> FloatArray:
-        """(3,) far corner of the box in which the model is defined."""
+        """Far corner (3,) of the box in which the model is defined."""
         knots = np.array(self.coefficients.shape[1:]) - 3
         return np.asarray(self.origin_mm + knots * self.knot_spacing_mm)
 

@@ -1,15 +1,15 @@
-"""How long work tells how far it is."""
+"""Progress callbacks of long computations."""
 
 from collections.abc import Callable
 
 Progress = Callable[[float], None]
-"""Told the share of the work that is done, 0 to 1."""
+"""Callback called with the fraction of the work done, 0 to 1."""
 
 
 def part_of(progress: Progress, k: int, parts: int) -> Progress:
-    """What part `k` of equally long ones tells, so that `progress` is told the share of the whole."""
+    """Return the callback of part `k` of equal `parts`, which calls `progress` with the overall fraction."""
     return lambda share: progress((k + share) / parts)
 
 
 def untold(_: float) -> None:
-    """Nobody is told."""
+    """Ignore progress."""

@@ -1,10 +1,10 @@
-"""How an iterative estimate ended. Expected outcomes, not exceptions."""
+"""Expected outcomes of an iterative estimate, which are not exceptions."""
 
 from enum import Enum
 
 
 class Stop(Enum):
-    """Each value is the sentence a user reads."""
+    """Outcome of an iterative estimate; the value is the sentence that a user reads."""
 
     CONVERGED = "converged"
     MAX_ITERATIONS = "stopped at the iteration limit; the estimate may still be moving"

@@ -3,4 +3,4 @@
 from dvf_ig.core.kernel_sources import KernelSources
 
 SOURCES = KernelSources.of_package(__file__)
-"""As they are before any kernel is imported."""
+"""Sources as they are before any kernel is imported."""

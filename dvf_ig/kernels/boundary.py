@@ -5,7 +5,7 @@ gives the distance d there and its gradient g. With s = +1 where d grows towards
 
     r = d − o,   m = max(0, s n·g/|g|),   ω = a m / (1 + r²/σ²)²,   J = [(q − c) × g/ρ, g, −1]
 
-so that a point counts only where its normal agrees with the surface's (Geman–McClure; Black and Rangarajan
+so that a point counts only if its normal agrees with the surface's (Geman–McClure; Black and Rangarajan
 1996). The share a m/(1 + r²/σ²), summed, is what the step increases.
 """
 
@@ -22,11 +22,11 @@ from .lanes import unpack
 from .spline import cell_value_gradient, find_cell, inside_box
 
 UNKNOWNS = 7
-"""Six of the pose (see `registration.pose_chart`), then the uniform offset o."""
+"""Unknowns: six of the pose (see `registration.pose_chart`), then the uniform offset o."""
 RIGHT = UNKNOWNS * UNKNOWNS
-"""Where Jᵀωr begins in the sums of a step: JᵀωJ comes first, row by row."""
+"""Start of Jᵀωr in the sums of a step; JᵀωJ comes first, row by row."""
 SHARE, MATCHED, SQUARES = RIGHT + UNKNOWNS, RIGHT + UNKNOWNS + 1, RIGHT + UNKNOWNS + 2
-"""Places of Σ of the shares, Σ a m, and Σ ωr²."""
+"""Offsets of the sum of shares, Σ a m, and Σ ωr²."""
 SUMS = RIGHT + UNKNOWNS + 3
 
 
@@ -36,7 +36,7 @@ class OrientedPoints(NamedTuple):
     Attributes:
         points: (n, 3) mm; normals: (n, 3) unit.
         weights: (n,) a.
-        phases: (n,) which spline each is compared with.
+        phases: (n,) index of the spline with which each is compared.
     """
 
     points: FloatArray
@@ -63,7 +63,7 @@ class DistanceSplines(NamedTuple):
 def _at(
     coefficients: NDArray[np.float32], phase: int, m: FloatArray, x: float, y: float, z: float
 ) -> tuple[bool, float, float, float, float]:
-    """Whether (x, y, z) lies in the spline's box; distance and gradient per mm. `m`: (3, 4) knots from mm."""
+    """Evaluate the spline: (x, y, z) in its box, distance, gradient per mm. `m`: (3, 4) knots from mm."""
     cells = (coefficients.shape[1] - 3, coefficients.shape[2] - 3, coefficients.shape[3] - 3)
     u = m[0, 0] * x + m[0, 1] * y + m[0, 2] * z + m[0, 3]
     v = m[1, 0] * x + m[1, 1] * y + m[1, 2] * z + m[1, 3]
@@ -79,7 +79,7 @@ def _at(
 
 @inlined
 def _rotated(pose: FloatArray, vectors: FloatArray, i: int) -> tuple[float, float, float]:
-    """R v of one row."""
+    """Rotate row i: R v."""
     x, y, z = vectors[i, 0], vectors[i, 1], vectors[i, 2]
     return (
         pose[0, 0] * x + pose[0, 1] * y + pose[0, 2] * z,
@@ -90,7 +90,7 @@ def _rotated(pose: FloatArray, vectors: FloatArray, i: int) -> tuple[float, floa
 
 @inlined
 def _agreement(pose: FloatArray, normals: FloatArray, i: int, gx: float, gy: float, gz: float) -> float:
-    """Cosine between the moved normal and the gradient; 0 where the gradient vanishes."""
+    """Compute the cosine between the moved normal and the gradient; 0 if the gradient vanishes."""
     length = math.sqrt(gx * gx + gy * gy + gz * gz)
     if not length > 1e-6:
         return 0.0
@@ -100,7 +100,7 @@ def _agreement(pose: FloatArray, normals: FloatArray, i: int, gx: float, gy: flo
 
 @inlined
 def _add_row(out: FloatArray, row: FloatArray, w: float, r: float) -> None:
-    """One point's part of JᵀωJ (lower half) and Jᵀωr."""
+    """Add one point's part of JᵀωJ (lower half) and Jᵀωr."""
     for j in range(UNKNOWNS):
         wj = w * row[j]
         for k in range(j + 1):
@@ -119,7 +119,7 @@ def boundary_step_sums(
     sigma_mm: float,
     out: FloatArray,
 ) -> None:
-    """Sums of one step; see the module docstring.
+    """Compute the sums of one step; see the module docstring.
 
     Args:
         pose: (3, 4) R and t.
@@ -168,7 +168,7 @@ def boundary_residuals(
     distance_mm: FloatArray,
     agreement: FloatArray,
 ) -> None:
-    """Distance and agreement of the normal at every point, into (n,) each; NaN and 0 outside the spline."""
+    """Compute distance and the normal's agreement at every point, (n,) each; NaN and 0 outside the spline."""
     for i in range(len(boundary.points)):
         x, y, z = _rotated(pose, boundary.points, i)
         x, y, z = x + pose[0, 3], y + pose[1, 3], z + pose[2, 3]

@@ -1,4 +1,4 @@
-"""Several fixtures' forces in one: forbidden regions before guidance, within one cap.
+"""Composition of several fixtures' forces: forbidden regions before guidance, within one cap.
 
 `dvf_ig.guidance.composition` explains the rule and calls this kernel; so does the servo loop. The only
 iteration is an active-set solution of a non-negative least-squares problem with one unknown a region.
@@ -16,16 +16,16 @@ REJECTED_N = 6
 SATURATED = 9
 CONFLICT = 10
 COMPOSED_SIZE = 11
-"""What stands where in the output."""
+"""Offsets in the output."""
 
 CONFLICT_SHARE = 0.25
-"""Guidance of which more than this share of the cap is rejected is in conflict with forbidden regions."""
+"""Rejected guidance, as a share of the cap, above which it conflicts with forbidden regions."""
 OPPOSED_SHARE = 0.5
-"""Forbidden regions are in conflict where this share of their forces cancels."""
+"""Share of the forbidden regions' forces that cancels from which these conflict."""
 NEGLIGIBLE_SHARE = 0.1
-"""Cancelled forces below this share of the cap are no conflict."""
+"""Cancelled force, as a share of the cap, below which there is no conflict."""
 DEPENDENT = 1e-12
-"""A region's column with less than this left of its squared length adds nothing to those before it."""
+"""Share of its squared length that a region's column must keep to add anything to those before it."""
 NORMAL = 0
 ACTIVATION = 3
 LAMBDA = 4
@@ -37,13 +37,13 @@ the regions' normal equations and their factor."""
 
 
 def work_size(fixtures: int) -> tuple[int, int]:
-    """Shape of the work space for so many fixtures."""
+    """Return the shape of the work space for `fixtures` fixtures."""
     return fixtures, COLUMNS + 2 * fixtures + 1
 
 
 @kernel
 def ordered(forces_n: FloatArray, caps_n: FloatArray, order: FloatArray) -> None:
-    """Indices by value, so that not even rounding depends on the caller's order; into `order`."""
+    """Sort indices by value into `order`, so that not even rounding depends on the caller's order."""
     for i in range(len(forces_n)):
         at = i
         while at > 0:
@@ -61,7 +61,7 @@ def ordered(forces_n: FloatArray, caps_n: FloatArray, order: FloatArray) -> None
 
 @kernel
 def _factor_solve(work: FloatArray, count: int, out: int) -> None:
-    """Cholesky solution over the regions in the class; 0 for the others and for dependent columns."""
+    """Solve by Cholesky over the regions in the class; 0 for the others and for dependent columns."""
     low = COLUMNS + count
     for i in range(count):
         work[i, out] = 0.0
@@ -95,7 +95,7 @@ def _factor_solve(work: FloatArray, count: int, out: int) -> None:
 
 @kernel
 def _solve_multipliers(work: FloatArray, count: int) -> None:
-    """λ >= 0 of least ½λᵀGλ − bᵀλ: Lawson and Hanson's active set on the normal equations."""
+    """Find λ >= 0 of least ½λᵀGλ − bᵀλ by Lawson and Hanson's active set on the normal equations."""
     trial = COLUMNS + 2 * count
     for i in range(count):
         work[i, LAMBDA] = work[i, CLASS] = 0.0
@@ -133,7 +133,7 @@ def _solve_multipliers(work: FloatArray, count: int) -> None:
 def _regions(
     forces_n: FloatArray, caps_n: FloatArray, forbidden: FloatArray, order: FloatArray, work: FloatArray
 ) -> int:
-    """Unit vectors into the regions that push, and their activations, into the work space; how many."""
+    """Write unit vectors into the pushing regions and their activations to the work space; count them."""
     count = 0
     for at in range(len(order)):
         i = int(order[at])
@@ -161,7 +161,7 @@ def without_inward_part(
     guidance_n: FloatArray,
     work: FloatArray,
 ) -> None:
-    """Take from `guidance_n` (3,), in place, what leads into the forbidden regions.
+    """Remove from `guidance_n` (3,), in place, the part that leads into the forbidden regions.
 
     The minimiser of ½|x − F|² + ½ Σ f/(1−f) max(0, x·n)² is x = F − Nλ, λ >= 0 of least |F − Nλ|² +
     Σ λᵢ²(1−fᵢ)/fᵢ; solved for λᵢ/√fᵢ, whose columns √fᵢnᵢ, √(1−fᵢ)eᵢ have unit length.
@@ -196,13 +196,13 @@ def compose_forces(
     order: FloatArray,
     out: FloatArray,
 ) -> None:
-    """All fixtures' forces in one.
+    """Compose the forces of all fixtures.
 
     Args:
-        forces_n: (k, 3) N of the fixtures; caps_n: (k,) of their laws; forbidden: (k,) 1, or 0 of guidance.
-        cap_n: largest force together.
+        forces_n: (k, 3) N of the fixtures; caps_n: (k,) of their laws; forbidden: (k,) 1, or 0 for guidance.
+        cap_n: largest total force.
         work: `work_size(k)`; order: (k,).
-        out: (11,) forbidden part, guidance part and rejected part in N; 1 where saturated, in conflict.
+        out: (11,) forbidden part, guidance part and rejected part in N; 1 if saturated, in conflict.
     """
     ordered(forces_n, caps_n, order)
     out[:] = 0.0

@@ -14,7 +14,7 @@ _MASK = (1 << 64) - 1
 
 
 def _tables() -> Any:
-    """(8, 256) uint64: the CRC of a byte that k zero bytes follow."""
+    """Compute (8, 256) uint64 CRCs of a byte followed by k zero bytes."""
     tables = np.zeros((8, 256), dtype=np.uint64)
     for byte in range(256):
         value = byte << 56
@@ -31,7 +31,7 @@ TABLES = _tables()
 
 
 def crc64_readable(data: bytes) -> int:
-    """The same a byte at a time; tests hold `crc64_of` to it."""
+    """Compute the CRC a byte at a time; tests compare `crc64_of` with it."""
     crc = 0
     for byte in data:
         crc = ((crc << 8) & _MASK) ^ int(TABLES[0, (crc >> 56) ^ byte])
@@ -40,7 +40,7 @@ def crc64_readable(data: bytes) -> int:
 
 @kernel
 def crc64_of(data: Any, tables: Any) -> int:
-    """CRC of bytes.
+    """Compute the CRC of bytes.
 
     Args:
         data: (n,) uint8.

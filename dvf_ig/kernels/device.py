@@ -26,12 +26,12 @@ def advance(
     steps: int,
     out: FloatArray,
 ) -> None:
-    """State after one servo period.
+    """Advance the state by one servo period.
 
     Args:
         state: (6,) position in mm, velocity in mm/s.
-        force_n: (3,) commanded force; limited to `largest_n`; zero where it is not finite.
-        mass_kg, viscous_n_s_per_m, dry_n: of the moving parts.
+        force_n: (3,) commanded force; limited to `largest_n`; zero if not finite.
+        mass_kg, viscous_n_s_per_m, dry_n: mass and friction of the moving parts.
         period_s: time the force is held, in `steps` equal sub-steps.
         out: (6,) state afterwards; may be `state` itself.
     """
@@ -48,7 +48,7 @@ def advance(
     for _ in range(steps):
         vx, vy, vz = (vx + push * fx) * slowed, (vy + push * fy) * slowed, (vz + push * fz) * slowed
         speed = math.sqrt(vx * vx + vy * vy + vz * vz)
-        kept = 1.0 - dry / speed if speed > dry else 0.0
-        vx, vy, vz = kept * vx, kept * vy, kept * vz
+        share = 1.0 - dry / speed if speed > dry else 0.0
+        vx, vy, vz = share * vx, share * vy, share * vz
         x, y, z = x + h * vx, y + h * vy, z + h * vz
     out[0], out[1], out[2], out[3], out[4], out[5] = x, y, z, vx, vy, vz

@@ -41,7 +41,7 @@ from .worst_phase import wall_without_phase
 
 @inlined
 def _force_per_gradient_of_blend(f: FloatArray, field: Float64x4) -> float:
-    """`force_per_gradient` on a blended field; d/|∇d| because a blend of distances is no distance."""
+    """`force_per_gradient` on a blended field; d/|∇d| because a blend of distances is not a distance."""
     d, gx, gy, gz = unpack(field)
     norm = math.sqrt(gx * gx + gy * gy + gz * gz)
     return force_per_gradient(f, d / norm - f[DEPTH], norm) if norm > 0.0 else 0.0
@@ -49,7 +49,7 @@ def _force_per_gradient_of_blend(f: FloatArray, field: Float64x4) -> float:
 
 @kernel
 def _periodic_at(coefficients: NDArray[np.float32], f: FloatArray, q: Vector, phi: float) -> Output:
-    """Cubic in phase: one law on the blended field, whose phases are those of the periodic spline.
+    """Evaluate a fixture cubic in phase: one law on the blended field of the periodic spline.
 
     Not inlined: it would take registers from its callers (docs/decisions/0006).
     """
@@ -77,7 +77,7 @@ def _periodic_at(coefficients: NDArray[np.float32], f: FloatArray, q: Vector, ph
 def _two_fields(
     coefficients: NDArray[np.float32], f: FloatArray, knot: Vector, phi: float
 ) -> tuple[Float64x4, Float64x4, Float64x4, float, float]:
-    """Fields of the phases around `phi`, their blend, the second's weight, the distance rate."""
+    """Evaluate the fields of the phases around `phi`, their blend, the second's weight, the distance rate."""
     cell = find_cell(knot[0], knot[1], knot[2], cells_of(coefficients))
     first, second, alpha, width = phase_bracket(f, TIMES, len(coefficients), phi)
     a = field_of_phase(coefficients, first, cell, f[PER_KNOT])
@@ -88,7 +88,7 @@ def _two_fields(
 
 @inlined
 def _blended_force(f: FloatArray, a: Float64x4, b: Float64x4, mixed: Float64x4, alpha: float) -> Float64x4:
-    """(0, force) of a fixture that is linear in phase."""
+    """Compute (0, force) of a fixture that is linear in phase."""
     if int(f[BLEND]) == BLEND_DISTANCE:
         return scale(_force_per_gradient_of_blend(f, mixed), mixed)
     return fma(
@@ -100,7 +100,7 @@ def _blended_force(f: FloatArray, a: Float64x4, b: Float64x4, mixed: Float64x4, 
 
 @inlined
 def _force_at(coefficients: NDArray[np.float32], f: FloatArray, q: Vector, phi: float) -> Output:
-    """Force at one point of the model's frame; linear in phase, unless the blend is periodic."""
+    """Compute the force at one point of the model's frame; linear in phase, unless the blend is periodic."""
     if int(f[BLEND]) == BLEND_PERIODIC:
         return _periodic_at(coefficients, f, q, phi)
     status, u, v, w = knot_coordinates(coefficients, f, q, phi)
@@ -119,16 +119,16 @@ def forces_on_surface(
     phi: float,
     forces: FloatArray,
 ) -> Output:
-    """Forces of several fixtures on one surface; those linear in phase share the spline's evaluation.
+    """Compute forces of several fixtures on one surface; those linear in phase share the spline's evaluation.
 
     Args:
         linear, periodic: (n, cx, cy, cz) coefficients of the two kinds of blend; (0, …) of one not used.
         packed: (k, p) fixtures; their poses are not used.
         q: point in the model's frame.
         phi: model phase.
-        forces: (k, 3) N, model frame; only whole where the status is OK.
+        forces: (k, 3) N, model frame; complete only if the status is OK.
     Returns:
-        output of the first fixture; the status is that of the first that is not OK.
+        output of the first fixture; the status is the first that is not OK.
     """
     nothing = pack(0.0, 0.0, 0.0, 0.0)
     a, b, mixed, alpha, rate = nothing, nothing, nothing, 0.0, 0.0
@@ -141,14 +141,14 @@ def forces_on_surface(
     for i in range(len(packed)):
         f = packed[i]
         if int(f[BLEND]) == BLEND_PERIODIC:
-            found = _periodic_at(periodic, f, q, phi)
+            result = _periodic_at(periodic, f, q, phi)
         else:
-            found = output_of(_blended_force(f, a, b, mixed, alpha), mixed, rate)
-        if found[0] != code.OK:
-            return no_output(found[0])
-        forces[i, 0], forces[i, 1], forces[i, 2] = found[1]
+            result = output_of(_blended_force(f, a, b, mixed, alpha), mixed, rate)
+        if result[0] != code.OK:
+            return no_output(result[0])
+        forces[i, 0], forces[i, 1], forces[i, 2] = result[1]
         if i == 0:
-            first = found
+            first = result
     return first
 
 
@@ -163,7 +163,7 @@ def _transformed(f: FloatArray, x: float, y: float, z: float) -> Vector:
 
 @inlined
 def _rotated_back(f: FloatArray, v: Vector) -> Vector:
-    """Rᵀ v: a free vector of the model's frame, expressed in the query frame."""
+    """Rotate a free vector from the model's frame to the query frame: Rᵀ v."""
     return (
         f[POSE] * v[0] + f[POSE + 4] * v[1] + f[POSE + 8] * v[2],
         f[POSE + 1] * v[0] + f[POSE + 5] * v[1] + f[POSE + 9] * v[2],
@@ -180,11 +180,11 @@ def force_tick(
     input_status: int,
     out: FloatArray,
 ) -> int:
-    """Force at one point; the call of a servo loop.
+    """Compute the force at one point; the call of a servo loop.
 
     Args:
         coefficients: (n, cx, cy, cz) mm; of the phases, or of the periodic spline through them.
-        packed: the rest of the fixture (`packed_fixture`).
+        packed: the fixture without its coefficients (`packed_fixture`).
         xyz_mm: (3,) point in the query frame.
         phi: model phase.
         input_status: status of the inputs; anything but OK is returned with zero force, except that
@@ -221,13 +221,13 @@ def force_batch(
     rate_mm_per_cycle: FloatArray,
     status: IntArray,
 ) -> None:
-    """`force_tick` for (k, 3) points and (k,) phases; `status` comes in as its `input_status`."""
+    """Compute `force_tick` for (k, 3) points and (k,) phases; `status` holds `input_status` on entry."""
     for n in range(len(xyz_mm)):
-        found, force, d, g, rate = no_output(status[n])
-        if found == code.OK:
+        code_n, force, d, g, rate = no_output(status[n])
+        if code_n == code.OK:
             q = _transformed(packed, xyz_mm[n, 0], xyz_mm[n, 1], xyz_mm[n, 2])
-            found, force, d, g, rate = _force_at(coefficients, packed, q, phi[n])
-        status[n] = found
+            code_n, force, d, g, rate = _force_at(coefficients, packed, q, phi[n])
+        status[n] = code_n
         force_n[n, 0], force_n[n, 1], force_n[n, 2] = _rotated_back(packed, force)
         distance_mm[n] = d
         gradient[n, 0], gradient[n, 1], gradient[n, 2] = _rotated_back(packed, g)
@@ -248,7 +248,7 @@ def _walls_without_phase(
     rate_mm_per_cycle: FloatArray,
     status: IntArray,
 ) -> None:
-    """The entries of `force_batch` at NO_PHASE, apart: a call would slow the others' loop by 5 %."""
+    """Fill the entries of `force_batch` at NO_PHASE; a call in the main loop would slow it by 5 %."""
     for n in range(len(xyz_mm)):
         if status[n] == code.NO_PHASE:
             q = _transformed(packed, xyz_mm[n, 0], xyz_mm[n, 1], xyz_mm[n, 2])

@@ -1,4 +1,4 @@
-"""A fixture in one array, and the field of one of its phases at a point: what every evaluation is made of."""
+"""A fixture packed in one array, and the field of one of its phases at a point."""
 
 import math
 
@@ -27,10 +27,10 @@ DEPTH = 9
 POSE = 10
 TIMES = 22
 POWERS = 16
-"""Numbers for each phase that follow the phase times, with the periodic blend."""
+"""Count of numbers for each phase that follow the phase times with the periodic blend."""
 
 WITHOUT_RATE = 7
-"""Numbers in the output of a tick: force 3, distance, gradient 3; the distance rate may follow."""
+"""Count of numbers in the output of a tick: force 3, distance, gradient 3; the distance rate may follow."""
 
 Output = tuple[int, Vector, float, Vector, float]
 """Status, force (N), distance (mm), gradient, distance rate (mm a cycle)."""
@@ -45,7 +45,7 @@ def packed_fixture(
     blend: int,
     model_from_query: FloatArray,
 ) -> FloatArray:
-    """Everything but the coefficients in one array: each array argument lengthens a call from Python.
+    """Pack all but the coefficients in one array: each array argument lengthens a call from Python.
 
     Args:
         origin_mm: (3,); knot_mm: knot pitch.
@@ -61,14 +61,14 @@ def packed_fixture(
 
 @inlined
 def no_output(status: int) -> Output:
-    """Zero force, everything else NaN."""
+    """Return zero force, everything else NaN."""
     undefined = (math.nan, math.nan, math.nan)
     return status, (0.0, 0.0, 0.0), math.nan, undefined, math.nan
 
 
 @inlined
 def force_per_gradient(f: FloatArray, s_mm: float, norm: float) -> float:
-    """Force per unit of gradient: −cap·f(s)·certainty/|∇d|; zero where the direction is lost.
+    """Compute the force per unit of gradient: −cap·f(s)·certainty/|∇d|; zero where the direction is lost.
 
     Whatever the packed cap is, no force is longer than LARGEST_FORCE_N.
     """
@@ -83,14 +83,14 @@ def force_per_gradient(f: FloatArray, s_mm: float, norm: float) -> float:
 
 @inlined
 def force_per_gradient_of_field(f: FloatArray, field: Float64x4) -> float:
-    """`force_per_gradient` at a distance and gradient of one phase."""
+    """Compute `force_per_gradient` at a distance and gradient of one phase."""
     d, gx, gy, gz = unpack(field)
     return force_per_gradient(f, d - f[DEPTH], math.sqrt(gx * gx + gy * gy + gz * gz))
 
 
 @inlined
 def field_of_phase(coefficients: NDArray[np.float32], phase: int, cell: Cell, per_knot: float) -> Float64x4:
-    """(distance, gradient) of one phase, gradient per mm."""
+    """Evaluate (distance, gradient) of one phase, gradient per mm."""
     return multiply(
         pack(1.0, per_knot, per_knot, per_knot), cell_value_gradient(coefficients, np.uintp(phase), cell)
     )
@@ -98,7 +98,7 @@ def field_of_phase(coefficients: NDArray[np.float32], phase: int, cell: Cell, pe
 
 @inlined
 def cells_of(coefficients: NDArray[np.float32]) -> tuple[int, int, int]:
-    """Cells of the spline along each axis."""
+    """Count the spline's cells along each axis."""
     return coefficients.shape[1] - 3, coefficients.shape[2] - 3, coefficients.shape[3] - 3
 
 
@@ -106,7 +106,7 @@ def cells_of(coefficients: NDArray[np.float32]) -> tuple[int, int, int]:
 def knot_coordinates(
     coefficients: NDArray[np.float32], f: FloatArray, q: Vector, phi: float
 ) -> tuple[int, float, float, float]:
-    """Status and knot coordinates of a point."""
+    """Convert a point to knot coordinates, with its status."""
     u = (q[0] - f[ORIGIN]) * f[PER_KNOT]
     v = (q[1] - f[ORIGIN + 1]) * f[PER_KNOT]
     w = (q[2] - f[ORIGIN + 2]) * f[PER_KNOT]
@@ -117,7 +117,7 @@ def knot_coordinates(
 
 @inlined
 def output_of(force: Float64x4, field: Float64x4, rate: float) -> Output:
-    """Output of the rows (0, force) and (distance, gradient), and the distance rate."""
+    """Assemble the output from the rows (0, force) and (distance, gradient), and the distance rate."""
     _, fx, fy, fz = unpack(force)
     d, gx, gy, gz = unpack(field)
     if not math.isfinite(fx + fy + fz):

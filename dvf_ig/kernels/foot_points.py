@@ -21,14 +21,14 @@ def foot_point_distance(
     plane_mm: float,
     out: NDArray[np.float32],
 ) -> None:
-    """The distance to the plane where that is near, to the foot point from three times `plane_mm` on.
+    """Compute the distance: to the plane near it, to the foot point from three times `plane_mm` on.
 
     Args:
         nearest: (3, nx, ny, nz) index of each voxel's nearest surface voxel.
         row: (nx, ny, nz) number of each surface voxel.
         feet_mm: (n, 3) from a surface voxel to the surface, against its normal; normals: (n, 3) inward.
         inside: (nx, ny, nz).
-        plane_mm: up to here the plane alone counts.
+        plane_mm: distance up to which only the plane counts.
         out: (nx, ny, nz) mm, positive inside.
     """
     nx, ny, nz = out.shape

@@ -46,7 +46,7 @@ def _shuffle_mask(*lanes: int) -> ir.Constant:
 
 
 def _broadcast(builder: Any, number: Any) -> Any:
-    """The same number in all lanes."""
+    """Broadcast a number to all lanes."""
     undefined = ir.Constant(_ROW, ir.Undefined)
     first = builder.insert_element(undefined, number, ir.Constant(ir.IntType(32), 0))
     return builder.shuffle_vector(first, undefined, _shuffle_mask(0, 0, 0, 0))
@@ -54,7 +54,7 @@ def _broadcast(builder: Any, number: Any) -> Any:
 
 @intrinsic
 def pack(typing: Any, a: float, b: float, c: float, d: float) -> Float64x4:
-    """Four numbers as one row."""
+    """Pack four numbers as one row."""
 
     def build(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         row = ir.Constant(_ROW, ir.Undefined)
@@ -67,7 +67,7 @@ def pack(typing: Any, a: float, b: float, c: float, d: float) -> Float64x4:
 
 @intrinsic
 def unpack(typing: Any, row: Float64x4) -> Any:
-    """The four values, as a tuple of float64."""
+    """Unpack the four values to a tuple of float64."""
 
     def build(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         lanes = [builder.extract_element(args[0], ir.Constant(ir.IntType(32), k)) for k in range(LANES)]
@@ -78,7 +78,7 @@ def unpack(typing: Any, row: Float64x4) -> Any:
 
 @intrinsic
 def load_row(typing: Any, c: Any, p: Any, i: Any, j: Any, k: Any) -> Float64x4:
-    """c[p, i, j, k] … c[p, i, j, k+3] of a C-ordered float32 array; indices np.uintp, not checked."""
+    """Load c[p, i, j, k] … c[p, i, j, k+3] of a C-ordered float32 array; indices np.uintp, not checked."""
 
     def build(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         array = context.make_array(signature.args[0])(context, builder, args[0])
@@ -94,7 +94,7 @@ def load_row(typing: Any, c: Any, p: Any, i: Any, j: Any, k: Any) -> Float64x4:
 
 @intrinsic
 def prefetch_row(typing: Any, c: Any, p: Any, i: Any, j: Any, k: Any) -> Any:
-    """Ask for what `load_row` will read soon; changes no value."""
+    """Prefetch the row that `load_row` will read soon; changes no value."""
 
     def build(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         array = context.make_array(signature.args[0])(context, builder, args[0])
@@ -123,7 +123,7 @@ def scale(typing: Any, w: float, row: Float64x4) -> Float64x4:
 
 @intrinsic
 def fma(typing: Any, total: Float64x4, w: float, row: Float64x4) -> Float64x4:
-    """Multiply-add: total + w · row."""
+    """Compute total + w · row."""
 
     def build(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         product = builder.fmul(_broadcast(builder, args[1]), args[2], flags=_FUSED)
@@ -134,7 +134,7 @@ def fma(typing: Any, total: Float64x4, w: float, row: Float64x4) -> Float64x4:
 
 @intrinsic
 def multiply(typing: Any, a: Float64x4, b: Float64x4) -> Float64x4:
-    """a · b, lane by lane."""
+    """Compute a · b, lane by lane."""
 
     def build(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         return builder.fmul(args[0], args[1])
@@ -144,7 +144,7 @@ def multiply(typing: Any, a: Float64x4, b: Float64x4) -> Float64x4:
 
 @intrinsic
 def add(typing: Any, a: Float64x4, b: Float64x4) -> Float64x4:
-    """a + b, lane by lane."""
+    """Compute a + b, lane by lane."""
 
     def build(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         return builder.fadd(args[0], args[1])
@@ -154,7 +154,7 @@ def add(typing: Any, a: Float64x4, b: Float64x4) -> Float64x4:
 
 @intrinsic
 def subtract(typing: Any, a: Float64x4, b: Float64x4) -> Float64x4:
-    """a − b, lane by lane."""
+    """Compute a − b, lane by lane."""
 
     def build(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         return builder.fsub(args[0], args[1])
@@ -163,7 +163,7 @@ def subtract(typing: Any, a: Float64x4, b: Float64x4) -> Float64x4:
 
 
 def _row_place(context: Any, builder: Any, array_type: Any, args: Any) -> Any:
-    """Where a row of an array begins; args: the array and its indices."""
+    """Compute the address of a row of an array; args: the array and its indices."""
     array = context.make_array(array_type)(context, builder, args[0])
     place = cgutils.get_item_pointer(context, builder, array_type, array, args[1:], wraparound=False)
     return builder.bitcast(place, _ROW.as_pointer())
@@ -171,7 +171,7 @@ def _row_place(context: Any, builder: Any, array_type: Any, args: Any) -> Any:
 
 @intrinsic
 def load4(typing: Any, sums: Any, i: Any, k: Any) -> Float64x4:
-    """sums[i, k] … sums[i, k+3] of a C-ordered float64 array; indices np.uintp, not checked."""
+    """Load sums[i, k] … sums[i, k+3] of a C-ordered float64 array; indices np.uintp, not checked."""
 
     def build(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         row = builder.load(_row_place(context, builder, signature.args[0], args))
@@ -183,7 +183,7 @@ def load4(typing: Any, sums: Any, i: Any, k: Any) -> Float64x4:
 
 @intrinsic
 def store4(typing: Any, sums: Any, i: Any, k: Any, row: Float64x4) -> Any:
-    """sums[i, k:k+4] = row; as `load4`."""
+    """Store sums[i, k:k+4] = row; as `load4`."""
 
     def build(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         stored = builder.store(args[3], _row_place(context, builder, signature.args[0], args[:3]))
@@ -195,7 +195,7 @@ def store4(typing: Any, sums: Any, i: Any, k: Any, row: Float64x4) -> Any:
 
 @intrinsic
 def pair_sums(typing: Any, a: Float64x4, b: Float64x4) -> Float64x4:
-    """(1st + 3rd, 2nd + 4th) of a, then of b."""
+    """Compute (1st + 3rd, 2nd + 4th) of a, then of b."""
 
     def build(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         low = builder.shuffle_vector(args[0], args[1], _shuffle_mask(0, 1, 4, 5))
@@ -207,7 +207,7 @@ def pair_sums(typing: Any, a: Float64x4, b: Float64x4) -> Float64x4:
 
 @intrinsic
 def horizontal_sums(typing: Any, a: Float64x4, b: Float64x4, c: Float64x4, d: Float64x4) -> Float64x4:
-    """(Σa, Σb, Σc, Σd), each as (1st + 2nd) + (3rd + 4th)."""
+    """Compute (Σa, Σb, Σc, Σd), each as (1st + 2nd) + (3rd + 4th)."""
 
     def build(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         def added(p: Any, q: Any, one: Any, other: Any) -> Any:

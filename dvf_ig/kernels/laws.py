@@ -12,18 +12,17 @@ SIGMOID = 0
 GAUSSIAN = 1
 
 LARGEST_FORCE_N = 20.0
-"""No parameter makes a force larger. The strongest table-top devices (Force Dimension delta) hold it."""
+"""Largest force for any parameters, which the strongest table-top devices (Force Dimension delta) reach."""
 
 DIRECTION_LOST = 0.2
-"""Below this |∇d| the direction is lost (medial axis, opposing walls): no force."""
+"""|∇d| below which the direction is lost (medial axis, opposing walls) and there is no force."""
 DIRECTION_SURE = 0.4
-"""Above this |∇d| the law is unchanged; between the two it fades by smoothstep
-(docs/theory/fixtures.md)."""
+"""|∇d| above which the law is unchanged; between the two it fades by smoothstep (docs/theory/fixtures.md)."""
 
 
 @inlined
 def signed_potential(kind: int, scale: float, exponent: float, s_mm: float) -> float:
-    """f(s).
+    """Compute the law's f(s).
 
     Args:
         kind: SIGMOID or GAUSSIAN.

@@ -12,9 +12,9 @@ Weights4 = tuple[float, float, float, float]
 
 @inlined
 def phase_bracket(times: FloatArray, start: int, count: int, phi: float) -> tuple[int, int, float, float]:
-    """Neighbouring phases of `phi` (cyclic), weight of the second, and their distance in cycles.
+    """Find neighbouring phases of `phi` (cyclic), the weight of the second, and their distance in cycles.
 
-    The search starts at the index for evenly spaced phases, and then ends at once.
+    The search starts at the index for evenly spaced phases, and ends at once for these.
 
     Args:
         times: holds the phase times as fractions of the cycle, `count` of them from `start` on.
@@ -42,7 +42,7 @@ def _row(c: FloatArray, k: int) -> Float64x4:
 
 @inlined
 def cubic_in_phase(powers: FloatArray, start: int, alpha: float) -> tuple[Weights4, Weights4]:
-    """Weights of the four phases around an interval, and their derivatives with respect to alpha.
+    """Compute weights of the four phases around an interval, and their derivatives by alpha.
 
     Args:
         powers: from `start` on, the coefficients of 1, α, α², α³ for phases first−1 … first+2, 16 numbers.

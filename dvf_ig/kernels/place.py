@@ -71,9 +71,9 @@ def packed_pose_and_phase(
     covariance_mm2: FloatArray | None,
     center_mm: FloatArray,
 ) -> FloatArray:
-    """One array for `place_tick` and `guided_tick`; arguments as in `dvf_ig.guidance.PoseAndPhase`.
+    """Pack one array for `place_tick` and `guided_tick`; arguments as in `dvf_ig.guidance.PoseAndPhase`.
 
-    A pose that is not there, and a phase that is not LOCKED or cannot be retimed, end before they begin.
+    A missing pose, and a phase that is not LOCKED or cannot be retimed, get an end before their start.
     """
     p = np.full(PACKED_SIZE, np.nan)
     p[POSE_UNTIL] = -math.inf if pose is None else pose_until_s
@@ -114,13 +114,13 @@ def packed_pose_and_phase(
 
 @inlined
 def _column(p: FloatArray, at: int) -> Vector:
-    """Column of a (3, 4) matrix that lies row by row."""
+    """Read a column of a (3, 4) matrix stored row by row."""
     return p[at], p[at + 4], p[at + 8]
 
 
 @inlined
 def _turned(axis: Vector, sine: float, cosine: float, v: Vector) -> Vector:
-    """Rodrigues: v cos + (k × v) sin + k (k·v)(1 − cos)."""
+    """Rotate by Rodrigues: v cos + (k × v) sin + k (k·v)(1 − cos)."""
     side, along = cross(axis, v), (1.0 - cosine) * dot(axis, v)
     return (
         v[0] * cosine + side[0] * sine + axis[0] * along,
@@ -131,7 +131,7 @@ def _turned(axis: Vector, sine: float, cosine: float, v: Vector) -> Vector:
 
 @inlined
 def _pose_between(p: FloatArray, t_s: float) -> Columns:
-    """Within the motion: docs of `dvf_ig.core.space.pose_motion`."""
+    """Compute the pose within its motion; see `dvf_ig.core.space.pose_motion`."""
     duration = p[END_S] - p[START_S]
     weight = (t_s - p[START_S]) / duration
     axis, c, s = vector_at(p, AXIS), vector_at(p, CENTER), vector_at(p, SHIFT)
@@ -154,7 +154,7 @@ def _pose_between(p: FloatArray, t_s: float) -> Columns:
 
 @inlined
 def pose_at(p: FloatArray, t_s: float) -> Columns:
-    """Pose and its rates at a time; before and after its motion it stands still."""
+    """Compute pose and rates at a time; the pose is constant before and after its motion."""
     if p[START_S] <= t_s and t_s < p[END_S]:
         return _pose_between(p, t_s)
     at, still = (END_POSE if t_s >= p[END_S] else START_POSE), (0.0, 0.0, 0.0)
@@ -164,7 +164,7 @@ def pose_at(p: FloatArray, t_s: float) -> Columns:
 
 @inlined
 def _retimed(p: FloatArray, phi: float) -> tuple[float, float]:
-    """Model phase and its slope: docs of `dvf_ig.core.timing.retiming_curve`."""
+    """Compute model phase and its slope; see `dvf_ig.core.timing.retiming_curve`."""
     early = phi <= p[END_SYSTOLE]
     width = p[END_SYSTOLE] if early else 1.0 - p[END_SYSTOLE]
     height = p[MODEL_END_SYSTOLE] if early else 1.0 - p[MODEL_END_SYSTOLE]
@@ -180,7 +180,7 @@ def _retimed(p: FloatArray, phi: float) -> tuple[float, float]:
 
 @inlined
 def phase_at(p: FloatArray, t_s: float) -> Phase:
-    """Model phase, its rate, its standard deviation: docs of `dvf_ig.core.timing.phase_forecast`."""
+    """Compute model phase, its rate and standard deviation; see `dvf_ig.core.timing.phase_forecast`."""
     rr, phi = p[RR_S], p[PHI]
     target = p[CYCLES] + (t_s - p[R_S]) / rr
     caught = phi + p[CATCH_UP] * (t_s - p[PHASE_SINCE]) / rr
@@ -194,10 +194,10 @@ def phase_at(p: FloatArray, t_s: float) -> Phase:
 
 @inlined
 def status_at(p: FloatArray, t_s: float, finite: float) -> int:
-    """FAULT before NO_POSE before NO_PHASE.
+    """Choose the status: FAULT before NO_POSE before NO_PHASE.
 
     Args:
-        finite: a sum of all that must be finite besides the time.
+        finite: a sum of all other numbers that must be finite.
     """
     if not math.isfinite(t_s + finite):
         return code.FAULT
@@ -218,12 +218,12 @@ def set_pose(out: FloatArray, at: int, pose: Columns) -> None:
 
 @kernel
 def place_tick(packed: FloatArray, t_s: float, place: FloatArray) -> int:
-    """Pose, model phase and their rates at one time.
+    """Compute pose, model phase and their rates at one time.
 
     Args:
         packed: `packed_pose_and_phase`.
         place: (21,) pose, turn rate, velocity, model phase, its rate and standard deviation, at the offsets
-            of this module; NaN where not known: the pose at NO_POSE, the phase at NO_PHASE, all at FAULT.
+            of this module; NaN if not known: the pose at NO_POSE, the phase at NO_PHASE, all at FAULT.
     Returns:
         status code.
     """
@@ -237,6 +237,6 @@ def place_tick(packed: FloatArray, t_s: float, place: FloatArray) -> int:
         for k in range(3):
             place[TURN_RATE + k], place[ORIGIN_VELOCITY + k] = pose[4][k], pose[5][k]
     if packed[PHASE_SINCE] <= t_s and t_s <= packed[PHASE_UNTIL]:
-        found = phase_at(packed, t_s)
-        place[MODEL_PHASE], place[MODEL_PHASE_RATE], place[MODEL_PHASE_SIGMA] = found
+        phase = phase_at(packed, t_s)
+        place[MODEL_PHASE], place[MODEL_PHASE_RATE], place[MODEL_PHASE_SIGMA] = phase
     return status

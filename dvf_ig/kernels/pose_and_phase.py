@@ -29,14 +29,14 @@ from .vectors import Vector, cross, dot, vector_at
 from .worst_phase import is_wall
 
 DISTANCE_RATE = 8
-"""In the output of a guided tick: ∂d/∂t where the tool is, mm/s; then σ_d in mm."""
+"""Offsets in the output of a guided tick: ∂d/∂t at the tool's position, mm/s; then σ_d in mm."""
 DISTANCE_SIGMA = 9
 GUIDED_SIZE = 10
 
 
 @inlined
 def _distance_variance(p: FloatArray, at: Vector, g: Vector) -> float:
-    """Variance of d by the pose: h Σ hᵀ with h = ((p − c) × ∇d/radius, ∇d)."""
+    """Compute the variance of d by the pose: h Σ hᵀ with h = ((p − c) × ∇d/radius, ∇d)."""
     c = vector_at(p, COVARIANCE_CENTER)
     torque = cross((at[0] - c[0], at[1] - c[1], at[2] - c[2]), g)
     scale = p[COVARIANCE_TURN]
@@ -52,7 +52,7 @@ def _distance_variance(p: FloatArray, at: Vector, g: Vector) -> float:
 
 @inlined
 def _combined(pose: Columns, v: FloatArray, at: int) -> Vector:
-    """Rotation of the pose times three numbers."""
+    """Rotate three numbers by the pose."""
     x, y, z = pose[0], pose[1], pose[2]
     return (
         x[0] * v[at] + y[0] * v[at + 1] + z[0] * v[at + 2],
@@ -65,12 +65,12 @@ def _combined(pose: Columns, v: FloatArray, at: int) -> Vector:
 def distance_rate_and_sigma(
     packed: FloatArray, pose: Columns, phase: Phase, xyz_mm: FloatArray, out: FloatArray
 ) -> tuple[float, float]:
-    """∂d/∂t at the tool's fixed place (mm/s), by the twist of the pose and the phase's rate; and σ_d (mm).
+    """Compute ∂d/∂t at a fixed position (mm/s), by the pose's twist and the phase's rate, and σ_d (mm).
 
     Args:
-        packed: pose and phase; pose, phase: of that, at the time.
+        packed: pose and phase; pose, phase: their values at the time.
         xyz_mm: (3,) tool tip, tracker frame.
-        out: of `force_tick`, with the distance's rate.
+        out: output of `force_tick`, with the distance's rate.
     """
     turned, gradient = _combined(pose, xyz_mm, 0), _combined(pose, out, 4)
     shift = pose[3]
@@ -93,7 +93,7 @@ def guided_tick(
     input_status: int,
     out: FloatArray,
 ) -> int:
-    """Force at one point and one time: the pose-and-phase transform, then `force_tick`.
+    """Compute the force at one point and time: the pose-and-phase transform, then `force_tick`.
 
     Args:
         coefficients: as in `force_tick`.
@@ -102,16 +102,16 @@ def guided_tick(
         t_s: time of the tool's pose.
         xyz_mm: (3,) tool tip, tracker frame.
         input_status: status of the tool's pose; anything but OK is returned with zero force, except that a
-            wall has the force of its worst phase at NO_PHASE, whoever finds it.
-        out: (7,) or (8,) as in `force_tick`; (10,) for ∂d/∂t at the tool's fixed place in mm/s, and the
+            wall has the force of its worst phase at NO_PHASE, from either source.
+        out: (7,) or (8,) as in `force_tick`; (10,) for ∂d/∂t at a fixed position in mm/s, and the
             standard deviation of the distance in mm, as well.
     Returns:
         status code; unless OK, or NO_PHASE of a wall, the force is zero and the rest NaN.
     """
     status = input_status
     if status == code.OK or status == code.NO_PHASE:
-        found = status_at(packed, t_s, xyz_mm[0] + xyz_mm[1] + xyz_mm[2])
-        status = status if found == code.OK else found
+        own_status = status_at(packed, t_s, xyz_mm[0] + xyz_mm[1] + xyz_mm[2])
+        status = status if own_status == code.OK else own_status
     phase = (math.nan, math.nan, math.nan)
     if status != code.OK and not (status == code.NO_PHASE and is_wall(fixture)):
         if len(out) > DISTANCE_SIGMA:
@@ -137,6 +137,6 @@ def guided_batch(
     status: IntArray,
     out: FloatArray,
 ) -> None:
-    """`guided_tick` at (k,) times and (k, 3) points: (k,) status in and out, (k, 10) out."""
+    """Compute `guided_tick` at (k,) times and (k, 3) points: (k,) status in and out, (k, 10) out."""
     for n in range(len(t_s)):
         status[n] = guided_tick(coefficients, fixture, packed, t_s[n], xyz_mm[n], status[n], out[n])

@@ -20,7 +20,7 @@ from .lanes import Float64x4, fma, horizontal_sums, load_row, multiply, pack, sc
 Weights4 = tuple[float, float, float, float]
 """Weights of four neighbouring coefficients."""
 Index = Any
-"""np.uintp: with indices that cannot be negative the compiled code needs no wrap-around test."""
+"""Index type np.uintp: unsigned indices need no wrap-around test in the compiled code."""
 AxisWeights = tuple[Weights4, Weights4]
 """B_0 … B_3 along one axis, and their derivatives."""
 Cell = tuple[Index, Index, Index, AxisWeights, AxisWeights, Float64x4, Float64x4]
@@ -29,7 +29,7 @@ Cell = tuple[Index, Index, Index, AxisWeights, AxisWeights, Float64x4, Float64x4
 
 @inlined
 def cubic_weights(t: float) -> tuple[Float64x4, Float64x4]:
-    """B_0 … B_3 and their derivatives at t in [0, 1], by powers of t."""
+    """Compute B_0 … B_3 and their derivatives at t in [0, 1], by powers of t."""
     one = pack(1.0 / 6.0, 4.0 / 6.0, 1.0 / 6.0, 0.0)
     t1 = pack(-0.5, 0.0, 0.5, 0.0)
     t2 = pack(0.5, -1.0, 0.5, 0.0)
@@ -41,19 +41,19 @@ def cubic_weights(t: float) -> tuple[Float64x4, Float64x4]:
 
 @inlined
 def inside_box(u: float, v: float, w: float, cells: tuple[int, int, int]) -> bool:
-    """Whether knot coordinates lie in the spline's domain; False for NaN."""
+    """Return whether knot coordinates are in the spline's domain; False for NaN."""
     return 0.0 <= u <= cells[0] and 0.0 <= v <= cells[1] and 0.0 <= w <= cells[2]
 
 
 @inlined
 def _cell_of(u: float, cells: int) -> Index:
-    """floor(u) for 0 <= u <= cells; the far border belongs to the last cell."""
+    """Compute floor(u) for 0 <= u <= cells; the far border belongs to the last cell."""
     return min(np.uintp(u), np.uintp(cells - 1))
 
 
 @inlined
 def find_cell(u: float, v: float, w: float, cells: tuple[int, int, int]) -> Cell:
-    """Knot cell of knot coordinates inside the box, and the basis weights there; shared by all phases."""
+    """Find the knot cell of coordinates inside the box, and the basis weights there, shared by all phases."""
     i, j, k = _cell_of(u, cells[0]), _cell_of(v, cells[1]), _cell_of(w, cells[2])
     x, dx = cubic_weights(u - i)
     y, dy = cubic_weights(v - j)
@@ -65,7 +65,7 @@ def find_cell(u: float, v: float, w: float, cells: tuple[int, int, int]) -> Cell
 def _sum_y(
     c: NDArray[np.float32], p: Index, i: Index, j: Index, k: Index, y: AxisWeights
 ) -> tuple[Float64x4, Float64x4]:
-    """Σ_b B_b(y) of the rows of one slice, and the same with the derivatives."""
+    """Compute Σ_b B_b(y) of the rows of one slice, also with the derivatives."""
     r0, r1, r2, r3 = (
         load_row(c, p, i, j, k),
         load_row(c, p, i, j + 1, k),
@@ -81,7 +81,7 @@ def _sum_y(
 
 @inlined
 def cell_value_gradient(c: NDArray[np.float32], p: Index, cell: Cell) -> Float64x4:
-    """(value, ∂x, ∂y, ∂z) of phase `p` in one cell; gradient per knot."""
+    """Evaluate (value, ∂x, ∂y, ∂z) of phase `p` in one cell; gradient per knot."""
     i, j, k, x, y, z, dz = cell
     w, s = x
     plain, slope = _sum_y(c, p, i, j, k, y)
@@ -103,7 +103,7 @@ def spline_at(
     phase: int,
     q: tuple[float, float, float],
 ) -> tuple[int, float, float, float, float]:
-    """Status, distance and gradient of one phase at a point `q` (mm, the model's frame); NaN unless OK."""
+    """Evaluate status, distance and gradient of one phase at a point `q` (mm, model frame); NaN unless OK."""
     cells = (coefficients.shape[1] - 3, coefficients.shape[2] - 3, coefficients.shape[3] - 3)
     u = (q[0] - origin_mm[0]) * per_knot
     v = (q[1] - origin_mm[1]) * per_knot
@@ -126,14 +126,14 @@ def spline_batch(
     gradient: FloatArray,
     status: IntArray,
 ) -> None:
-    """Distance and gradient of one phase at many points, into the caller's buffers.
+    """Evaluate distance and gradient of one phase at many points, into the caller's buffers.
 
     Args:
         coefficients: (n, cx, cy, cz) mm.
         origin_mm: (3,); knot_mm: knot pitch.
         phase: index of the phase.
         xyz_mm: (k, 3) points in the model's frame.
-        value, gradient, status: (k,), (k, 3), (k,) outputs; NaN where the status is not OK.
+        value, gradient, status: (k,), (k, 3), (k,) outputs; NaN if the status is not OK.
     """
     per_knot = 1.0 / knot_mm
     for n in range(len(xyz_mm)):

@@ -9,7 +9,7 @@ Vector = tuple[float, float, float]
 
 @inlined
 def vector_at(numbers: FloatArray, at: int) -> Vector:
-    """Three numbers in a row."""
+    """Read three consecutive numbers."""
     return numbers[at], numbers[at + 1], numbers[at + 2]
 
 

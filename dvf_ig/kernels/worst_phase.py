@@ -4,9 +4,9 @@ With d_i the distance in each of the model's N phases, a wall that keeps out of 
 
     d = τ log Σ exp(d_i/τ),    ∇d = Σ w_i ∇d_i,    w_i = exp(d_i/τ) / Σ exp(d_j/τ)
 
-which is max_i d_i (docs/theory/safety.md) and, where several phases reach alike, up to τ log N more: never
-less protection, and a gradient without steps, so that the force never jumps from one phase's direction to
-another's. A confinement takes −τ log Σ exp(−d_i/τ): the narrowest chamber. The readable form is
+which is max_i d_i (docs/theory/safety.md) and up to τ log N more if several phases reach equally far: never
+less protection, and a gradient without steps, so that the force never jumps between the directions of two
+phases. A confinement takes −τ log Σ exp(−d_i/τ): the narrowest chamber. The readable form is
 `dvf_ig.guidance.margins.worst_phase`.
 
 Source: the smooth maximum, Boyd and Vandenberghe 2004, section 3.1.5.
@@ -42,12 +42,12 @@ from .spline import Cell, find_cell
 from .vectors import Vector
 
 SMOOTHING_MM = 0.25
-"""τ: the pitch between frames in Ren 2008. 20 phases that coincide widen a wall by 0.75 mm. By judgement."""
+"""τ, the pitch between frames in Ren 2008: 20 phases that coincide widen a wall by 0.75 mm."""
 
 
 @inlined
 def is_wall(f: FloatArray) -> bool:
-    """Whether a packed fixture is a forbidden region or a confinement."""
+    """Return whether a packed fixture is a forbidden region or a confinement."""
     return int(f[LAW]) == SIGMOID
 
 
@@ -55,7 +55,7 @@ def is_wall(f: FloatArray) -> bool:
 def _field_at_phase(
     coefficients: NDArray[np.float32], f: FloatArray, phase: int, cell: Cell, count: int
 ) -> Float64x4:
-    """(distance, gradient) at a phase's own time; of a periodic spline by its three parts that act there."""
+    """Evaluate (distance, gradient) at a phase's own time; a periodic spline has three parts there."""
     if int(f[BLEND]) != BLEND_PERIODIC:
         return field_of_phase(coefficients, phase, cell, f[PER_KNOT])
     weights = TIMES + count + POWERS * phase
@@ -68,15 +68,15 @@ def _field_at_phase(
 
 @kernel
 def worst_phase_force(coefficients: NDArray[np.float32], f: FloatArray, q: Vector) -> Output:
-    """Force, distance and gradient of a wall at its worst phase; its rate by the phase is zero.
+    """Compute force, distance and gradient of a wall at its worst phase; its rate by the phase is zero.
 
-    Not inlined: it is called where the phase is not known alone, and must cost nothing elsewhere.
+    Not inlined: it is called only while the phase is not known, and must cost nothing otherwise.
 
     Args:
-        coefficients, f: of a wall, as in `dvf_ig.kernels.dynamic.force_tick`.
+        coefficients, f: those of a wall, as in `dvf_ig.kernels.dynamic.force_tick`.
         q: point in the model's frame.
     Returns:
-        status OK, OUT_OF_VOLUME or FAULT; no force but at OK.
+        status OK, OUT_OF_VOLUME or FAULT; force only at OK.
     """
     status, u, v, w = knot_coordinates(coefficients, f, q, 0.0)
     if status != code.OK:
@@ -100,7 +100,7 @@ def worst_phase_force(coefficients: NDArray[np.float32], f: FloatArray, q: Vecto
 
 @kernel
 def wall_without_phase(coefficients: NDArray[np.float32], f: FloatArray, q: Vector) -> Output:
-    """The same with status NO_PHASE in place of OK; no force of a fixture that is no wall."""
+    """Compute `worst_phase_force` with NO_PHASE instead of OK; no force if the fixture is not a wall."""
     if not is_wall(f):
         return no_output(code.NO_PHASE)
     status, force, d, gradient, rate = worst_phase_force(coefficients, f, q)

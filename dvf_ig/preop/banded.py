@@ -12,12 +12,12 @@ from dvf_ig.kernels.grid.separable import multiply_axis, multiply_axis_transpose
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class BandedRows:
-    """A matrix of which each row is one short window of weights.
+    """Matrix each of whose rows is one short window of weights.
 
     Attributes:
         first: (r,) column at which the window of each row begins.
         weights: (r, k) the window.
-        columns: of the matrix.
+        columns: number of columns of the matrix.
     """
 
     first: IntArray
@@ -25,14 +25,14 @@ class BandedRows:
     columns: int
 
     def along(self, axis: int, values: FloatArray) -> FloatArray:
-        """A v along one axis of (…, columns, …); the axis gets as many entries as A has rows."""
+        """Compute A v along one axis of (…, columns, …); the axis gets as many entries as A has rows."""
         flat, shape = by_axis(values, axis)
         out = np.empty((flat.shape[0], len(self.first), flat.shape[2]))
         multiply_axis(self.first.copy(), self.weights.copy(), flat, out)
         return out.reshape(*shape[:axis], len(self.first), *shape[axis + 1 :])
 
     def transposed_along(self, axis: int, values: FloatArray) -> FloatArray:
-        """Aᵀ v along one axis of (…, rows, …)."""
+        """Compute Aᵀ v along one axis of (…, rows, …)."""
         flat, shape = by_axis(values, axis)
         out = np.empty((flat.shape[0], self.columns, flat.shape[2]))
         multiply_axis_transposed(self.first.copy(), self.weights.copy(), flat, out)
@@ -47,7 +47,7 @@ class BandedRows:
 
 
 def by_axis(values: FloatArray, axis: int) -> tuple[FloatArray, tuple[int, ...]]:
-    """A contiguous, writable array as (before, along, after) about one axis, and its shape."""
+    """Reshape a contiguous, writable array to (before, along, after) about one axis; return its shape too."""
     shape = values.shape
     owned = values.flags.c_contiguous and values.flags.writeable and values.dtype == np.float64
     flat = values if owned else np.array(values, dtype=np.float64, order="C")

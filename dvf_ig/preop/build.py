@@ -38,7 +38,7 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class ModelOptions:
-    """How the model is built.
+    """Options of the model fit.
 
     Attributes:
         knot_spacing_mm: knot pitch.
@@ -46,7 +46,7 @@ class ModelOptions:
             1/mm has fallen to 3e-7 of its cap.
         band_mm: distance from the surface within which every sample is exact.
         threads: phases fitted at a time; has no influence on the result.
-        accuracy_mm: wanted mean surface error; the pitch is then chosen on one phase (see
+        accuracy_mm: required mean surface error; the pitch is then chosen on one phase (see
             `choose_knot_spacing`) and knot_spacing_mm is not used.
     """
 
@@ -93,9 +93,9 @@ def build_model(
             the enclosed volume.
         progress: called with the fraction done.
         sources: provenance recorded in the model.
-        chambers: of blood, kept in the model as they are.
+        chambers: chambers of blood, kept in the model unchanged.
     Raises:
-        InvalidInputError: counts that do not match the timing, a surface that is not closed, or a wanted
+        InvalidInputError: counts that do not match the timing, a surface that is not closed, or a required
             accuracy that no pitch reaches.
         FrameMismatchError: a surface in another frame.
     Source: Ren 2008, Section III, with exact distances instead of dilation, and the minimiser of eq. 2 with
@@ -131,7 +131,7 @@ def build_model(
 def _fit_phases(
     reference: Sequence[Mesh], grid: Grid, options: ModelOptions, report: Progress
 ) -> NDArray[np.float32]:
-    """(n, cx, cy, cz) coefficients, several phases at a time."""
+    """Fit (n, cx, cy, cz) coefficients, several phases at a time."""
     solvers = axis_solvers(grid)
 
     def fit(mesh: Mesh) -> NDArray[np.float32]:
@@ -157,7 +157,7 @@ def model_from_surfaces(
 
     Args:
         others: surfaces of the same heart at the same phases: LV_ENDOCARDIAL and RV_ENDOCARDIAL become the
-            model's chambers, and the volume of the left ventricle tells end-diastole and end-systole.
+            model's chambers, and the volume of the left ventricle gives end-diastole and end-systole.
     Raises:
         InvalidInputError: a surface that cannot be closed, or other phase times.
     """
@@ -219,7 +219,7 @@ def model_from_labels(
 
 
 def _marked(name: str, caps: Sequence[Cap]) -> tuple[str, ...]:
-    """What the model's sources say of caps in its first phase, logged as a warning; nothing without caps."""
+    """Describe the caps of the first phase for the model's sources and log a warning; () without caps."""
     if not caps:
         return ()
     text = f"surface {name} is closed by {describe_caps(caps)}"
@@ -228,7 +228,7 @@ def _marked(name: str, caps: Sequence[Cap]) -> tuple[str, ...]:
 
 
 def _labelled_mm3(labels: VolumeSeries, value: int | None) -> FloatArray | None:
-    """(n,) volume of a label; None without one, or where a phase has no voxel of it."""
+    """Compute (n,) volumes of a label; None without one, or if a phase has no voxel of it."""
     if value is None:
         return None
     voxel_mm3 = float(np.prod(labels.grid.spacing_mm))
@@ -254,7 +254,7 @@ def _check_reference(reference: Sequence[Mesh], timing: CycleTiming, frame: str,
 
 
 def border_distance_mm(model: DvfModel) -> float:
-    """Smallest distance from the surface, at any phase, to the border of the model's box."""
+    """Compute the smallest distance from the surface, at any phase, to the border of the model's box."""
     return float(
         min(
             min((mesh.vertices_mm - model.origin_mm).min(), (model.upper_mm - mesh.vertices_mm).min())
@@ -264,5 +264,5 @@ def border_distance_mm(model: DvfModel) -> float:
 
 
 def potential_at_border(border_mm: float, gamma_per_mm: float) -> float:
-    """f of the sigmoid law `border_mm` outside the surface: what is left of the cap at the model's border."""
+    """Compute f of the sigmoid law `border_mm` outside the surface: the share of the cap left there."""
     return float(1.0 / (1.0 + np.exp(gamma_per_mm * border_mm)))

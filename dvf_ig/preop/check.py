@@ -14,10 +14,10 @@ CAP_RIM_MM = 5.0
 """Width of the rim around caps that is left out."""
 NORMAL_BAND_MM = 2.0
 NORMAL_POINTS_SHARE = 0.25
-"""Share of the points at which normals are evaluated: each needs a search for the nearest surface point."""
+"""Share of points at which normals are evaluated: each needs a search for the nearest surface point."""
 
 MIN_OFFSET_MM = 0.05
-"""Nearer to the surface the gradient of the exact distance is taken from the facet."""
+"""Distance below which the gradient of the exact distance is taken from the facet."""
 
 
 @read_only_arrays
@@ -72,28 +72,28 @@ class ModelCheck:
 
 
 def check_model(model: DvfModel, *, points_per_phase: int = 4000, rng: np.random.Generator) -> ModelCheck:
-    """Surface and normal error of the spline around random points of the reference triangles, never vertices.
+    """Measure surface and normal errors around random points of the reference triangles, never vertices.
 
     Args:
         model: the model, with the surfaces it was fitted to.
         points_per_phase: random points drawn on each phase, before caps and their rim are left out.
         rng: source of the points.
     Raises:
-        InvalidInputError: a phase of which nothing is left beside caps and their rim.
+        InvalidInputError: a phase that is all caps and their rim.
     """
-    found = [phase_errors(model, i, points_per_phase, rng) for i in range(model.phases)]
-    surface = np.concatenate([e.surface_mm for e in found])
-    normal = np.concatenate([e.normal_deg for e in found])
-    facet = np.concatenate([e.facet_normal_deg for e in found])
+    errors = [phase_errors(model, i, points_per_phase, rng) for i in range(model.phases)]
+    surface = np.concatenate([e.surface_mm for e in errors])
+    normal = np.concatenate([e.normal_deg for e in errors])
+    facet = np.concatenate([e.facet_normal_deg for e in errors])
     return ModelCheck(
         mean_mm=float(surface.mean()),
         p99_mm=float(np.percentile(surface, 99)),
         max_mm=float(surface.max()),
-        per_phase_mm=np.array([e.surface_mm.mean() for e in found]),
-        per_phase_p99_mm=np.array([np.percentile(e.surface_mm, 99) for e in found]),
+        per_phase_mm=np.array([e.surface_mm.mean() for e in errors]),
+        per_phase_p99_mm=np.array([np.percentile(e.surface_mm, 99) for e in errors]),
         normal_median_deg=float(np.median(normal)),
         normal_p95_deg=float(np.percentile(normal, 95)),
-        per_phase_normal_p95_deg=np.array([np.percentile(e.normal_deg, 95) for e in found]),
+        per_phase_normal_p95_deg=np.array([np.percentile(e.normal_deg, 95) for e in errors]),
         facet_normal_median_deg=float(np.median(facet)),
         facet_normal_p95_deg=float(np.percentile(facet, 95)),
         points=len(surface),
@@ -103,7 +103,7 @@ def check_model(model: DvfModel, *, points_per_phase: int = 4000, rng: np.random
 
 
 def phase_errors(model: DvfModel, phase: int, points: int, rng: np.random.Generator) -> PhaseErrors:
-    """Errors of one phase of a model; see `field_errors`."""
+    """Measure the errors of one phase of a model; see `field_errors`."""
     field = SplineField.of_model(model, phase)
     return field_errors(field, model.reference[phase], model.reference_caps[phase], points, rng)
 
@@ -111,10 +111,10 @@ def phase_errors(model: DvfModel, phase: int, points: int, rng: np.random.Genera
 def field_errors(
     field: SplineField, mesh: Mesh, caps: BoolArray, points: int, rng: np.random.Generator
 ) -> PhaseErrors:
-    """Errors of a spline against a surface at up to `points` random points; caps and their rim are left out.
+    """Measure a spline against a surface at up to `points` random points without caps and their rim.
 
     Raises:
-        InvalidInputError: nothing is left beside caps and their rim, or the surface leaves the spline's box.
+        InvalidInputError: the surface is all caps and their rim, or leaves the spline's box.
     """
     on_surface, triangle = _measured_points(mesh, caps, points, rng)
     if len(on_surface) == 0:
@@ -128,7 +128,7 @@ def field_errors(
 
 
 def random_surface_points(mesh: Mesh, count: int, rng: np.random.Generator) -> tuple[FloatArray, IntArray]:
-    """(n, 3) area-uniform points on a mesh and (n,) the triangle of each.
+    """Draw (n, 3) area-uniform points on a mesh, with (n,) the triangle of each.
 
     Raises:
         InvalidInputError: a mesh without area.
@@ -147,12 +147,12 @@ def _measured_points(
     mesh: Mesh, caps: BoolArray, count: int, rng: np.random.Generator
 ) -> tuple[FloatArray, IntArray]:
     points, triangle = random_surface_points(mesh, count, rng)
-    kept = ~caps[triangle] & away_from_caps(mesh, caps, points)
-    return points[kept], triangle[kept]
+    measured = ~caps[triangle] & away_from_caps(mesh, caps, points)
+    return points[measured], triangle[measured]
 
 
 def away_from_caps(mesh: Mesh, caps: BoolArray, xyz_mm: FloatArray) -> BoolArray:
-    """(n,) True for points farther than the rim from every cap: a cap meets the surface in a false crease."""
+    """Flag (n,) points farther than the rim from every cap, which meets the surface in a false crease."""
     if not caps.any():
         return np.ones(len(xyz_mm), dtype=np.bool_)
     from_cap_mm = build_triangle_tree(mesh.vertices_mm, mesh.triangles[caps]).distance_mm(xyz_mm)
@@ -160,7 +160,7 @@ def away_from_caps(mesh: Mesh, caps: BoolArray, xyz_mm: FloatArray) -> BoolArray
 
 
 def _normal_errors(field: SplineField, mesh: Mesh, xyz_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Angles of ∇d to the smooth surface's inward normal, and to the exact distance's gradient."""
+    """Compute angles of ∇d to the smooth surface's inward normal, and to the exact distance's gradient."""
     nearest = build_triangle_tree(mesh.vertices_mm, mesh.triangles).nearest(xyz_mm)
     inward = -smooth_normals(mesh, vertex_normals(mesh), nearest)
     to_surface = nearest.points_mm - xyz_mm

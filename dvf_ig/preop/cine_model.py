@@ -34,20 +34,20 @@ from .build import ModelOptions, build_model
 from .check import away_from_caps
 
 MIN_IMAGED_SHARE = 0.02
-"""Of the surface, beside caps and their rim. Seven slices of 10 mm through a heart leave 0.23 to 0.32, five
-0.09 to 0.14; seven whose header says 1 mm leave 0.00 to 0.01."""
+"""Smallest share of the surface's area that the image must show (without caps and their rim). Seven slices of
+10 mm through a heart show 0.23 to 0.32; with 1 mm in the header by mistake, 0.00 to 0.01."""
 
 
 @dataclass(frozen=True, slots=True)
 class CineOptions:
-    """What the labels mean, and how motion and model are computed.
+    """Meaning of the labels, and options of motion and model.
 
     Attributes:
-        organ_labels: values inside the surface; empty means all but 0.
+        organ_labels: values inside the surface; empty means all except 0.
         cavity_labels: values of blood, that of the left ventricle first; empty means that none is labelled.
         ed_phase: the phase that the labels belong to.
         surface: name of the surface.
-        label_names: of label values.
+        label_names: names of label values.
     """
 
     organ_labels: tuple[int, ...] = ()
@@ -62,14 +62,14 @@ class CineOptions:
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class CineModel:
-    """A model with the evidence behind it.
+    """Model with the evidence behind it.
 
     Attributes:
         model: the fixture.
         surfaces: the end-diastolic surface propagated through the cycle.
         motion, quality: the motion that propagated it, and its quality.
         budget: error budget of the end-diastolic surface itself.
-        volume_mm3: (n,) of the left ventricle's cavity, or enclosed by the surface where none is labelled.
+        volume_mm3: (n,) of the left ventricle's cavity, or enclosed by the surface if none is labelled.
         open_ends: borders of the image within the organ; beyond them the surface is closed, not measured.
     """
 
@@ -94,7 +94,7 @@ def model_from_cine(
 ) -> CineModel:
     """Propagate a segmented end-diastole through the cycle by the image's motion, and fit the model to it.
 
-    The surfaces of the cavities go with the same motion and become the model's chambers.
+    The surfaces of the cavities follow the same motion and become the model's chambers.
 
     Args:
         image: 4-D grey levels.
@@ -147,7 +147,7 @@ def model_from_cine(
 
 
 def _require_imaged(surface: Mesh, caps: BoolArray, grid: Grid) -> None:
-    """Raise InvalidInputError where the image cuts off nearly all of the organ, or lost its voxel size."""
+    """Raise InvalidInputError if the image cuts off nearly all of the organ, or lost its voxel size."""
     measured = ~caps
     middles = surface.vertices_mm[surface.triangles[measured]].mean(axis=1)
     measured[measured] = away_from_caps(surface, caps, middles)
@@ -162,7 +162,7 @@ def _require_imaged(surface: Mesh, caps: BoolArray, grid: Grid) -> None:
 
 
 def _chamber(motion: CycleMotion, image: VolumeSeries, cavity: BoolArray, name: str) -> Chamber:
-    """A cavity of end-diastole, propagated as the organ's surface is."""
+    """Propagate a cavity of end-diastole as the organ's surface."""
     surface = surface_of_mask(cavity, image.grid)
     return chamber_of(propagate_surface(motion, image, surface, name, ""))
 

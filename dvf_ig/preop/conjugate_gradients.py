@@ -1,12 +1,12 @@
-"""Preconditioned conjugate gradients: the one solver of large symmetric systems in the pre-operative part.
+"""Preconditioned conjugate gradients: the solver of large symmetric systems in the pre-operative part.
 
 Motion from images, the random walker of the segmentation, the weighted spline fit and the training of
 scattered samples all end in A x = b with A symmetric, positive definite and known only as an operator.
 
-`scipy.sparse.linalg.cg` is the same recurrence, and a test holds this one to it. It is not used, because its
-inner products are those of BLAS, which adds in an order that changes with the number of threads from about
-ten thousand unknowns on: results would no longer be bit-identical at any thread count. NumPy's own sum has
-one order.
+`scipy.sparse.linalg.cg` is the same recurrence, with which a test compares this one. It is not used, because
+its inner products are those of BLAS, which adds in an order that changes with the number of threads from
+about ten thousand unknowns on: results would no longer be bit-identical at any thread count. NumPy's own sum
+has one order.
 """
 
 from collections.abc import Callable
@@ -50,7 +50,7 @@ def conjugate_gradients(
         operator: x ↦ A x, symmetric and positive definite, for arrays of the shape of `right`.
         right: b, of any shape.
         preconditioner: r ↦ M⁻¹ r, symmetric and positive definite.
-        tolerance: ends when the residual's norm √(rᵀM⁻¹r) has fallen to this share of the first one.
+        tolerance: stop when the residual's norm √(rᵀM⁻¹r) has fallen to this share of the first one.
         max_iterations: most steps.
         on_iteration: called with x after every step.
     Source: Hestenes and Stiefel 1952; Saad, Iterative Methods for Sparse Linear Systems, algorithm 9.1.
@@ -76,5 +76,5 @@ def conjugate_gradients(
 
 
 def _inner(a: FloatArray, b: FloatArray) -> float:
-    """aᵀb, added in NumPy's order."""
+    """Compute aᵀb, added in NumPy's order."""
     return float((a * b).sum())

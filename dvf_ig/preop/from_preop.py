@@ -1,4 +1,4 @@
-"""The patient's model from whatever pre-operative data there are."""
+"""The patient's model from the pre-operative data available."""
 
 from dvf_ig.core import DvfModel, InvalidInputError, Preop, Progress
 from dvf_ig.preop.motion.cycle import MotionOptions
@@ -10,14 +10,16 @@ from .cine_model import CineOptions, model_from_cine
 def model_from_preop(
     preop: Preop, *, options: ModelOptions | None = None, progress: Progress | None = None
 ) -> DvfModel:
-    """The patient's model: from labels of every phase, else from MR and the labels of its end-diastole, else
-    from the surface named in the data.
+    """Build the patient's model from the best pre-operative data available.
+
+    Labels of every phase come first, then MR with labels of its end-diastole, then the surface named in the
+    data.
 
     Args:
-        options: of the fit; the default ones without.
+        options: options of the fit; None takes the defaults.
         progress: called with the fraction done.
     Raises:
-        InvalidInputError: none of these, or what `build_model` refuses.
+        InvalidInputError: none of these, or data that `build_model` refuses.
     """
     options = options or ModelOptions()
     if preop.labels is not None:
@@ -28,8 +30,8 @@ def model_from_preop(
     if preop.surface not in by_name:
         raise InvalidInputError(
             f"the pre-operative data of '{preop.patient_id}' give no model: needed a model file, labels of "
-            f"every phase, MR with labels of its end-diastole, or a surface '{preop.surface}' (there are "
-            f"{', '.join(by_name) or 'none'})"
+            f"every phase, MR with labels of its end-diastole, or a surface '{preop.surface}'; "
+            f"surfaces given: {', '.join(by_name) or 'none'}"
         )
     others = [series for name, series in by_name.items() if name != preop.surface]
     return model_from_surfaces(by_name[preop.surface], others=others, options=options, progress=progress)
@@ -38,7 +40,7 @@ def model_from_preop(
 def _from_cine(preop: Preop, options: ModelOptions, progress: Progress | None) -> DvfModel:
     if preop.mr is None or preop.ed_labels is None:
         raise InvalidInputError(
-            "labels of end-diastole alone give no motion; give the 4-D image that they belong to (mr), too"
+            "labels of end-diastole alone give no motion; also give the 4-D image that they belong to (mr)"
         )
     cine = cine_options(preop, MotionOptions(threads=options.threads), options)
     return model_from_cine(
@@ -47,7 +49,7 @@ def _from_cine(preop: Preop, options: ModelOptions, progress: Progress | None) -
 
 
 def cine_options(preop: Preop, motion: MotionOptions, model: ModelOptions) -> CineOptions:
-    """What the labels of end-diastole mean, and how motion and model are computed."""
+    """Collect the meaning of the labels of end-diastole and the options of motion and model."""
     return CineOptions(
         preop.organ_labels,
         preop.blood_labels,

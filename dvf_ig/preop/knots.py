@@ -1,4 +1,4 @@
-"""Choice of the knot pitch: the coarsest that reaches a wanted accuracy on the most contracted phase."""
+"""Choice of the knot pitch: the coarsest that reaches a required accuracy on the most contracted phase."""
 
 import logging
 from collections.abc import Sequence
@@ -19,7 +19,7 @@ PITCHES_MM = (6.0, 5.0, 4.5, 4.0, 3.6, 3.2, 2.9, 2.6, 2.3, 2.0, 1.8, 1.6)
 """Pitches tried, coarsest first, in steps of about a tenth."""
 
 P99_SHARE = 4.0
-"""The 99th percentile may be this many times the wanted mean."""
+"""Largest 99th percentile over the required mean."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,14 +48,14 @@ def choose_knot_spacing(
     margin_mm: float,
     band_mm: float,
 ) -> KnotChoice:
-    """Coarsest pitch with mean error <= accuracy and p99 <= 4 × accuracy on the most contracted phase.
+    """Choose the coarsest pitch with mean <= accuracy and p99 <= 4 × accuracy on the most contracted phase.
 
-    Of all phases the one that encloses the smallest volume is the most curved.
+    The phase that encloses the smallest volume is the most curved.
 
     Args:
         reference: closed surfaces, one a phase; caps: their unmeasured triangles.
-        accuracy_mm: wanted mean surface error.
-        margin_mm, band_mm: of the model.
+        accuracy_mm: required mean surface error.
+        margin_mm, band_mm: margin and band of the model.
     Raises:
         InvalidInputError: the finest pitch does not reach the accuracy.
     """
@@ -86,13 +86,13 @@ def _trial(mesh: Mesh, caps: BoolArray, grid: Grid, pitch_mm: float, band_mm: fl
 
 
 def _quadrature(mesh: Mesh, caps: BoolArray) -> tuple[FloatArray, FloatArray]:
-    """(n, 3) centroids of the quarters of every measured triangle, and the area each stands for."""
+    """Compute (n, 3) centroids of the quarters of every measured triangle, and the area of each quarter."""
     measured = mesh.triangles[~caps]
     inner = np.array([[1, 1, 1], [4, 1, 1], [1, 4, 1], [1, 1, 4]], dtype=np.float64)
     weights = inner / inner.sum(axis=1, keepdims=True)
     points = np.einsum("qk,tkx->qtx", weights, mesh.vertices_mm[measured]).reshape(-1, 3)
     area = np.repeat(0.25 * triangle_areas_mm2(mesh.vertices_mm, measured), len(inner))
-    kept = away_from_caps(mesh, caps, points)
-    if not kept.any():
+    measured_points = away_from_caps(mesh, caps, points)
+    if not measured_points.any():
         raise InvalidInputError(f"all of the surface lies within {CAP_RIM_MM} mm of a cap; give --knot-mm")
-    return np.ascontiguousarray(points[kept]), area[kept]
+    return np.ascontiguousarray(points[measured_points]), area[measured_points]

@@ -1,4 +1,4 @@
-"""A model's surface at one place in the cycle against labels of that phase: overlap and surface distance."""
+"""Check of a model's surface at one instant of the cycle against labels: overlap and surface distance."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -31,10 +31,10 @@ SAMPLES_PER_KNOT = 2
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class LabelCheck:
-    """Agreement of a model with labels that it was not built from.
+    """Agreement of a model with labels from which it was not built.
 
     Attributes:
-        fraction: the place in the cycle at which the model was evaluated.
+        fraction: position in the cycle at which the model was evaluated.
         dice: overlap of the voxels whose centre the model's surface encloses with those labelled.
         model_to_labels_mm, labels_to_model_mm: (n,), (m,) distances from random points of one surface to the
             other; points where the label image cuts the organ off are left out.
@@ -63,10 +63,10 @@ def check_labels(
     """Compare the model's surface at `fraction` of the cycle with labels of that phase.
 
     Between two phases the surface is the zero level of the distance interpolated between theirs (Ren 2008,
-    eq. 10). Of the labels the largest piece counts, with its holes filled, smoothed as a model's surface is.
+    eq. 10). The largest piece of the labels counts, with its holes filled, smoothed like a model's surface.
 
     Args:
-        organ_labels: values inside the surface; none means all but 0.
+        organ_labels: values inside the surface; none means all except 0.
         points: random points on each surface.
     Raises:
         FrameMismatchError: labels in another frame than the model.
@@ -106,20 +106,20 @@ def _organ(labels: Volume, organ_labels: Sequence[int]) -> BoolArray:
 
 
 def _field(model: DvfModel, fraction: float) -> SplineField:
-    """Signed distance at a place in the cycle."""
+    """Return signed distance at a position in the cycle."""
     first, second, weight = model.timing.bracket(fraction)
     coefficients = (1.0 - weight) * model.coefficients[first] + weight * model.coefficients[second]
     return SplineField(coefficients[None], model.origin_mm, model.knot_spacing_mm)
 
 
 def _upper_mm(field: SplineField) -> FloatArray:
-    """(3,) far corner of the spline's box, just inside."""
+    """Compute the (3,) far corner of the spline's box, just inside."""
     knots = np.array(field.coefficients.shape[1:]) - 3
     return np.asarray(field.origin_mm + knots * field.knot_spacing_mm * (1.0 - 1e-9))
 
 
 def _enclosed(field: SplineField, grid: Grid) -> BoolArray:
-    """(nx, ny, nz) voxels whose centre lies inside the surface."""
+    """Flag (nx, ny, nz) voxels whose centre is inside the surface."""
     centers = grid.centers_mm()
     in_box = ((centers >= field.origin_mm) & (centers <= _upper_mm(field))).all(axis=-1)
     out = np.zeros(grid.shape, dtype=np.bool_)
@@ -136,14 +136,14 @@ def _zero_level(field: SplineField, frame: str) -> Mesh:
     nodes = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1) + field.origin_mm
     distance = field.at(nodes.reshape(-1, 3))[0].reshape(nodes.shape[:3])
     if not distance.min() < 0.0 < distance.max():
-        raise InvalidInputError("the model has no surface at this place in the cycle; build it again")
+        raise InvalidInputError("the model has no surface at this position in the cycle; build it again")
     vertices, triangles, _, _ = marching_cubes(distance, 0.0, allow_degenerate=False)
     spacing = size_mm / (counts - 1)
     return Mesh(frame, field.origin_mm + vertices * spacing, triangles.astype(np.int64))
 
 
 def _cut_off(xyz_mm: FloatArray, mask: BoolArray, grid: Grid) -> BoolArray:
-    """(n,) points within one voxel of a border that the labels reach, or beyond it: not imaged, but cut."""
+    """Flag (n,) points within one voxel of a border that the labels reach, or beyond it: cut, not imaged."""
     index = grid.to_index(xyz_mm)
     out = np.zeros(len(xyz_mm), dtype=np.bool_)
     for axis, count in enumerate(mask.shape):

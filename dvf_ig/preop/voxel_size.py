@@ -1,4 +1,4 @@
-"""The voxel size of an image whose header has lost it."""
+"""Correction of the voxel size of an image whose header has lost it."""
 
 import numpy as np
 
@@ -6,7 +6,7 @@ from dvf_ig.core import Grid, InvalidInputError
 
 
 def with_voxel_size(grid: Grid, voxel_mm: tuple[float, float, float]) -> Grid:
-    """The same grid, its first voxel where it was, with voxels of another size.
+    """Replace the voxel size of a grid; its first voxel keeps its position.
 
     Raises:
         InvalidInputError: a size that is not positive.

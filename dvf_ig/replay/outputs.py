@@ -1,4 +1,4 @@
-"""What a replay leaves for other programs: pose (ITK, PLUS), poses over time (3D Slicer), and every tick."""
+"""Files of a replay for other programs: pose (ITK, PLUS), poses over time (3D Slicer), every tick."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -15,7 +15,7 @@ from .ticks import Ticks
 
 POSE, POSES, TICKS = "mr_from_tracker", "poses.seq.mha", "ticks.csv"
 NAMES = (f"{POSE}.tfm", f"{POSE}.h5", f"{POSE}.json", f"{POSE}.xml", POSES, TICKS)
-"""Every file that may be written."""
+"""Names of all files that may be written."""
 
 COLUMNS = (
     ("t_s", "%.6f"),
@@ -34,22 +34,22 @@ COLUMNS = (
     ("tre_bound_mm", "%.3f"),
     ("margin_mm", "%.4f"),
 )
-"""Of the ticks, each with its format: 1 µs, 0.1 µm, 1 µN."""
+"""Columns of the ticks, each with its format: 1 µs, 0.1 µm, 1 µN."""
 _HEADER = ",".join(name for name, _ in COLUMNS)
 
 
 def write_outputs(
     poses: Sequence[tuple[float, Rigid]], ticks: Ticks, folder: Path, tracked_against: str = "tracker"
 ) -> dict[str, str]:
-    """Write the last pose in use and the poses over time, where there was one, and the ticks.
+    """Write the last pose in use and the poses over time, if any, and the ticks.
 
     Args:
         poses: (time from which it was in use, mr_from_tracker) in order of time.
-        ticks: of the replay.
-        folder: exists.
-        tracked_against: what PLUS calls the frame that poses were relative to, for the files that it reads.
+        ticks: ticks of the replay.
+        folder: existing folder.
+        tracked_against: PLUS's name of the frame that poses are relative to, for the files that it reads.
     Returns:
-        what was written: name of the file, and the frame of what is in it.
+        files written: name, and frame of the content.
     Raises:
         OutputError: not writable.
     """
@@ -59,7 +59,7 @@ def write_outputs(
         for path in write_transforms(pose, folder / NAMES[0]):
             frames[path.name] = pose.name
         frames[f"{POSE}.json"] = pose.name
-        for_plus = [(from_s, replace(held, source=tracked_against)) for from_s, held in poses]
+        for_plus = [(from_s, replace(pose, source=tracked_against)) for from_s, pose in poses]
         frames[write_registration(for_plus[-1][1], folder / f"{POSE}.xml").name] = for_plus[-1][1].name
         write_pose_sequence(for_plus, folder / POSES)
         frames[POSES] = f"ras_from_{tracked_against}"
@@ -69,7 +69,7 @@ def write_outputs(
 
 
 def ticks_csv(ticks: Ticks) -> str:
-    """One row a tick under `COLUMNS`; a cell is empty where there is no value.
+    """Format one row a tick under `COLUMNS`; a cell without value is empty.
 
     Tip in the tracker's and in the MR's frame (LPS), force in the tracker's.
     """
@@ -84,7 +84,7 @@ def ticks_csv(ticks: Ticks) -> str:
 
 
 _BLOCK = 10_000
-"""Rows at a time: Python's numbers take ten times the memory of the arrays."""
+"""Rows formatted at a time: Python's numbers take ten times the memory of the arrays."""
 
 
 def _columns(ticks: Ticks) -> list[AnyArray]:
@@ -110,10 +110,10 @@ def _columns(ticks: Ticks) -> list[AnyArray]:
 
 
 _BELOW_ONE = 0.999999
-"""So that a phase in [0, 1) is not rounded to 1."""
+"""Largest phase written, so that a phase in [0, 1) is not rounded to 1."""
 
 
 def _words(codes: IntArray, word: Callable[[int], str]) -> AnyArray:
-    """(n,) the word of each code."""
-    found, places = np.unique(codes, return_inverse=True)
-    return np.array([word(code) for code in found.tolist()], dtype=object)[places]
+    """Convert (n,) codes to words."""
+    present, places = np.unique(codes, return_inverse=True)
+    return np.array([word(code) for code in present.tolist()], dtype=object)[places]

@@ -1,4 +1,4 @@
-"""A replay's folder read back: result, ticks and what was replayed."""
+"""Reading of a replay's folder: result, ticks and the reference to its recording."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -22,13 +22,13 @@ RESULT = "result.json"
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class RunFolder:
-    """What `dvf-ig replay` left.
+    """Folder that `dvf-ig replay` wrote.
 
     Attributes:
-        folder: where it stands.
-        result: of `result.json`.
+        folder: path of the folder.
+        result: content of `result.json`.
         ticks: columns of `ticks.csv` by name; words as their codes, hazards as bits, empty cells as NaN.
-        view: of `view.json`.
+        view: content of `view.json`.
     """
 
     folder: Path
@@ -54,11 +54,11 @@ def read_run(folder: Path) -> RunFolder:
 
 
 def require_same_recording(result: dict[str, Any], folder: Path, inputs: Sequence[Mapping[str, Any]]) -> None:
-    """Raise InvalidInputError where a file of the recording is not the one that the result was made from.
+    """Raise InvalidInputError if a file of the recording differs from the one behind the result.
 
     Args:
-        result: of the folder.
-        inputs: what was read of the recording: file and SHA-256.
+        result: result of the folder.
+        inputs: files read for the recording, with SHA-256.
     """
     before = {Path(one["file"]).name: one["sha256"] for one in result.get("inputs", [])}
     for one in inputs:
@@ -66,12 +66,12 @@ def require_same_recording(result: dict[str, Any], folder: Path, inputs: Sequenc
         if name in before and before[name] != one["sha256"]:
             raise InvalidInputError(
                 f"the recording is not the one that {folder} was made from: {name} differs; run it again, or "
-                "say where the old one is with --recording"
+                "give the old one with --recording"
             )
 
 
 def read_ticks(path: Path) -> dict[str, AnyArray]:
-    """Columns of `ticks.csv` by name.
+    """Read the columns of `ticks.csv` by name.
 
     Raises:
         UnreadableFileError: absent, damaged, or written by another version.

@@ -1,11 +1,11 @@
-"""The short table that a user reads: each estimate, beside its error where the truth is known."""
+"""Short table for the user: each estimate, with its error if the truth is known."""
 
 from collections.abc import Sequence
 from typing import Any
 
 
 def table(result: dict[str, Any]) -> list[tuple[str, str, str]]:
-    """The short table: quantity, estimate, and its error where the truth is known (else empty)."""
+    """Build the short table: quantity, estimate, and its error if the truth is known (else empty)."""
     est = result["estimates"]
     residual_mm = est["probe_calibration_mean95_mm"]
     tip = ", ".join(f"{v:.2f}" for v in est["tip_mm"])
@@ -64,7 +64,7 @@ def _phase_rows(result: dict[str, Any]) -> list[tuple[str, str, str]]:
 
 
 def _stated(attempt: dict[str, Any]) -> str:
-    """What a registration says of its error."""
+    """Describe a registration's stated error."""
     chance, bound = attempt["success_probability"], attempt["tre_bound_mm"]
     if chance is None:
         return "no probability stated"
@@ -114,7 +114,7 @@ def _update_rows(result: dict[str, Any]) -> list[tuple[str, str, str]]:
 
 
 def _tip_rows(result: dict[str, Any]) -> list[tuple[str, str, str]]:
-    """Where ultrasound shows the tool, if it does."""
+    """Describe where ultrasound shows the tool, if it does."""
     seen = result["tip_in_image"]
     if seen is None:
         return []
@@ -145,10 +145,10 @@ def _force_rows(result: dict[str, Any]) -> list[tuple[str, str, str]]:
 
 
 def _supervisor_row(result: dict[str, Any]) -> tuple[str, str, str]:
-    done, hazard_s = result["supervisor"], result["hazard_s"]
+    supervisor, hazard_s = result["supervisor"], result["hazard_s"]
     text = (
-        f"faded {done['fades']} times, latched {done['latches']} times ({done['latched_s']:.1f} s), "
-        f"largest step {done['largest_step_n']:.3f} N"
+        f"faded {supervisor['fades']} times, latched {supervisor['latches']} times "
+        f"({supervisor['latched_s']:.1f} s), largest step {supervisor['largest_step_n']:.3f} N"
     )
     if hazard_s is None:
         return ("supervisor", text, "")

@@ -1,4 +1,4 @@
-"""A replay's folder and its recording as the viewer's page takes them."""
+"""Data of the viewer's page from a replay's folder and its recording."""
 
 from typing import Any
 
@@ -45,12 +45,12 @@ from .run_folder import RunFolder
 
 
 def run_payload(run: RunFolder, scenario: Scenario, model: DvfModel) -> dict[str, Any]:
-    """Scene and series of a replay.
+    """Build scene and series of a replay.
 
     Args:
-        run: as it was read.
+        run: the replay's folder.
         scenario: the recording that was replayed.
-        model: of its patient.
+        model: model of its patient.
     Raises:
         InvalidInputError: another patient's model.
     """
@@ -87,7 +87,7 @@ def run_payload(run: RunFolder, scenario: Scenario, model: DvfModel) -> dict[str
 
 
 def _fixtures(run: RunFolder) -> FixtureSet:
-    """The fixtures that acted."""
+    """Rebuild the fixtures that acted."""
     described = run.result["fixtures"]
     parts = [_fixture(one, path) for one, path in zip(described, run.view.paths, strict=True)]
     stated = run.result.get("device")
@@ -107,7 +107,7 @@ def _fixture(described: dict[str, Any], path: PathTarget | None) -> FixtureOptio
 
 
 def _ticks(run: RunFolder, scenario: Scenario) -> dict[str, AnyArray]:
-    """The table's columns, and force and direction of the shaft in the model's frame."""
+    """Return the table's columns, and force and direction of the shaft in the model's frame."""
     ticks = dict(run.ticks)
     rotation = run.view.pose_at(ticks["t_s"])[:, :, :3]
     force = np.column_stack([ticks[f"force_tracker_{axis}_n"] for axis in "xyz"])
@@ -125,7 +125,7 @@ def _ticks(run: RunFolder, scenario: Scenario) -> dict[str, AnyArray]:
 def _frames(
     run: RunFolder, scenario: Scenario, probe_from_image: ImageMap, shape: ImageShape
 ) -> FrameSeries | None:
-    """Frames with an image, each where the pose of its time puts it."""
+    """Place frames with an image by the pose of their time."""
     ultrasound = scenario.ultrasound
     if ultrasound.images is None or not ultrasound.image_valid.any():
         return None
@@ -145,7 +145,7 @@ def _frames(
 
 
 def _marks(result: dict[str, Any]) -> list[Mark]:
-    """Registrations and suspensions, in order of time."""
+    """List registrations and suspensions in order of time."""
     marks = [
         Mark(one["ready_s"], "registration" if one["usable"] else "refused", _registration(one))
         for one in result["registrations"]

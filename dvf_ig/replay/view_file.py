@@ -1,7 +1,7 @@
-"""What `dvf-ig view` needs of a replay beyond its result and its ticks: `view.json`, written and read.
+"""Reader and writer of `view.json`: what `dvf-ig view` needs in addition to result and ticks.
 
-It names the recording, the model and the beats, and holds the pose over time; pictures and surfaces stay
-where they are.
+It names the recording, the model and the beats, and holds the pose over time; pictures and surfaces are not
+copied.
 """
 
 import os
@@ -21,11 +21,11 @@ from .ticks import Ticks
 VIEW = "view.json"
 KIND = "view"
 POSE_STEP_S = 0.05
-"""Poses move at 10 mm/s at most and steadily: between two of these they are interpolated."""
+"""Step between stored poses, which move steadily at 10 mm/s at most and are interpolated."""
 CORNER = 1e-4
-"""Change of a pose's step from tick to tick, mm or 1, above which that tick is kept."""
+"""Change of a pose's step from tick to tick, mm or 1, above which that tick is stored."""
 _AT = 0.01
-"""Nearer than this share of the way to a pose that is kept, it holds: none is there before the first."""
+"""Share of the way to a stored pose within which it applies, as none exists before the first."""
 
 
 @read_only_arrays
@@ -35,11 +35,11 @@ class ViewFile:
 
     Attributes:
         recording: scenario folder or SESSION.yaml that was replayed.
-        paths: of each fixture, in order; None of one on the surface.
-        model: file of the model; None where the recording names it or it was built.
+        paths: path of each fixture, in order; None for one on the surface.
+        model: file of the model; None if the recording names it or it was built.
         r_peaks_s: (k,) R peaks that were detected.
         pose_t_s: (m,) times of the poses, tracker clock.
-        mr_from_tracker: (m, 3, 4); NaN where none was in use.
+        mr_from_tracker: (m, 3, 4); NaN if none was in use.
     """
 
     recording: Path
@@ -50,7 +50,7 @@ class ViewFile:
     mr_from_tracker: FloatArray
 
     def pose_at(self, t_s: FloatArray) -> FloatArray:
-        """(n, 3, 4) poses at (n,) times, linear between those that are kept; NaN where none was in use."""
+        """Interpolate (n, 3, 4) poses at (n,) times linearly; NaN if none was in use."""
         right = np.clip(np.searchsorted(self.pose_t_s, t_s), 1, len(self.pose_t_s) - 1)
         first, last = self.pose_t_s[right - 1], self.pose_t_s[right]
         weight = np.clip((t_s - first) / (last - first), 0.0, 1.0)[:, None, None]
@@ -63,9 +63,9 @@ def write_view_file(replay: Replay, folder: Path, run: Path, recording: Path, mo
     """Write `view.json`.
 
     Args:
-        folder: into which; `run` is the one in which it will stand and that paths are relative to.
+        folder: folder to write to; `run` is its final name, to which paths are relative.
         recording: scenario folder or SESSION.yaml.
-        model: a file that was named for it.
+        model: model file given by the user.
     Raises:
         OutputError: not writable.
     """
@@ -90,7 +90,7 @@ def read_view_file(run: Path) -> ViewFile:
     path = run / VIEW
     if not path.is_file():
         raise UnreadableFileError(
-            f"{run} has no {VIEW}, which says what was replayed; replay again with this version "
+            f"{run} has no {VIEW}, which records what was replayed; replay again with this version "
             f"(dvf-ig replay … -o {run})"
         )
     content = read_json(path, "a replay's view file")
@@ -131,7 +131,7 @@ def _floats(values: Any) -> FloatArray:
 
 
 def _relative(path: Path, run: Path) -> str:
-    """Both may move together, and no name of a folder above them is told."""
+    """Make a path relative: both may move together, and no parent folder is disclosed."""
     return Path(os.path.relpath(path.resolve(), run.resolve())).as_posix()
 
 
@@ -140,7 +140,7 @@ def _place(run: Path, relative: str) -> Path:
 
 
 def _thinned(ticks: Ticks) -> tuple[FloatArray, FloatArray]:
-    """Times and poses, one every POSE_STEP_S, and where motion begins or ends; without those that repeat."""
+    """Thin poses to one every POSE_STEP_S and those at which motion begins or ends, without repetitions."""
     step = max(1, round(POSE_STEP_S / float(np.median(np.diff(ticks.t_s)))))
     used = np.isfinite(ticks.mr_from_tracker[:, 0, 0])
     edges = np.flatnonzero(used[1:] != used[:-1])

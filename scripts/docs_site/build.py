@@ -1,4 +1,4 @@
-"""Build the site with Sphinx from a copy of `dvf_ig/docs`: nothing is generated beside the sources."""
+"""Build the site with Sphinx from a copy of `dvf_ig/docs`: nothing is generated next to the sources."""
 
 import shutil
 import subprocess
@@ -13,7 +13,7 @@ SITE = ROOT / "out" / "docs"
 
 
 def main() -> int:
-    """Build, check links, say where the site is."""
+    """Build the site, check its links and print its location."""
     source = ROOT / "out" / "docs-source"
     for folder in (source, SITE):
         shutil.rmtree(folder, ignore_errors=True)

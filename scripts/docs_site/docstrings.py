@@ -1,6 +1,6 @@
 """Sphinx extension: docstrings are plain text with `code` and sections ("Args:"); turn them into safe markup.
 
-No character of a docstring is taken for markup but backquotes: formulas with *, | or _ stay as written.
+No character of a docstring is taken for markup except backquotes: formulas with *, | or _ stay as written.
 """
 
 import re
@@ -25,23 +25,23 @@ def _process(app: Sphinx, what: str, name: str, obj: Any, options: Any, lines: l
 
 
 def marked_up(lines: list[str]) -> list[str]:
-    """reStructuredText of a docstring's lines."""
+    """Convert a docstring's lines to reStructuredText."""
     out: list[str] = []
     rest = [line.rstrip() for line in lines]
     while rest:
         if not rest[0]:
             rest.pop(0)
-        elif found := _SECTION.match(rest[0]):
-            out += _section(found.group(1), _taken(rest[1:], rest))
+        elif heading := _SECTION.match(rest[0]):
+            out += _section(heading.group(1), _block(rest[1:], rest))
         elif rest[0].startswith(" "):
-            out += ["::", "", *(f"    {line}" for line in _taken(rest, rest)), ""]
+            out += ["::", "", *(f"    {line}" for line in _block(rest, rest)), ""]
         else:
             out += _paragraph(rest)
     return out
 
 
-def _taken(lines: list[str], rest: list[str]) -> list[str]:
-    """The indented lines at the front; of a section without indentation, all to the next blank line."""
+def _block(lines: list[str], rest: list[str]) -> list[str]:
+    """Remove the indented lines at the front; without indentation, all up to the next blank line."""
     indented = bool(lines) and lines[0].startswith(" ")
     block: list[str] = []
     for line in lines:
@@ -57,7 +57,7 @@ def _taken(lines: list[str], rest: list[str]) -> list[str]:
 
 
 def _section(title: str, block: list[str]) -> list[str]:
-    """A heading and one item a name; lines deeper than the first belong to the item above."""
+    """Format a heading and one item a name; lines deeper than the first belong to the item above."""
     depth = min((len(line) - len(line.lstrip()) for line in block if line), default=0)
     out, open_item = [f"**{title}**", ""], False
     for line in block:
@@ -72,7 +72,7 @@ def _section(title: str, block: list[str]) -> list[str]:
 
 
 def _paragraph(rest: list[str]) -> list[str]:
-    """Lines up to a blank one, a section or an indented block; a list item keeps its indented lines."""
+    """Remove lines up to a blank one, a section or an indented block; list items keep indented lines."""
     out: list[str] = []
     item = False
     while rest and rest[0] and not _SECTION.match(rest[0]):
@@ -96,7 +96,7 @@ def _paragraph(rest: list[str]) -> list[str]:
 
 
 def _escaped(text: str) -> str:
-    """Text with nothing special but `code`."""
+    """Escape text except `code`."""
     parts = re.split(r"``?([^`]+)``?", text)
     plain = (re.sub(r"([\\*|_`])", r"\\\1", part) for part in parts[::2])
     code = (f"``{part.strip()}``" for part in parts[1::2])

@@ -34,7 +34,7 @@ def _display(writer: Any, node: nodes.Element) -> None:
 
 @cache
 def _drawn(latex: str, inline: bool) -> str:
-    """One formula, with its LaTeX as the text that a screen reader says."""
+    """Draw one formula, with its LaTeX as the text for screen readers."""
     drawn = ziamath.Latex(" ".join(latex.split()), size=SIZE_PX, inline=inline)
     svg = drawn.svg().removeprefix("<svg ")
     style = f"vertical-align:{drawn.getyofst():.2f}px"

@@ -17,16 +17,16 @@ class _Page(HTMLParser):
         self.feed(text)
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        found = {name: value for name, value in attrs if value}
-        self.anchors.update(found[name] for name in ("id", "name") if name in found)
-        if tag == "a" and "href" in found:
-            self.targets.add(found["href"])
+        attributes = {name: value for name, value in attrs if value}
+        self.anchors.update(attributes[name] for name in ("id", "name") if name in attributes)
+        if tag == "a" and "href" in attributes:
+            self.targets.add(attributes["href"])
         elif tag in ("link", "script", "img"):
-            self.loaded.update(found[name] for name in ("href", "src") if name in found)
+            self.loaded.update(attributes[name] for name in ("href", "src") if name in attributes)
 
 
 def check_site(site: Path) -> tuple[list[str], list[str]]:
-    """Broken internal links, with anything that a page would load from the network; and external targets."""
+    """List broken internal links and anything a page would load from the network; and external targets."""
     pages = {path: _Page(path.read_text(encoding="utf-8")) for path in sorted(site.rglob("*.html"))}
     broken: list[str] = []
     external: set[str] = set()

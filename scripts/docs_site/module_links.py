@@ -17,7 +17,7 @@ _log = logging.getLogger(__name__)
 
 
 def setup(app: Sphinx) -> dict[str, Any]:
-    """Look at every page once all pages are known."""
+    """Register the handler, which runs once all pages are known."""
     app.connect("doctree-resolved", _link)
     return {"parallel_read_safe": True, "parallel_write_safe": True}
 

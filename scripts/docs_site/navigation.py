@@ -1,6 +1,6 @@
-"""Sphinx extension: the sidebar opens the branch of the page alone.
+"""Sphinx extension: the sidebar opens only the branch of the page.
 
-The theme asks for the whole tree on every page: a thousand modules on each of a thousand pages.
+The theme requests the whole tree on every page: a thousand modules on each of a thousand pages.
 """
 
 from collections.abc import Callable
@@ -13,7 +13,7 @@ BEFORE_THE_THEME = 400
 
 
 def setup(app: Sphinx) -> dict[str, Any]:
-    """Change what the theme is given for every page."""
+    """Register the handler that changes the theme's context of every page."""
     app.connect("html-page-context", _open_one_branch, priority=BEFORE_THE_THEME)
     return {"parallel_read_safe": True, "parallel_write_safe": True}
 
@@ -22,6 +22,6 @@ def _open_one_branch(
     app: Sphinx, pagename: str, templatename: str, context: dict[str, Any], doctree: object
 ) -> None:
     whole: Callable[..., str] | None = context.get("toctree")
-    if whole is None:  # pages without a place in the tree, such as the search
+    if whole is None:  # pages outside the tree, such as the search
         return
     context["toctree"] = lambda **options: whole(**(options | {"collapse": True}))

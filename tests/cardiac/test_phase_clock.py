@@ -290,6 +290,6 @@ def test_times_that_are_none_are_refused(wrong: float) -> None:
         with pytest.raises(InvalidInputError):
             clock.add(peak)
     for call in (clock.at, clock.forecast, lambda t_s: clock.signal_changed(t_s, on=False)):
-        with pytest.raises(InvalidInputError, match="the phase clock was given the time"):
+        with pytest.raises(InvalidInputError, match="the phase clock got the time"):
             call(wrong)
     assert clock.at(6.0) == same.at(6.0)

@@ -117,7 +117,7 @@ def test_a_law_that_is_not_passive_exits_3(run):
         (("--law", "guidance", "--inside"), "--law guidance does not take --inside; it takes --delta, --m"),
         (("--delta", 2.0), "--law forbidden does not take --delta; it takes --gamma, --cap-n"),
         (("--law", "guidance", "--gamma", 2.0), "--law guidance does not take --gamma"),
-        (("--free-zone-mm", 1.0), "--free-zone-mm goes with --law guidance"),
+        (("--free-zone-mm", 1.0), "--free-zone-mm belongs to --law guidance"),
         (("--law", "guidance", "--delta", 2.0, "--free-zone-mm", 1.0), "chooses its --delta and --m"),
         (("--law", "sigmoid"), "sigmoid is now called forbidden"),
         (("--law=gaussian",), "gaussian is now called guidance"),

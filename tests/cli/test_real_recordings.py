@@ -64,7 +64,7 @@ def test_other_scenarios_are_described_as_before() -> None:
     [
         (["--probe-calibration", RESULTS], "--image-px"),
         (["--image-px", "820", "616"], "--probe-calibration"),
-        (["--probe-calibration", RESULTS, "--image-px", "82", "80"], "does the size in pixels belong"),
+        (["--probe-calibration", RESULTS, "--image-px", "82", "80"], "check that the size in pixels belongs"),
         (
             ["--probe-calibration", DEVICE_SET, "--image-px", "820", "616"],
             "has no transform probe_from_image",
@@ -119,7 +119,7 @@ def test_a_recording_over_the_gate_still_shows_what_it_gives(data_dir: Path, tmp
     held = json.loads(out.read_text())
     assert (held["tip_mm"], held["refused"]) == (found["tip_mm"], True)
     assert out.with_suffix(".png").stat().st_size > 10_000
-    assert not out.with_suffix(".xml").exists(), "PLUS XML cannot say that a calibration is refused"
+    assert not out.with_suffix(".xml").exists(), "PLUS XML cannot mark a calibration as refused"
     accepted = run("calibrate", "pivot", poses, "-o", out)
     assert accepted["tip_mm"] == found["tip_mm"]
     assert out.with_suffix(".xml").is_file()

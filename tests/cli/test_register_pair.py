@@ -282,4 +282,4 @@ def test_landmarks_that_do_not_pair_up_get_one_sentence(truth: Path, tmp_path: P
     assert alone.exit_code == 3
     misplaced = invoke("evaluate", "--transform", truth, "--landmarks", fixed, most, "--moving-first")
     assert misplaced.exit_code == 3
-    assert "--moving-first is about one .tag file" in misplaced.output
+    assert "--moving-first applies to one .tag file" in misplaced.output

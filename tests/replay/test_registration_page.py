@@ -154,7 +154,7 @@ def test_the_page_says_why_and_what_failed() -> None:
     assert "✕ REFUSED" in text
     assert "Independent checks of the pose disagree; do not guide by it." in text
     assert "Failed: interleaved halves (4.10 mm, needed at most 4 mm)." in text
-    assert "not stated of a refused pose" in text
+    assert "not stated for a refused pose" in text
 
 
 def test_the_numbers_are_those_of_the_result() -> None:

@@ -243,7 +243,7 @@ WRONG: dict[str, tuple[Spoil, list[str]]] = {
         [
             "preop.model: ",
             "heart.npz is the model of patient 'ball', needed patient 'P-17'",
-            "name the other data alike",
+            "give the other data the same name",
         ],
     ),
     "a damaged model": (

@@ -24,14 +24,14 @@ from .closed_form import HandEyeMethod, closed_form
 from .fit import Chain, ChainFit, refine
 
 _NO_ROTATION_DEG, _NO_SPREAD = 1.0, 1e-3
-"""Rotation and spread of its axes below which the hand's motion gives no place at all."""
+"""Rotation (degrees) and spread of its axes below which the hand's motion determines no map at all."""
 _SAMPLE = 4
 """Poses of one hypothesis: three determine the answer, a fourth steadies it."""
 
 
 @dataclass(frozen=True, slots=True)
 class HandEyeOptions:
-    """How the camera's place is found and what is refused.
+    """Options of the hand–eye fit and limits of its quality gates.
 
     Attributes:
         method: the closed form that starts the fit: tsai, park, horaud, andreff, daniilidis (hand–eye), or
@@ -41,7 +41,7 @@ class HandEyeOptions:
         keep_sigma: pairs within this many robust standard deviations are inliers.
         min_span_deg: smallest accepted largest rotation between two poses of the hand.
         min_axis_spread: smallest accepted ratio of the second to the first principal size of the hand's
-            rotation vectors; 0 where all rotations are about one axis, which does not determine the
+            rotation vectors; 0 if all rotations are about one axis, which does not determine the
             shift along it.
         min_inlier_share: smallest accepted share of pairs that agree.
     """
@@ -59,11 +59,11 @@ class HandEyeOptions:
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class HandEyeResult:
-    """A camera's place on the hand, with its evidence.
+    """Pose of a camera on the hand, with its evidence.
 
     Attributes:
         hand_from_camera: the map.
-        base_from_target: where the target stood.
+        base_from_target: pose of the target in the base.
         t_s: (n,) times of the pairs, the camera's clock.
         residuals_mm, residuals_deg: (n,) distance and angle of the target, seen through each pair, from
             base_from_target.
@@ -96,7 +96,7 @@ def calibrate_hand_eye(
     rng: Generator,
     options: HandEyeOptions | None = None,
 ) -> HandEyeResult:
-    """hand_from_camera for which base_from_hand · hand_from_camera · camera_from_target stands still.
+    """Fit hand_from_camera so that base_from_hand · hand_from_camera · camera_from_target stays constant.
 
     The hand's pose is interpolated at the camera's times; samples that are not valid, and times between hand
     samples that are not, are left out. A closed form on four-pose samples is judged by its consensus, then
@@ -110,7 +110,7 @@ def calibrate_hand_eye(
     Raises:
         InvalidInputError: frames that repeat, or fewer than 3 pairs.
         NoOverlapError: the two streams share no time.
-        QualityGateError: no place can be computed: the hand stood still, turned about one axis, or hardly a
+        QualityGateError: no map can be computed: the hand stood still, turned about one axis, or hardly a
             pair agrees. What is computed but fails a gate carries its refusals.
     Source: Tsai & Lenz 1989, Park & Martin 1994, Shah 2013 (in OpenCV); MSAC of Torr & Zisserman 2000.
     """
@@ -125,7 +125,7 @@ def calibrate_hand_eye(
     turned = _rotation_refusals(chain.part(keep), base_from_hand.name, options)
     if fitted is None:
         raise QualityGateError(
-            f"method '{options.method}' finds no place of '{camera_from_target.target}' from the "
+            f"method '{options.method}' gives no pose of '{camera_from_target.target}' from the "
             f"{int(keep.sum())} pairs that agree; try another method"
         )
     mm, degrees = chain.residuals(fitted.hand_from_camera, fitted.base_from_target)
@@ -182,7 +182,7 @@ def _few_agree(keep: BoolArray, camera: str, options: HandEyeOptions) -> tuple[R
     if keep.sum() >= max(MIN_INLIERS, options.min_inlier_share * len(keep)):
         return ()
     detail = (
-        f"only {int(keep.sum())} of {len(keep)} pairs agree on one place of '{camera}' "
+        f"only {int(keep.sum())} of {len(keep)} pairs agree on one pose of '{camera}' "
         f"within {options.consensus_mm:g} mm and {options.consensus_deg:g}°, needed "
         f"{options.min_inlier_share:.0%}; check that the target stood still and that both clocks are one"
     )
@@ -190,7 +190,7 @@ def _few_agree(keep: BoolArray, camera: str, options: HandEyeOptions) -> tuple[R
 
 
 def _refuse_undetermined(chain: Chain, name: str, options: HandEyeOptions) -> None:
-    """Raise where the hand's motion gives no place of the camera at all."""
+    """Raise if the hand's motion does not determine the camera's pose at all."""
     least = replace(options, min_span_deg=_NO_ROTATION_DEG, min_axis_spread=_NO_SPREAD)
     if _rotation_refusals(chain, name, least):
         limits = replace(
@@ -212,7 +212,7 @@ def _rotation_refusals(chain: Chain, name: str, options: HandEyeOptions) -> tupl
     if spread < options.min_axis_spread:
         detail = (
             f"{name} rotates about one axis only (spread of the axes {spread:.3f}, needed at least "
-            f"{options.min_axis_spread:g}); the camera's place along it stays unknown: rotate about a second "
+            f"{options.min_axis_spread:g}); its position along it stays unknown: rotate about a second "
             "axis too"
         )
         return (Refusal(Gate.ONE_AXIS, detail),)
@@ -222,9 +222,9 @@ def _rotation_refusals(chain: Chain, name: str, options: HandEyeOptions) -> tupl
 def _inliers(
     chain: Chain, solve: Callable[[Chain], FloatArray], rng: Generator, options: HandEyeOptions
 ) -> Consensus[ChainFit]:
-    """The fit to all inliers, from those of the best-supported of the closed forms of random samples."""
+    """Select inliers, starting from the best-supported closed form of random samples."""
     best, lowest = np.ones(len(chain), dtype=np.bool_), np.inf
-    # half the spread of all where that is small: a motion that the gate refuses still gives a place
+    # accept a smaller spread if the whole recording has little: the gate then refuses the pose, not the fit
     least = min(options.min_axis_spread, 0.5 * chain.axis_spread())
     for _ in range(options.hypotheses if len(chain) > _SAMPLE else 1):
         sample = rng.permutation(len(chain))[:_SAMPLE]

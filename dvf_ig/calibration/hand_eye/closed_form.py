@@ -1,7 +1,7 @@
 """Closed-form hand–eye solutions of OpenCV, which start the fit; cv2 is loaded when one is computed.
 
 Source: Tsai & Lenz 1989, Park & Martin 1994, Horaud & Dornaika 1995, Andreff 1999, Daniilidis 1999; with the
-base's place besides, Shah 2013 and Li 2010.
+target's pose in the base as a second unknown, Shah 2013 and Li 2010.
 """
 
 from collections.abc import Callable
@@ -21,7 +21,7 @@ _ROBOT_WORLD = ("shah", "li")
 
 
 def closed_form(method: HandEyeMethod) -> Callable[[Chain], FloatArray]:
-    """The function from a chain to (4, 4) hand_from_camera; NaN where OpenCV finds no answer."""
+    """Return the function from a chain to (4, 4) hand_from_camera; it gives NaN if OpenCV finds none."""
     if method not in HAND_EYE_METHODS:
         raise InvalidInputError(f"hand-eye method '{method}' is not one of {', '.join(HAND_EYE_METHODS)}")
 
@@ -37,21 +37,21 @@ def closed_form(method: HandEyeMethod) -> Callable[[Chain], FloatArray]:
 
 
 def _opencv(chain: Chain, method: HandEyeMethod) -> tuple[FloatArray, FloatArray]:
-    """Rotation and translation of hand_from_camera, NaN where OpenCV refuses a degenerate sample."""
+    """Compute rotation and translation of hand_from_camera; NaN if OpenCV refuses a degenerate sample."""
     import cv2
 
-    held = (list(chain.hand_rotations), list(chain.hand_translations))
-    seen = (list(chain.target_rotations), list(chain.target_translations))
+    hand = (list(chain.hand_rotations), list(chain.hand_translations))
+    target = (list(chain.target_rotations), list(chain.target_translations))
     try:
         if method not in _ROBOT_WORLD:
             kind = getattr(cv2, f"CALIB_HAND_EYE_{method.upper()}")
-            rotation, shift = cv2.calibrateHandEye(*held, *seen, method=kind)
+            rotation, shift = cv2.calibrateHandEye(*hand, *target, method=kind)
             return np.asarray(rotation), np.ravel(shift)
         inverse = np.swapaxes(chain.hand_rotations, 1, 2)
         shifted = -np.einsum("nij,nj->ni", inverse, chain.hand_translations)
         kind = getattr(cv2, f"CALIB_ROBOT_WORLD_HAND_EYE_{method.upper()}")
-        found = cv2.calibrateRobotWorldHandEye(*seen, list(inverse), list(shifted), method=kind)
+        solution = cv2.calibrateRobotWorldHandEye(*target, list(inverse), list(shifted), method=kind)
     except cv2.error:
         return np.full((3, 3), np.nan), np.full(3, np.nan)
-    hand_from_camera = np.asarray(found[2]).T
-    return hand_from_camera, -hand_from_camera @ np.ravel(found[3])
+    hand_from_camera = np.asarray(solution[2]).T
+    return hand_from_camera, -hand_from_camera @ np.ravel(solution[3])

@@ -24,7 +24,7 @@ class Chain:
         return len(self.hand_rotations)
 
     def part(self, keep: Any) -> "Chain":
-        """The pairs of a mask or of indices."""
+        """Select pairs by a mask or by indices."""
         return Chain(
             self.hand_rotations[keep],
             self.hand_translations[keep],
@@ -33,7 +33,7 @@ class Chain:
         )
 
     def axis_spread(self) -> float:
-        """Second over first principal size of the hand's rotation vectors between pairs of poses."""
+        """Ratio of second to first principal size of the hand's rotation vectors between pairs of poses."""
         first, second = np.triu_indices(len(self), 1)
         step = max(1, len(first) // 2000)
         first, second = first[::step], second[::step]
@@ -42,14 +42,14 @@ class Chain:
         return float(sizes[1] / sizes[0]) if len(sizes) > 1 and sizes[0] > 0 else 0.0
 
     def targets(self, hand_from_camera: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """base_from_target through each pair: (n, 3, 3) and (n, 3) mm."""
+        """Compute base_from_target through each pair: (n, 3, 3) and (n, 3) mm."""
         to_hand = hand_from_camera[:3, :3] @ self.target_rotations
         in_hand = self.target_translations @ hand_from_camera[:3, :3].T + hand_from_camera[:3, 3]
         moved = np.einsum("nij,nj->ni", self.hand_rotations, in_hand) + self.hand_translations
         return self.hand_rotations @ to_hand, moved
 
     def middle_target(self, hand_from_camera: FloatArray) -> FloatArray:
-        """(4, 4) base_from_target: the pair whose target is nearest to all others, in position and angle."""
+        """Return base_from_target (4, 4) of the pair whose target is nearest to all others."""
         rotations, translations = self.targets(hand_from_camera)
         center = np.median(translations, axis=0)
         away = np.linalg.norm(translations - center, axis=1)
@@ -87,7 +87,7 @@ class ChainFit:
 
 
 def refine(chain: Chain, hand_from_camera: FloatArray) -> ChainFit:
-    """Both unknown maps together by least squares on angles and shifts, each in units of its own spread.
+    """Refine both unknown maps together by least squares on angles and shifts, each over its own spread.
 
     Source: Strobl & Hirzinger 2006 (the weight between rotation and translation from their residuals).
     """

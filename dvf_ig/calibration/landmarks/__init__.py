@@ -1,1 +1,1 @@
-"""Landmark registration: touched points, and how they are found in a stylus stream."""
+"""Landmark registration: touched points, and their detection in a stylus stream."""

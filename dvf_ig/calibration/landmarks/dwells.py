@@ -26,7 +26,7 @@ TipShift = tuple[FloatArray, FloatArray]
 
 @dataclass(frozen=True, slots=True)
 class DwellOptions:
-    """When a stylus dwells on a landmark.
+    """Options of dwell detection: when a stylus rests on a landmark.
 
     Attributes:
         radius_mm: the tip stays within this distance of its running mean (PLUS: 1.5 mm).
@@ -45,7 +45,7 @@ class DwellOptions:
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class Dwells:
-    """Places where a tip dwelt.
+    """Points on which a tip rested.
 
     Attributes:
         points: (n, 3) mean tip positions, in order of time.
@@ -70,7 +70,7 @@ class TipCheck:
         shift_mm: (3,) from the stated tip to the point about which the stylus pivoted in all dwells, in the
             stylus's frame.
         spread_mm: root mean square distance of the tip from its dwells' centres, as stated.
-        spread_after_mm: the same of the shifted tip.
+        spread_after_mm: the same for the shifted tip.
     """
 
     shift_mm: FloatArray
@@ -79,7 +79,7 @@ class TipCheck:
 
 
 def tip_positions(poses: PoseStream, tip: Points) -> tuple[FloatArray, Points]:
-    """Times (n valid,) and positions of a tool tip in the stream's target frame.
+    """Compute times (n valid,) and positions of a tool tip in the stream's target frame.
 
     Args:
         poses: target_from_source of the tool; invalid samples are left out.
@@ -95,13 +95,13 @@ def tip_positions(poses: PoseStream, tip: Points) -> tuple[FloatArray, Points]:
 
 
 def find_dwells(t_s: FloatArray, tip: Points, *, options: DwellOptions | None = None) -> Dwells:
-    """Dwells of a tip, one after the other.
+    """Find the dwells of a tip, in order of time.
 
     A dwell's position is the mean, not the median, of its samples: while a stylus pivots in a divot an error
     of its tip moves the tip on an orbit, and the mean over the orbit is where that error cancels.
 
     Args:
-        t_s: (n,) times; tip: (n, 3) positions in a frame in which the landmarks stand still.
+        t_s: (n,) times; tip: (n, 3) positions in a frame in which the landmarks do not move.
         options: see DwellOptions.
     Raises:
         QualityGateError: the tip was never held still.
@@ -113,24 +113,24 @@ def find_dwells(t_s: FloatArray, tip: Points, *, options: DwellOptions | None = 
             f"the tip was never held still within {options.radius_mm:g} mm for {options.min_s:g} s; hold it "
             "on each landmark for a few seconds"
         )
-    kept = [_samples(k, runs, tip.xyz_mm, options) for k in range(len(runs))]
-    centers = np.array([tip.xyz_mm[run].mean(axis=0) for run in kept])
-    spread = [_spread(tip.xyz_mm[run] - c) for run, c in zip(kept, centers, strict=True)]
+    members = [_samples(k, runs, tip.xyz_mm, options) for k in range(len(runs))]
+    centers = np.array([tip.xyz_mm[run].mean(axis=0) for run in members])
+    spread = [_spread(tip.xyz_mm[run] - c) for run, c in zip(members, centers, strict=True)]
     return Dwells(
         points=Points(tip.frame, centers),
-        start_s=np.array([t_s[run[0]] for run in kept]),
-        stop_s=np.array([t_s[run[-1]] for run in kept]),
-        samples=np.array([len(run) for run in kept], dtype=np.int64),
+        start_s=np.array([t_s[run[0]] for run in members]),
+        stop_s=np.array([t_s[run[-1]] for run in members]),
+        samples=np.array([len(run) for run in members], dtype=np.int64),
         spread_mm=np.array(spread),
     )
 
 
 def check_tip(poses: PoseStream, tip: Points, dwells: Dwells) -> TipCheck:
-    """The point about which a stylus pivoted, from all dwells together, against its stated tip.
+    """Compare a stylus's stated tip with the point about which it pivoted in all dwells.
 
     Least squares on R_i (tip + shift) + t_i = c_k for the samples i of each dwell k: a pivot calibration with
-    one pivot a dwell. Samples of the approach, further than KEEP_SIGMA from their pivot, are left out. Of a
-    stylus that was hardly rotated the smallest shift that explains the samples is taken.
+    one pivot a dwell. Samples of the approach, further than KEEP_SIGMA from their pivot, are left out. If the
+    stylus was hardly rotated, the smallest shift that explains the samples is taken.
     """
     parts = []
     for start, stop in zip(dwells.start_s, dwells.stop_s, strict=True):
@@ -143,7 +143,7 @@ def check_tip(poses: PoseStream, tip: Points, dwells: Dwells) -> TipCheck:
         return _common_shift(parts, np.split(keep, ends[:-1]))
 
     rule = InlierRule(KEEP_SIGMA, scale_from_inliers=True)
-    agreed = fit_inliers(fit, lambda found: [found[1]], np.ones(ends[-1], dtype=np.bool_), rule)
+    agreed = fit_inliers(fit, lambda fitted: [fitted[1]], np.ones(ends[-1], dtype=np.bool_), rule)
     keep = agreed.inliers
     shift, after = agreed.model or fit(keep, None)
     before = _common_shift(parts, np.split(keep, ends[:-1]), solve=False)[1]
@@ -154,7 +154,7 @@ def check_tip(poses: PoseStream, tip: Points, dwells: Dwells) -> TipCheck:
 def _common_shift(
     parts: list[tuple[FloatArray, FloatArray]], keep: list[BoolArray], *, solve: bool = True
 ) -> TipShift:
-    """Shift of the tip (zero unless solved for) from the kept samples, and the distances of all."""
+    """Fit the shift of the tip (zero unless solved for) from the kept samples, and the distances of all."""
     # each pivot is eliminated by taking the kept samples of its dwell from their mean
     means = [(r[k].mean(axis=0), p[k].mean(axis=0)) for (r, p), k in zip(parts, keep, strict=True)]
     rotated = [r - mean for (r, _), (mean, _) in zip(parts, means, strict=True)]
@@ -209,10 +209,10 @@ def _samples(k: int, runs: list[IntArray], xyz_mm: FloatArray, options: DwellOpt
     first = runs[k - 1][-1] + 1 if k else 0
     stop = runs[k + 1][0] if k + 1 < len(runs) else len(xyz_mm)
     candidates = np.arange(first, stop)
-    found = fit_inliers(
+    consensus = fit_inliers(
         lambda keep, _: xyz_mm[candidates[keep]].mean(axis=0),
         lambda center: [np.linalg.norm(xyz_mm[candidates] - center, axis=1)],
         np.isin(candidates, runs[k]),
         InlierRule(options.keep_sigma, scale_from_inliers=True),
     )
-    return candidates[found.inliers]
+    return candidates[consensus.inliers]

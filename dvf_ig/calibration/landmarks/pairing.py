@@ -1,4 +1,4 @@
-"""How nearly landmarks fit themselves in another order: the danger of touching them in a wrong one."""
+"""Fit of landmarks paired in another order: would touching them in a wrong order be noticed."""
 
 from itertools import combinations, permutations
 
@@ -14,10 +14,10 @@ MOST_TRIPLES = 400
 
 
 def second_pairing_rms_mm(target: Points, source: Points) -> float:
-    """Smallest RMS residual over pairings of the two sets other than the given one, mm.
+    """Compute the smallest RMS residual over pairings of the two sets other than the given one, mm.
 
-    A value near the noise says that the landmarks are all but symmetric: touched in another order they
-    would fit as well, and the map would be wrong without a sign of it.
+    A value near the noise shows that the landmarks are almost symmetric: touched in another order they would
+    fit as well, and nothing would show that the map is wrong.
 
     Args:
         target, source: (n, 3) mm each, in the same order; n >= 3, not on one line.
@@ -40,7 +40,7 @@ def second_pairing_rms_mm(target: Points, source: Points) -> float:
 
 
 def _widest_triple(xyz_mm: FloatArray) -> tuple[int, ...]:
-    """The three points that span the largest triangle."""
+    """Choose the three points that span the largest triangle."""
     triples = np.array(list(combinations(range(len(xyz_mm)), 3)))
     a, b, c = (xyz_mm[triples[:, i]] for i in range(3))
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1)

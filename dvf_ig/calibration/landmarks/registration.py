@@ -1,4 +1,4 @@
-"""Landmark registration: a rigid map between paired points, with the evidence for and against it."""
+"""Landmark registration: a rigid map between paired points, with its evidence."""
 
 from dataclasses import dataclass, replace
 from itertools import combinations
@@ -24,7 +24,7 @@ MAX_CHOICES = 20_000
 """Most assignments of dwells to landmarks that are tried."""
 
 AMBIGUOUS_RATIO, AMBIGUOUS_MM = 3.0, 1.0
-"""Landmarks are ambiguous where the RMS of another pairing is within this factor of theirs, or below this."""
+"""Landmarks are ambiguous if the RMS of another pairing is within this factor of theirs, or below this."""
 
 
 @read_only_arrays
@@ -51,13 +51,13 @@ class LandmarkResult:
 
     @property
     def ambiguous(self) -> bool:
-        """True where landmarks touched in another order would have fitted about as well."""
+        """True if landmarks touched in another order would have fitted about as well."""
         return self.second_rms_mm <= max(AMBIGUOUS_RATIO * self.rms_mm, AMBIGUOUS_MM)
 
 
 @dataclass(frozen=True, slots=True)
 class MapDifference:
-    """How far one map is from another: the angle, and distances of what they do with the same landmarks.
+    """Difference of two maps: their angle, and the distances between images of the same landmarks.
 
     Attributes:
         rotation_deg: angle between the two rotations.
@@ -71,7 +71,7 @@ class MapDifference:
 
 
 def register_landmarks(target: Points, source: Points) -> LandmarkResult:
-    """target_from_source of paired landmarks by least squares, with residuals and leave-one-out errors.
+    """Fit target_from_source to paired landmarks by least squares, with residuals and leave-one-out errors.
 
     Raises:
         InvalidInputError: unequal counts, fewer than 3 pairs, or landmarks on one line.
@@ -89,7 +89,7 @@ def register_landmarks(target: Points, source: Points) -> LandmarkResult:
 
 
 def map_difference(first: Rigid, second: Rigid, landmarks: Points) -> MapDifference:
-    """How far two maps between the same frames differ, in rotation and at the landmarks.
+    """Compute how far two maps between the same frames differ, in rotation and at the landmarks.
 
     Args:
         first, second: target_from_source each.
@@ -105,17 +105,18 @@ def map_difference(first: Rigid, second: Rigid, landmarks: Points) -> MapDiffere
 
 
 def match_dwells(dwells: Dwells, landmarks: Points) -> tuple[LandmarkResult, tuple[int, ...]]:
-    """Landmarks touched in their order, among dwells that may include others (before, between, after).
+    """Register landmarks touched in their order, among dwells that may include others.
 
     Args:
         dwells: in order of time.
         landmarks: (n, 3) in the order in which they were touched.
     Returns:
         target_from_source with target = frame of the dwells, source = frame of the landmarks, and which dwell
-        is which landmark: the choice with the smallest residual. The map is refused where another choice
+        is which landmark: the choice with the smallest residual. The map is refused if another choice
         that moves it by more than 2 mm fits as well.
     Raises:
-        InvalidInputError: fewer dwells than landmarks, too many to try, or landmarks on one line.
+        InvalidInputError: fewer dwells than landmarks, an excessive number of choices, or landmarks on one
+            line.
     """
     count, need = len(dwells.points), len(landmarks)
     if count < need or comb(count, need) > MAX_CHOICES:
@@ -132,14 +133,14 @@ def match_dwells(dwells: Dwells, landmarks: Points) -> tuple[LandmarkResult, tup
     tried.sort(key=lambda t: (t[0], t[1]))
     best = tried[0][1]
     touched = Points(dwells.points.frame, dwells.points.xyz_mm[list(best)])
-    found = register_landmarks(touched, landmarks)
-    return replace(found, refusals=_second_choice(tried, landmarks)), best
+    result = register_landmarks(touched, landmarks)
+    return replace(result, refusals=_second_choice(tried, landmarks)), best
 
 
 def _second_choice(
     tried: list[tuple[float, tuple[int, ...], Rigid]], landmarks: Points
 ) -> tuple[Refusal, ...]:
-    """Refusal where a choice other than the best fits as well and gives another map."""
+    """Refuse if a choice other than the best fits as well and gives another map."""
     rms, _, chosen = tried[0]
     for other_rms, _, other in tried[1:]:
         moved = chosen.apply(landmarks).xyz_mm - other.apply(landmarks).xyz_mm

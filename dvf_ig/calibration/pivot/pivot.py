@@ -1,4 +1,4 @@
-"""Pivot calibration: where a tool's tip is, from poses recorded while the tip rested in a divot."""
+"""Pivot calibration: the position of a tool's tip, from poses recorded while the tip rested in a divot."""
 
 from dataclasses import dataclass, replace
 
@@ -19,12 +19,12 @@ from dvf_ig.core import (
 )
 
 MAX_CONDITION = 1e6
-"""Condition number beyond which the poses give no tip at all."""
+"""Condition number above which the poses determine no tip at all."""
 
 
 @dataclass(frozen=True, slots=True)
 class PivotOptions:
-    """How outliers are found and what is refused (docs/theory/calibration.md).
+    """Options of the pivot fit and limits of its quality gates (docs/theory/calibration.md).
 
     Attributes:
         consensus_mm: 3-D residual within which a pose supports a hypothesis.
@@ -78,7 +78,7 @@ class PivotResult:
 
 
 def calibrate_pivot(poses: PoseStream, *, rng: Generator, options: PivotOptions | None = None) -> PivotResult:
-    """Tip and pivot point by least squares on the poses that agree with one pivot.
+    """Fit tip and pivot point by least squares on the poses that agree with one pivot.
 
     Args:
         poses: target_from_source of the tool, mm; samples that are not valid are left out.
@@ -87,7 +87,7 @@ def calibrate_pivot(poses: PoseStream, *, rng: Generator, options: PivotOptions 
     Raises:
         InvalidInputError: fewer than 3 valid poses.
         QualityGateError: no tip can be computed: the tool did not turn, or turned about one axis, or no
-            three poses agree. What is computed but fails a gate (small rotations, too few poses that agree,
+            three poses agree. An estimate that fails a gate (small rotations, few poses that agree,
             a large residual) carries its refusals.
     Source: Yaniv 2015 (algebraic one step: [R_i −I][tip; pivot] = −t_i); MSAC of Torr & Zisserman 2000.
     """
@@ -106,7 +106,7 @@ def calibrate_pivot(poses: PoseStream, *, rng: Generator, options: PivotOptions 
 
 
 def rotation_span_deg(rotations: FloatArray) -> float:
-    """Largest rotation angle between any two of (n, 3, 3) rotations."""
+    """Compute the largest rotation angle between any two of (n, 3, 3) rotations."""
     quaternions = Rotation.from_matrix(rotations).as_quat()
     smallest = 1.0
     for start in range(0, len(quaternions), 512):
@@ -158,7 +158,7 @@ def _result(
 def _inliers(
     rotations: FloatArray, translations: FloatArray, rng: Generator, options: PivotOptions
 ) -> BoolArray:
-    """(n,) inliers, from those of the best-supported pivot of random three-pose samples."""
+    """Select (n,) inliers, starting from the best-supported pivot of random three-pose samples."""
     best = _best_hypothesis(rotations, translations, rng, options)
     return fit_inliers(
         lambda keep, _: _solve(rotations[keep], translations[keep]),

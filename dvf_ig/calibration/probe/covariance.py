@@ -1,4 +1,4 @@
-"""Uncertainty of an image calibration: a jackknife over blocks of time, and motion that is too little.
+"""Uncertainty of an image calibration: a jackknife over blocks of time, and the refusal of too little motion.
 
 Neither dots nor frames are independent samples: the dots of one frame share one pose error, and neighbouring
 frames of a sweep share much of what no model holds (a bent wire, a beam's thickness, a wrong placement of the
@@ -88,7 +88,7 @@ class MapUncertainty:
         return self.parameters.estimate.scale_mm_per_px[:, None] * np.exp(np.stack([-factor, factor], axis=1))
 
     def about(self, center_px: FloatArray) -> "MapUncertainty":
-        """The same uncertainty with the position of another pixel in place of `parameters.center_px`."""
+        """Express the uncertainty about another pixel instead of `parameters.center_px`."""
         old = self.parameters
         change = np.eye(old.count)
         change[3:6] = old.jacobian(np.asarray(center_px, dtype=np.float64))
@@ -97,23 +97,23 @@ class MapUncertainty:
         return MapUncertainty(moved, covariance, self.frames, self.held_out_mm)
 
     def point_mm(self, pixel: FloatArray) -> FloatArray:
-        """(3,) 95 % half-widths of the position of one pixel (2,), along the image's axes."""
+        """Compute (3,) 95 % half-widths of the position of one pixel (2,), along the image's axes."""
         slope = self.parameters.jacobian(np.asarray(pixel, dtype=np.float64))
         spread = np.einsum("ij,jk,ik->i", slope, self.covariance, slope)
         return np.asarray(self.coverage_factor * np.sqrt(spread))
 
     def covers(self, truth: ImageMap) -> FloatArray:
-        """(8,) deviation of `truth` from the estimate over the 95 % half-width; within ±1 where covered."""
+        """Compute the (8,) deviation of `truth` over the 95 % half-width; within ±1 if covered."""
         return np.asarray(self.parameters.step_to(truth) / self.all_half_widths)
 
 
 def time_blocks(frames: int) -> list[IndexArray]:
-    """Blocks of time that are taken as independent samples, each with the indices of its frames."""
+    """Split frames into blocks of time taken as independent samples; each block holds frame indices."""
     return np.array_split(np.arange(frames), min(BLOCKS, frames))
 
 
 def block_jackknife(jacobian: FloatArray, residuals: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Covariance of a least-squares estimate by leaving out one block of time at a time, to first order.
+    """Estimate a least-squares fit's covariance by leaving out one block of time, to first order.
 
     Args:
         jacobian: (frames, k, p) of each frame's weighted residuals, in order of time.
@@ -164,7 +164,7 @@ def undetermined_refusals(
     limits: tuple[float, float, float],
     advice: dict[str, str],
 ) -> tuple[Refusal, ...]:
-    """Refusal of data whose motion does not determine a part of the map, whatever the residuals say.
+    """Refuse data whose motion does not determine a part of the map, however small the residuals.
 
     Args:
         parameters: of the map; they come first among the unknowns.

@@ -58,15 +58,15 @@ class PointTarget:
 def calibrate_crosswire(
     poses: PoseStream, points_px: FloatArray, *, rng: Generator, options: TargetOptions | None = None
 ) -> TargetResult[PointTarget]:
-    """Fit probe_from_image and the crossing's place together; no initial guess is needed.
+    """Fit probe_from_image and the crossing's position together; no initial guess is needed.
 
     R_i (a u_i + b v_i + o) + t_i = q is linear in the image's axes a, b, its origin o and the crossing q:
     free solutions of random subsets of frames start a search on the better half of the frames, then all
     inliers are fitted.
 
     Args:
-        poses: (n frames) tracker_from_probe, or against any frame in which the phantom stands still.
-        points_px: (n, 1, 2) column, row of the crossing; NaN where it was not found.
+        poses: (n frames) tracker_from_probe, or against any frame in which the phantom does not move.
+        points_px: (n, 1, 2) column, row of the crossing; NaN if not found.
         rng: draws subsets of frames.
         options: see TargetOptions.
     Raises:
@@ -96,10 +96,10 @@ def calibrate_crosswire(
 def validate_crosswire(
     probe_from_image: ImageMap, poses: PoseStream, points_px: FloatArray
 ) -> tuple[CalibrationErrors, FloatArray]:
-    """Spread of a crossing reconstructed from every usable frame of another recording; none is rejected.
+    """Reconstruct the crossing from every usable frame of another recording and measure the spread.
 
     Returns:
-        The distances from the median of the places where the frames put the crossing, and that place (3,).
+        Distances from the median of the positions at which the frames put the crossing, and that median (3,).
     Raises:
         InvalidInputError: no usable frame, or a calibration of another sensor.
     """

@@ -11,7 +11,7 @@ from dvf_ig.core import ErrorSummary, FloatArray, read_only_arrays, summarise_er
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class CalibrationErrors:
-    """How far a calibration puts the points of a phantom from where they are.
+    """Distances between a phantom's points and where a calibration puts them.
 
     Attributes:
         summary: of all errors, in mm.
@@ -32,6 +32,6 @@ class CalibrationErrors:
 def calibration_errors(
     errors_mm: FloatArray, frames: int, in_plane_mm: Mapping[str, float] | None = None
 ) -> CalibrationErrors:
-    """Errors (frames_used, …), one row a usable frame, of a recording of `frames`."""
+    """Summarise errors (frames_used, …), one row a usable frame, of a recording of `frames`."""
     summary = summarise_errors(errors_mm.ravel())
     return CalibrationErrors(summary, len(errors_mm), frames, np.asarray(errors_mm), in_plane_mm or {})

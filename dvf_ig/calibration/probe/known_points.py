@@ -1,15 +1,15 @@
-"""Whether a calibration puts points that are known where they are: the gate before it is used."""
+"""Gate of a calibration before it is used: its error at points of known position."""
 
 from dvf_ig.calibration.refusal import Gate, Refusal
 
 from .errors import CalibrationErrors
 
 KNOWN_POINT_MM = 1.0
-"""Largest mean error (docs/theory/safety.md); the fCal 2.0 recordings of PLUS have 0.54 mm."""
+"""Largest mean error (docs/theory/safety.md); the fCal 2.0 recordings of PLUS show 0.54 mm."""
 
 
 def known_points_refusals(errors: CalibrationErrors) -> tuple[Refusal, ...]:
-    """Why a calibration must not be used that was held against points it was not made of; () where it may."""
+    """Refuse a calibration by its errors at points it was not fitted to; () if it may be used."""
     mean = errors.summary.mean95
     if mean <= KNOWN_POINT_MM:
         return ()

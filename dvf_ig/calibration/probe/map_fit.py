@@ -1,8 +1,8 @@
-"""Levenberg–Marquardt fit of an image map, together with what is unknown of the phantom that it shows.
+"""Levenberg–Marquardt fit of an image map, together with the unknowns of the phantom that it shows.
 
 Why not scipy.optimize.least_squares: rotations, pixel sizes and a plane's normal are stepped along the
-tangent of the current estimate. Linearised anew about every accepted estimate, the derivatives are exact and
-short; one fixed vector of parameters would need those of the exponential map and of the plane's chart too,
+tangent of the current estimate. Linearised again about every accepted estimate, the derivatives are exact and
+short. One fixed vector of parameters would also need those of the exponential map and of the plane's chart,
 and its steps from far starts could not be bounded to one radian and a factor e, as they are here.
 """
 
@@ -24,16 +24,16 @@ CONVERGED_STEP = 1e-9
 
 
 class Phantom(Protocol):
-    """Something that stands still in the poses' target frame, with residuals and unknowns of its own."""
+    """Phantom at rest in the poses' target frame, with its residuals and its own unknowns."""
 
     def residuals(self, image_map: ImageMap, points: TrackedPoints) -> FloatArray:
-        """(f, r) residuals of each frame, mm or in units of their standard deviation."""
+        """Compute (f, r) residuals of each frame, mm or in units of their standard deviation."""
 
     def jacobian(self, parameters: MapParameters, points: TrackedPoints) -> FloatArray:
-        """(f, r, count + u) their derivative by the map's parameters, then by the phantom's u unknowns."""
+        """Compute (f, r, count + u) derivatives by the map's parameters, then by the phantom's u unknowns."""
 
     def stepped(self, step: FloatArray) -> Self:
-        """The phantom a (u,) step away."""
+        """Return the phantom a (u,) step away."""
 
 
 P = TypeVar("P", bound=Phantom)
@@ -64,7 +64,7 @@ class MapFit(Generic[P]):
         return np.asarray(np.linalg.norm(self.residuals(points), axis=1))
 
     def stepped(self, step: FloatArray) -> "MapFit[P]":
-        """The state a (count + u,) step away; rotations beyond 1 rad and sizes beyond a factor e are cut."""
+        """Return the state a (count + u,) step away; rotations are cut at 1 rad, sizes at a factor e."""
         parameters, bounded = self.parameters, step.copy()
         angle = float(np.linalg.norm(step[:3]))
         if angle > 1.0:
@@ -78,7 +78,7 @@ class MapFit(Generic[P]):
 
 
 def start_fit(image_map: ImageMap, phantom: P, points: TrackedPoints, *, isotropic: bool) -> MapFit[P]:
-    """A state to begin with; shifts are those of the middle of the region where points were seen."""
+    """Build the first state; shifts are those of the middle of the region in which points were seen."""
     center = points.center_px
     start = with_square_pixels(image_map, center) if isotropic else image_map
     return MapFit(MapParameters(start, center, isotropic), phantom)
@@ -87,7 +87,7 @@ def start_fit(image_map: ImageMap, phantom: P, points: TrackedPoints, *, isotrop
 def levenberg_marquardt(
     start: MapFit[P], points: TrackedPoints, *, damping: float = 1e-4, steps: int = MAX_STEPS
 ) -> MapFit[P]:
-    """The state of least squares near a start, linearised anew about every accepted state.
+    """Minimise the squared residuals near a start, linearising again about every accepted state.
 
     Args:
         start: where the search begins.
@@ -121,14 +121,14 @@ def levenberg_marquardt(
 
 
 def _at_minimum(jacobian: FloatArray, residuals: FloatArray) -> bool:
-    """Whether the residuals are orthogonal to all that the parameters could change, to rounding."""
+    """Return whether the residuals are orthogonal to all that the parameters could change, to rounding."""
     step = np.linalg.lstsq(jacobian, residuals, rcond=None)[0]
     explained = jacobian @ step
     return bool(explained @ explained <= 1e-9 * (residuals @ residuals) + 1e-20)
 
 
 def _damped_step(jacobian: FloatArray, residuals: FloatArray, damping: float) -> FloatArray:
-    """The step that minimises |J s + r|² + damping · Σ (J'J)ᵢᵢ sᵢ², by orthogonal factorisation."""
+    """Compute the step that minimises |J s + r|² + damping · Σ (J'J)ᵢᵢ sᵢ², by orthogonal factorisation."""
     if damping > 0:
         square = np.square(jacobian).sum(axis=0)
         weights = np.sqrt(damping * square + 1e-12 * square.sum())

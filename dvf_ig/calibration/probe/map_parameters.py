@@ -49,7 +49,7 @@ class MapParameters:
         return (*PARAMETERS[:6], "log_pixel_size") if self.isotropic else PARAMETERS
 
     def stepped(self, step: FloatArray) -> ImageMap:
-        """The map `step` (count,) away, in the units of PARAMETERS."""
+        """Return the map `step` (count,) away, in the units of PARAMETERS."""
         rigid, scale = self.estimate.rigid, self.estimate.scale_mm_per_px
         rotation = rigid.rotation @ Rotation.from_rotvec(step[:3]).as_matrix()
         size = scale * np.exp(step[6:])
@@ -58,7 +58,7 @@ class MapParameters:
         return ImageMap(Rigid(rigid.target, rigid.source, rotation, origin), size)
 
     def step_to(self, other: ImageMap) -> FloatArray:
-        """(8,) step that leads from the estimate to `other`, whatever the pixel sizes."""
+        """Compute the (8,) step from the estimate to `other`, whatever the pixel sizes."""
         rigid = self.estimate.rigid
         rotation = Rotation.from_matrix(rigid.rotation.T @ other.rigid.rotation).as_rotvec()
         moved = other.apply_pixels(self.center_px[None]).xyz_mm[0] - self.center_mm
@@ -67,11 +67,11 @@ class MapParameters:
 
     @property
     def center_mm(self) -> FloatArray:
-        """(3,) where `center_px` lies at the sensor."""
+        """Position (3,) of `center_px` at the sensor."""
         return np.asarray(self.estimate.apply_pixels(self.center_px[None]).xyz_mm[0])
 
     def jacobian(self, pixels: FloatArray) -> FloatArray:
-        """(..., 3, count) mm per unit step of where pixels (..., 2) lie, along the image's axes."""
+        """Compute (..., 3, count) mm per unit step by which pixels (..., 2) move along the image's axes."""
         arm = (pixels - self.center_px) * self.estimate.scale_mm_per_px
         out = np.zeros((*arm.shape[:-1], 3, 8))
         out[..., 2, 0] = arm[..., 1]
@@ -86,7 +86,7 @@ class MapParameters:
 
 
 def with_square_pixels(image_map: ImageMap, center_px: FloatArray) -> ImageMap:
-    """The same map with one pixel size, the geometric mean of the two; `center_px` stays where it was."""
+    """Replace both pixel sizes by their geometric mean; the position of `center_px` is kept."""
     size = np.full(2, np.sqrt(image_map.scale_mm_per_px.prod()))
     rigid = image_map.rigid
     center = image_map.apply_pixels(center_px[None]).xyz_mm[0]

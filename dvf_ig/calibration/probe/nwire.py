@@ -35,12 +35,12 @@ from .tracked_points import TrackedPoints, rejected_frames, require_same_probe, 
 
 @dataclass(frozen=True, slots=True)
 class NWireOptions:
-    """How the map is fitted and what is refused.
+    """Options of the N-wire fit and limits of its quality gates.
 
     Attributes:
         method: "linear" fits nine free numbers to the middle wires and then takes the nearest rotation
             times scale; "orthogonal" fits rotation, translation and two scales to the middle wires;
-            "isotropic" the same with one scale; "all-wires" fits them to the in-plane residuals of every
+            "isotropic" does so with one scale; "all-wires" fits them to the in-plane residuals of every
             wire, each direction weighed by its scatter.
         hypotheses: random subsets of frames tried before the fit.
         subset: frames a subset.
@@ -95,7 +95,7 @@ class NWireResult:
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class LinearFit:
-    """The usable frames of a recording, which of them are inliers, and the free linear map of these.
+    """Usable frames of a recording, the inliers among them, and the free linear map of the inliers.
 
     Attributes:
         points: dots of the usable frames.
@@ -134,7 +134,7 @@ def calibrate_nwire(
 
 
 def validate_nwire(probe_from_image: ImageMap, recording: NWireRecording) -> CalibrationErrors:
-    """Errors of a given calibration on a recording; every usable frame counts, none is rejected.
+    """Measure the errors of a given calibration on every usable frame of a recording.
 
     Raises:
         InvalidInputError: no usable frame, or a calibration of another sensor.
@@ -144,13 +144,13 @@ def validate_nwire(probe_from_image: ImageMap, recording: NWireRecording) -> Cal
 
 
 def usable_wires(recording: NWireRecording, least: int) -> TrackedPoints:
-    """Frames whose pose is valid and whose wires were all segmented; refuses fewer than `least`."""
+    """Select frames with a valid pose and all wires segmented; raise if there are fewer than `least`."""
     shown = f"all {len(recording.phantom.wires)} wires"
     return usable_points(recording.phantom_from_probe, recording.points_px, least, shown)
 
 
 def fit_linear(recording: NWireRecording, rng: Generator, options: NWireOptions) -> LinearFit:
-    """The inliers that every method is fitted to; raises as `calibrate_nwire` does."""
+    """Select the inliers that every method is fitted to; raises as `calibrate_nwire` does."""
     if options.method not in NWIRE_METHODS:
         listed = ", ".join(NWIRE_METHODS)
         raise InvalidInputError(f"probe method '{options.method}' is unknown; choose {listed}")
@@ -210,7 +210,7 @@ def _residual_refusals(mean_mm: float, options: NWireOptions) -> tuple[Refusal, 
 
 
 def _inliers(points: TrackedPoints, wires: MiddleWires, rng: Generator, options: NWireOptions) -> BoolArray:
-    """(f,) inliers of the free linear map, from the best of the maps of random subsets of frames."""
+    """Select (f,) inliers of the free linear map, starting from the best map of random subsets."""
     count, rule = len(points), InlierRule(options.keep_sigma)
     size = min(options.subset, count)
     candidates = [
@@ -231,7 +231,7 @@ def _inliers(points: TrackedPoints, wires: MiddleWires, rng: Generator, options:
 def _rejected(
     recording: NWireRecording, points: TrackedPoints, inliers: BoolArray, worst_mm: FloatArray
 ) -> tuple[tuple[int, RejectedFrame], ...]:
-    """(frame, reason) of every frame that took no part in the fit; `worst_mm` (f,) of the middle wires."""
+    """List (frame, reason) of frames that took no part in the fit; `worst_mm` (f,) of the middle wires."""
     names = [wire.name for wire in recording.phantom.wires]
 
     def missing(dots: FloatArray) -> str:

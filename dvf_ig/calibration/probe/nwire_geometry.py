@@ -6,7 +6,7 @@ from dvf_ig.core import FloatArray, InvalidInputError, NWirePhantom, Wire
 
 
 def diagonal_crossings(pattern: tuple[Wire, Wire, Wire]) -> tuple[FloatArray, FloatArray]:
-    """Where the diagonal, extended, meets the first and the last wire of an N: (3,) mm each.
+    """Intersect the extended diagonal of an N with its first and its last wire: (3,) mm each.
 
     Raises:
         InvalidInputError: the outer wires are not parallel, or the diagonal does not cross them.
@@ -21,7 +21,7 @@ def diagonal_crossings(pattern: tuple[Wire, Wire, Wire]) -> tuple[FloatArray, Fl
 
 
 def wire_directions(phantom: NWirePhantom) -> FloatArray:
-    """(wires, 3) unit vectors from front to back."""
+    """Compute (wires, 3) unit vectors from front to back."""
     return np.stack([_along(wire) for wire in phantom.wires])
 
 

@@ -1,4 +1,4 @@
-"""Every way of fitting an N-wire recording side by side, and the one with the least cross-validated error."""
+"""All methods of fitting an N-wire recording, and the one with the least cross-validated error."""
 
 from dataclasses import dataclass, replace
 
@@ -22,14 +22,14 @@ from .nwire_solve import NWIRE_METHODS, NWireMethod, fit_map, linear_map
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NWireVariants:
-    """All methods on one recording.
+    """Results of all methods on one recording.
 
     Attributes:
-        results: of the methods that gave one.
-        cross_validated_mm: mean of the lowest 95 % of the 3-D errors of the middle wires, each frame under
-            a fit without its block of time.
-        failed: why the other methods gave none.
-        chosen: the method with the least cross-validated error, among those that no gate refuses where there
+        results: by method, of those that gave one.
+        cross_validated_mm: by method, mean of the lowest 95 % of the middle wires' 3-D errors, each frame
+            under a fit without its block of time.
+        failed: reasons why the other methods gave none.
+        chosen: the method with the least cross-validated error, among those that no gate refuses if there
             are any; validation recordings play no part.
     """
 
@@ -53,8 +53,8 @@ def compare_nwire_methods(
         rng: draws subsets of frames, once for all methods.
         options: see NWireOptions; its method is not used.
     Raises:
-        InvalidInputError, QualityGateError, NotConvergedError: when no method gives a calibration, what the
-            first one says.
+        InvalidInputError, QualityGateError, NotConvergedError: no method gives a calibration; it is the
+            first method's.
     """
     options = options or NWireOptions()
     start = fit_linear(recording, rng, options)
@@ -64,9 +64,9 @@ def compare_nwire_methods(
     failure: DvfIgError | None = None
     for method in NWIRE_METHODS:
         try:
-            found = calibrate_method(recording, start, replace(options, method=method))
-            errors[method] = cross_validated_mm(recording, found)
-            results[method] = found
+            result = calibrate_method(recording, start, replace(options, method=method))
+            errors[method] = cross_validated_mm(recording, result)
+            results[method] = result
         except (InvalidInputError, QualityGateError, NotConvergedError) as exc:
             failed[method] = str(exc)
             failure = failure or exc
@@ -76,19 +76,19 @@ def compare_nwire_methods(
     return NWireVariants(results, errors, failed, chosen)
 
 
-def cross_validated_mm(recording: NWireRecording, found: NWireResult) -> float:
-    """Mean of the lowest 95 % of the middle wires' errors, each frame under a fit without its block of time.
+def cross_validated_mm(recording: NWireRecording, result: NWireResult) -> float:
+    """Average the lowest 95 % of the middle wires' errors, each frame fitted without its block of time.
 
-    Neighbouring frames are alike and stay together. Every usable frame counts; only those that took part in
-    `found` are fitted to.
+    Neighbouring frames resemble each other and stay together. Every usable frame counts; only the inliers of
+    `result` are fitted to.
     """
     points, wires = usable_wires(recording, 1), MiddleWires.of(recording.phantom)
-    inliers = found.inliers[points.frames]
+    inliers = result.inliers[points.frames]
     errors = []
     for block in time_blocks(len(points)):
         fitted = inliers.copy()
         fitted[block] = False
         others = points.part(fitted)
-        image_map = fit_map(others, recording.phantom, linear_map(others, wires), found.method)
+        image_map = fit_map(others, recording.phantom, linear_map(others, wires), result.method)
         errors.append(wires.errors_mm(columns_of(image_map), points.part(block)).ravel())
     return summarise_errors(np.concatenate(errors)).mean95

@@ -16,7 +16,7 @@ from .tracked_points import TrackedPoints
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class MiddleWires:
-    """The diagonals: where each was met is known in 3-D, by similar triangles from the three dots of its N.
+    """Diagonal wires: the image meets each at a point known in 3-D, by similar triangles in its N.
 
     Residuals are 3-D, mm, along the image's axes, (f, 3·patterns). A phantom without unknowns.
 
@@ -30,12 +30,12 @@ class MiddleWires:
 
     @classmethod
     def of(cls, phantom: NWirePhantom) -> Self:
-        """Raises InvalidInputError where the wires do not form N patterns."""
+        """Build from a phantom; raises InvalidInputError if its wires do not form N patterns."""
         starts, stops = zip(*(diagonal_crossings(pattern) for pattern in phantom.patterns), strict=True)
         return cls(np.stack(starts), np.stack(stops))
 
     def met_mm(self, points: TrackedPoints) -> FloatArray:
-        """(f, patterns, 3) where each diagonal was met, at the probe.
+        """Compute (f, patterns, 3) points at which the image meets each diagonal, at the probe.
 
         The diagonal's dot divides the chord between the outer dots as the imaged point divides the diagonal.
 
@@ -49,7 +49,7 @@ class MiddleWires:
         return np.asarray(np.einsum("fji,fpj->fpi", points.rotations, offset))
 
     def vectors_mm(self, columns: FloatArray, points: TrackedPoints) -> FloatArray:
-        """(f, patterns, 3) from where each diagonal was met to where `columns` puts its dot, at the probe.
+        """Compute (f, patterns, 3) from each met point to where `columns` puts its dot, at the probe.
 
         Args:
             columns: (3, 3) any linear map [u, v, 1] -> mm; see `columns_of`.
@@ -58,7 +58,7 @@ class MiddleWires:
         return np.asarray(dots @ columns[:, :2].T + columns[:, 2] - self.met_mm(points))
 
     def errors_mm(self, columns: FloatArray, points: TrackedPoints) -> FloatArray:
-        """(f, patterns) lengths of `vectors_mm`."""
+        """Compute (f, patterns) lengths of `vectors_mm`."""
         return np.asarray(np.linalg.norm(self.vectors_mm(columns, points), axis=2))
 
     def residuals(self, image_map: ImageMap, points: TrackedPoints) -> FloatArray:
@@ -77,7 +77,7 @@ class MiddleWires:
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class AllWires:
-    """Every wire: in-plane residuals over the noise along columns and rows, (f, 2·wires); nothing unknown.
+    """All wires: in-plane residuals over the noise along columns and rows, (f, 2·wires); no unknowns.
 
     Attributes:
         phantom: geometry.
@@ -113,14 +113,14 @@ class AllWires:
 
 
 def weighted_all_wires(image_map: ImageMap, points: TrackedPoints, phantom: NWirePhantom) -> AllWires:
-    """All wires, each direction in units of its robust standard deviation under `image_map`."""
+    """Build all wires with each direction in units of its robust standard deviation under `image_map`."""
     residuals = in_plane_residuals_mm(columns_of(image_map), points, phantom)
     noise = np.maximum(1.4826 * np.median(np.abs(residuals), axis=(0, 1)), 1e-6)
     return AllWires(phantom, np.asarray(noise))
 
 
 def in_plane_residuals_mm(columns: FloatArray, points: TrackedPoints, phantom: NWirePhantom) -> FloatArray:
-    """(f, wires, 2) mm along columns and rows, from each dot to where the image plane meets its wire."""
+    """Compute (f, wires, 2) mm along columns and rows, from each dot to its wire's crossing of the image."""
     across, down, origin = columns.T
     scale = np.array([np.linalg.norm(across), np.linalg.norm(down)])
     front = np.stack([w.front_mm for w in phantom.wires])
@@ -135,7 +135,7 @@ def in_plane_residuals_mm(columns: FloatArray, points: TrackedPoints, phantom: N
 
 
 def wire_errors(columns: FloatArray, points: TrackedPoints, recording: NWireRecording) -> CalibrationErrors:
-    """3-D errors of the diagonals, and in-plane errors of every wire, over the given frames."""
+    """Measure 3-D errors of the diagonals and in-plane errors of every wire over the given frames."""
     in_plane = np.linalg.norm(in_plane_residuals_mm(columns, points, recording.phantom), axis=2).mean(axis=0)
     names = [wire.name for wire in recording.phantom.wires]
     return calibration_errors(
@@ -146,5 +146,5 @@ def wire_errors(columns: FloatArray, points: TrackedPoints, recording: NWireReco
 
 
 def columns_of(image_map: ImageMap) -> FloatArray:
-    """(3, 3) columns u, v and origin of the map's matrix: [u, v, 1] -> mm."""
+    """Return (3, 3) columns u, v and origin of the map's matrix: [u, v, 1] -> mm."""
     return np.asarray(image_map.matrix[:3, [0, 1, 3]])

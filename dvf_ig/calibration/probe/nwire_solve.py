@@ -24,7 +24,7 @@ NWIRE_METHODS: tuple[NWireMethod, ...] = ("linear", "orthogonal", "isotropic", "
 
 
 def linear_map(points: TrackedPoints, wires: MiddleWires) -> FloatArray:
-    """(3, 3) [u, v, 1] -> mm at the probe by linear least squares on the middle wires.
+    """Fit (3, 3) [u, v, 1] -> mm at the probe by linear least squares on the middle wires.
 
     Source: Comeau 1998, Chen 2009.
     """
@@ -35,7 +35,7 @@ def linear_map(points: TrackedPoints, wires: MiddleWires) -> FloatArray:
 def linear_covariance(
     points: TrackedPoints, wires: MiddleWires, linear: FloatArray
 ) -> tuple[FloatArray, float]:
-    """Covariance of the linear map and its worst standard deviation at the corners of the dots' region."""
+    """Compute the linear map's covariance and its worst standard deviation at the dots' corners."""
     design = _design(points)
     residual = wires.met_mm(points).reshape(-1, 3) - design @ linear.T
     freedom = max(1, len(design) - 3)
@@ -50,7 +50,7 @@ def linear_covariance(
 def fit_map(
     points: TrackedPoints, phantom: NWirePhantom, linear: FloatArray, method: NWireMethod
 ) -> ImageMap:
-    """The map of the chosen method, started from the free linear one.
+    """Fit the map of the chosen method, starting from the free linear one.
 
     Raises:
         QualityGateError: the linear map's axes are far from orthogonal.
@@ -71,14 +71,14 @@ def fit_map(
     if method != "all-wires":
         return _fitted(start, MiddleWires.of(phantom), points, isotropic=method == "isotropic")
     # axial and lateral dots differ in noise: fit, weigh each direction by its scatter, fit again
-    found = _fitted(start, AllWires(phantom, np.ones(2)), points, isotropic=False)
-    return _fitted(found, weighted_all_wires(found, points, phantom), points, isotropic=False)
+    first = _fitted(start, AllWires(phantom, np.ones(2)), points, isotropic=False)
+    return _fitted(first, weighted_all_wires(first, points, phantom), points, isotropic=False)
 
 
 def map_uncertainty(
     image_map: ImageMap, points: TrackedPoints, phantom: NWirePhantom, method: NWireMethod
 ) -> MapUncertainty:
-    """Uncertainty of the fitted map from blocks of frames; for "linear" that of a fit with orthogonal axes.
+    """Estimate the fitted map's uncertainty from blocks of frames; "linear" gets that of orthogonal axes.
 
     Raises:
         InvalidInputError: one block of frames alone determines an unknown.
@@ -98,7 +98,7 @@ def map_uncertainty(
 
 
 def shear_deg(linear: FloatArray) -> float:
-    """How far the two axes of a linear map are from orthogonal."""
+    """Compute how far the two axes of a linear map are from orthogonal, degrees."""
     u, v = linear[:, 0], linear[:, 1]
     cosine = float(u @ v / max(1e-30, float(np.linalg.norm(u) * np.linalg.norm(v))))
     return abs(90.0 - float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))))

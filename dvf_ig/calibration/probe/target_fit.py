@@ -26,12 +26,12 @@ from .tracked_points import TrackedPoints, rejected_frames
 
 MAX_CONCENTRATION_STEPS = 12
 LEAST_FRAMES = 12
-"""Frames that agree below which nothing is fitted: as many as a cross-wire's unknowns."""
+"""Fewest agreeing frames that are fitted: the number of a cross-wire's unknowns."""
 
 
 @dataclass(frozen=True, slots=True)
 class TargetOptions:
-    """How frames are chosen and what is refused.
+    """Options of the target fit and limits of its quality gates.
 
     Attributes:
         isotropic: one pixel size instead of two.
@@ -42,7 +42,7 @@ class TargetOptions:
         max_rms_mm: largest accepted RMS residual of the inliers.
         max_position_sd_mm, max_rotation_sd_deg, max_scale_sd_percent: largest accepted standard deviations,
             of the middle of the region where the target was seen.
-        least_noise_mm: noise from which those follow where residuals are smaller.
+        least_noise_mm: noise assumed if residuals are smaller, for these standard deviations.
     """
 
     isotropic: bool = False
@@ -67,8 +67,8 @@ class TargetRecording:
     """A target seen in tracked images.
 
     Attributes:
-        poses: (n,) tracker_from_probe, or against any frame in which the target stands still.
-        points_px: (n, k, 2) column, row of the target's points; NaN where not found.
+        poses: (n,) tracker_from_probe, or against any frame in which the target does not move.
+        points_px: (n, k, 2) column, row of the target's points; NaN if not found.
         usable: the frames that show all of them with a valid pose.
     """
 
@@ -84,7 +84,7 @@ class TargetResult(Generic[P]):
 
     Attributes:
         probe_from_image: rotation, translation and pixel size.
-        target: where the point or plane lies, in the poses' target frame.
+        target: the point or plane, in the poses' target frame.
         calibration: errors over every usable frame of the recording, outliers included.
         held_out: errors of the inliers, each under the calibration made without it.
         uncertainty: 95 % intervals.
@@ -106,7 +106,7 @@ class TargetResult(Generic[P]):
 def best_start(
     starts: Iterable[tuple[ImageMap, P, FloatArray]], points: TrackedPoints, options: TargetOptions
 ) -> MapFit[P]:
-    """The fit of least trimmed cost, from several starts.
+    """Choose the fit of least trimmed cost from several starts.
 
     Args:
         starts: at least one map with its target and the residual lengths (f,) of the frames under it.
@@ -148,10 +148,10 @@ def concentrate(start: MapFit[P], points: TrackedPoints, chosen: BoolArray) -> M
 def calibrate_target(
     start: MapFit[P], recording: TargetRecording, options: TargetOptions, advice: dict[str, str]
 ) -> TargetResult[P]:
-    """The fit to all inliers, with its evidence.
+    """Fit all inliers and assemble the evidence.
 
     Args:
-        start: of `best_start`.
+        start: result of `best_start`.
         advice: which motion determines which parameter.
     Raises:
         QualityGateError: hardly a frame agrees with the others. What is computed but fails a gate (too few
@@ -202,7 +202,7 @@ def _few_agree_text(inliers: BoolArray, options: TargetOptions) -> str:
 def _uncertainty(
     fit: MapFit[P], points: TrackedPoints, options: TargetOptions, advice: dict[str, str]
 ) -> tuple[MapUncertainty, tuple[Refusal, ...]]:
-    """Uncertainty of a converged fit, and what refuses it.
+    """Estimate the uncertainty of a converged fit and its refusals.
 
     Raises:
         QualityGateError: it is refused, and too weakly determined for an uncertainty.
@@ -231,7 +231,7 @@ def _uncertainty(
     try:
         covariance, held_out = block_jackknife(jacobian, residuals)
     except InvalidInputError as exc:
-        if refusals:  # they say better what to do
+        if refusals:  # their advice is more specific
             raise QualityGateError("; ".join(refusal.detail for refusal in refusals)) from exc
         raise
     errors_mm = np.linalg.norm(held_out, axis=1)
@@ -241,7 +241,7 @@ def _uncertainty(
 def _rejected(
     recording: TargetRecording, lengths_mm: FloatArray, limit_mm: float
 ) -> tuple[tuple[int, RejectedFrame], ...]:
-    """(frame, reason) of every frame of the recording that took no part in the fit."""
+    """List (frame, reason) of every frame of the recording that took no part in the fit."""
     outliers = {
         int(frame): f"it misses the target by {length:.2f} mm, others by at most {limit_mm:.2f} mm"
         for frame, length in zip(recording.usable.frames, lengths_mm, strict=True)

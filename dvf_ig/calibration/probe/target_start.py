@@ -1,4 +1,4 @@
-"""Where the search for image map and target begins: free linear solutions made into image maps."""
+"""Start of the search for image map and target: free linear solutions made into image maps."""
 
 import numpy as np
 
@@ -11,12 +11,12 @@ PIXEL_UNIT = 100.0
 
 
 def centred_pixels(points: TrackedPoints) -> FloatArray:
-    """(f, k, 2) column, row from the middle of the region where the target was seen, in PIXEL_UNIT."""
+    """Compute (f, k, 2) column, row from the middle of the region of the target, in PIXEL_UNIT."""
     return np.asarray((points.pixels - points.center_px) / PIXEL_UNIT)
 
 
 def map_from_solution(solution: FloatArray, points: TrackedPoints) -> ImageMap:
-    """Image map of a free linear solution: its first nine numbers are the axes a, b and the origin o.
+    """Convert a free linear solution, whose first nine numbers are axes a, b and origin o, to an image map.
 
     Args:
         solution: (9 or more,) mm, for `centred_pixels`.
@@ -27,7 +27,7 @@ def map_from_solution(solution: FloatArray, points: TrackedPoints) -> ImageMap:
 
 
 def _map_from_columns(columns: FloatArray, sensor: str) -> ImageMap:
-    """Rotation times sizes near a (3, 3) linear map [u, v, 1] to mm, however far from orthogonal that is.
+    """Approximate a (3, 3) linear map [u, v, 1] to mm, which may be far from orthogonal, by rotation · sizes.
 
     The bisector of the two axes is kept and both are rotated to 45° from it; an axis that is not determined
     (zero, or along the other one) becomes some direction across the other.

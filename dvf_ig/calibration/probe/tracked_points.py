@@ -1,4 +1,4 @@
-"""Points of a phantom seen in tracked images: the usable frames, and why the others are not."""
+"""Points of a phantom seen in tracked images: the usable frames, and why the others are unusable."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ class TrackedPoints:
         frames: (f,) indices into the recording.
         pixels: (f, k, 2) column, row of each point.
         rotations, translations_mm: (f, 3, 3), (f, 3) target_from_source: the probe's sensor against a frame
-            in which the phantom stands still.
+            in which the phantom does not move.
         target, source: names of those frames.
     """
 
@@ -43,7 +43,7 @@ class TrackedPoints:
         return np.asarray(0.5 * (flat.min(axis=0) + flat.max(axis=0)))
 
     def part(self, which: BoolArray | IndexArray) -> "TrackedPoints":
-        """Some of the frames, by flags or by position."""
+        """Select frames by flags or by indices."""
         return TrackedPoints(
             self.frames[which],
             self.pixels[which],
@@ -54,18 +54,18 @@ class TrackedPoints:
         )
 
     def placed_mm(self, probe_from_image: ImageMap) -> FloatArray:
-        """(f, k, 3) the points where `probe_from_image` puts them, in the poses' target frame."""
+        """Map the points by `probe_from_image` to (f, k, 3) mm in the poses' target frame."""
         flat = probe_from_image.apply_pixels(self.pixels.reshape(-1, 2)).xyz_mm
         at_probe = flat.reshape(*self.pixels.shape[:2], 3)
         return np.asarray(np.einsum("fij,fkj->fki", self.rotations, at_probe) + self.translations_mm[:, None])
 
     def placed_jacobian(self, parameters: MapParameters) -> FloatArray:
-        """(f, k, 3, count) derivative of `placed_mm` by the map's parameters."""
+        """Compute the (f, k, 3, count) derivative of `placed_mm` by the map's parameters."""
         rotations = self.rotations @ parameters.estimate.rigid.rotation
         return np.asarray(np.einsum("fij,fkjp->fkip", rotations, parameters.jacobian(self.pixels)))
 
     def recorded(self, which: BoolArray, count: int) -> BoolArray:
-        """(count,) flags of a recording's frames from (f,) flags of these."""
+        """Expand (f,) flags of these frames to (count,) flags of the recording's frames."""
         flags = np.zeros(count, dtype=np.bool_)
         flags[self.frames[which]] = True
         return flags
@@ -74,11 +74,11 @@ class TrackedPoints:
 def usable_points(
     poses: PoseStream, points_px: FloatArray, least: int, shown: str = "the target"
 ) -> TrackedPoints:
-    """Frames with every point found and a valid pose.
+    """Select frames with every point found and a valid pose.
 
     Args:
         poses: (n,) target_from_probe.
-        points_px: (n, k, 2) column, row; NaN where a point was not found.
+        points_px: (n, k, 2) column, row; NaN if a point was not found.
         least: fewest such frames.
         shown: what the points are, for the message.
     Raises:
@@ -117,11 +117,11 @@ def rejected_frames(
     outliers: Mapping[int, str],
     missing: Callable[[FloatArray], str],
 ) -> tuple[tuple[int, RejectedFrame], ...]:
-    """(frame, reason) of every frame of the recording that took no part in the fit, in order.
+    """List (frame, reason) of every frame of the recording that took no part in the fit, in order.
 
     Args:
         outliers: by frame, what the residual was.
-        missing: says of a frame's points (k, 2) what was not found.
+        missing: describes which of a frame's points (k, 2) were not found.
     """
     seen = np.isfinite(points_px).all(axis=(1, 2))
     out = {int(i): RejectedFrame(Rejection.NOT_FOUND, missing(points_px[i])) for i in np.flatnonzero(~seen)}

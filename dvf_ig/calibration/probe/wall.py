@@ -48,7 +48,7 @@ class PlaneTarget:
 
     Attributes:
         normal: (3,) unit.
-        point_mm: (3,) a point of the plane, near where it was seen.
+        point_mm: (3,) a point of the plane, near the points seen.
     """
 
     normal: FloatArray
@@ -90,12 +90,12 @@ def calibrate_wall(
     """Fit probe_from_image and the wall together; no initial guess is needed.
 
     For a given normal n, n·(R_i (a u + b v + o) + t_i) = d is linear in the image's axes a, b, its origin o
-    and the wall's offset d: normals all round, with random subsets of frames, start a search on the better
-    half of the frames, then all inliers are fitted.
+    and the wall's offset d: normals in all directions, with random subsets of frames, start a search on the
+    better half of the frames, then all inliers are fitted.
 
     Args:
-        poses: (n frames) tracker_from_probe, or against any frame in which the wall stands still.
-        points_px: (n, 2, 2) column, row of two points of the wall's line; NaN where it was not found.
+        poses: (n frames) tracker_from_probe, or against any frame in which the wall does not move.
+        points_px: (n, 2, 2) column, row of two points of the wall's line; NaN if not found.
         rng: draws subsets of frames.
         options: see TargetOptions.
     Raises:
@@ -114,7 +114,7 @@ def calibrate_wall(
 def validate_wall(
     probe_from_image: ImageMap, poses: PoseStream, points_px: FloatArray
 ) -> tuple[CalibrationErrors, PlaneTarget]:
-    """Flatness of the wall reconstructed from every usable frame of another recording; none is rejected.
+    """Reconstruct the wall from every usable frame of another recording and measure its flatness.
 
     Returns:
         The RMS distances of the frames' points from the plane through all of them, and that plane.
@@ -141,7 +141,7 @@ def _checked(poses: PoseStream, points_px: FloatArray, least: int) -> TrackedPoi
 
 
 def _refuse_collapsed(fit: MapFit[PlaneTarget], points: TrackedPoints) -> None:
-    """An image without size fits any motion that keeps one point of the sensor in a plane."""
+    """Refuse an image of zero size, which fits any motion that keeps one point of the sensor in a plane."""
     extent = np.ptp(points.pixels.reshape(-1, 2), axis=0) * fit.parameters.estimate.scale_mm_per_px
     if extent.max() < 1.0:
         raise QualityGateError(
@@ -153,7 +153,7 @@ def _refuse_collapsed(fit: MapFit[PlaneTarget], points: TrackedPoints) -> None:
 def _starts(
     points: TrackedPoints, rng: Generator, options: TargetOptions
 ) -> list[tuple[ImageMap, PlaneTarget, FloatArray]]:
-    """The best free linear solutions over normals and subsets, with their (f,) residual lengths."""
+    """Find the best free linear solutions over normals and subsets, with their (f,) residual lengths."""
     normals = _hemisphere(NORMALS)
     design, right = _linear_rows(points, normals)
     size = min(options.subset, len(points))

@@ -1,4 +1,4 @@
-"""Two recordings of one motion, on two clocks: how well a lag fits, and how well it is known."""
+"""Fit and uncertainty of a lag between two recordings of one motion on two clocks."""
 
 from dataclasses import dataclass
 from itertools import pairwise
@@ -23,23 +23,23 @@ class Motions:
     row_px: FloatArray
 
     def correlation(self, lag_s: float) -> float:
-        """Signed correlation of row(t) with motion(t + lag)."""
+        """Compute the signed correlation of row(t) with motion(t + lag)."""
         moved = self.moved_mm(lag_s)
         a, b = moved - moved.mean(), self.row_px - self.row_px.mean()
         scale = float(np.sqrt((a @ a) * (b @ b)))
         return float(a @ b) / scale if scale > 0 else 0.0
 
     def moved_mm(self, lag_s: float) -> FloatArray:
-        """(n,) motion at the video's times plus the lag."""
+        """Interpolate the (n,) motion at the video's times plus the lag."""
         return np.interp(self.video_t_s + lag_s, self.tracker_t_s, self.motion_mm)
 
     def velocity_mm_s(self, lag_s: float) -> FloatArray:
-        """(n,) its rate of change."""
+        """Compute the (n,) rate of change of the motion at the video's times plus the lag."""
         rise = self.moved_mm(lag_s + _HALF_STEP_S) - self.moved_mm(lag_s - _HALF_STEP_S)
         return rise / (2 * _HALF_STEP_S)
 
     def line(self, lag_s: float) -> tuple[float, float, FloatArray]:
-        """Gain (px/mm) and offset (px) of the row against the motion at a lag, and (n,) residuals (px)."""
+        """Fit gain (px/mm) and offset (px) of the row over the motion at a lag; also (n,) residuals (px)."""
         moved = self.moved_mm(lag_s)
         gain, offset = np.polyfit(moved, self.row_px, 1)
         return float(gain), float(offset), self.row_px - gain * moved - offset
@@ -52,7 +52,7 @@ class Motions:
 
 
 def lag_interval(motions: Motions, lag_s: float, memory_s: float) -> tuple[float, float]:
-    """95 % confidence interval about the least-squares lag, with residuals correlated over `memory_s`.
+    """Compute the lag's 95 % confidence interval for residuals correlated over `memory_s`.
 
     Gauss–Newton sensitivity J of the row to lag, gain and offset; covariance (JᵀJ)⁻¹ S (JᵀJ)⁻¹ with S the sum
     of the scores' autocovariances, so that slow sway of the hand and a drifting lag widen the interval.
@@ -72,7 +72,7 @@ def lag_interval(motions: Motions, lag_s: float, memory_s: float) -> tuple[float
 
 
 def excess_sigmas(motions: Motions, lag_s: float, other_s: float, memory_s: float) -> float:
-    """By how many standard errors `other_s` leaves larger squared residuals than `lag_s`.
+    """Compute by how many standard errors squared residuals at `other_s` exceed those at `lag_s`.
 
     Source: Diebold and Mariano 1995, the mean of a difference of squared errors over its long-run error.
     """
@@ -83,7 +83,7 @@ def excess_sigmas(motions: Motions, lag_s: float, other_s: float, memory_s: floa
 
 
 def period_lags(motions: Motions, lag_s: float) -> tuple[FloatArray, FloatArray]:
-    """Middle (k,) of each up-and-down movement, video clock, and its own lag (k,).
+    """Fit a lag to each up-and-down movement: its middle (k,) on the video clock and its lag (k,).
 
     Gain is the recording's; lag and offset are each period's. Periods of fewer than 6 frames and periods
     that find no lag within a quarter of their length are left out.

@@ -19,19 +19,19 @@ from dvf_ig.core import (
 from .lag_fit import Motions, excess_sigmas, lag_interval, period_lags
 
 MIN_PERIODS = 0.5
-"""Movements below which there is no motion to compare, whatever the options ask for."""
+"""Fewest movements that can be compared, whatever the options require."""
 
 
 @dataclass(frozen=True, slots=True)
 class LatencyOptions:
-    """Where the lag is sought and what is refused.
+    """Options of the lag search and limits of its quality gates.
 
     Attributes:
         search_s: lags within ± this are tried.
         coarse_s, fine_s: steps of the two searches; a parabola goes through the best three fine ones.
         min_periods: fewest up-and-down movements accepted.
         min_motion_mm: smallest accepted standard deviation of the probe's principal motion.
-        min_motion_px: the same of the line's row.
+        min_motion_px: the same for the line's row.
         min_correlation: smallest accepted |correlation| at the best lag.
         max_second_ratio: largest accepted |correlation| of another lag over that of the best one.
         clear_ratio: another lag whose |correlation| is below this share of the best needs no further look;
@@ -58,10 +58,10 @@ class LatencyResult:
     """A lag with its evidence: t_tracker(event) = t_video(event) + lag_s.
 
     Attributes:
-        lag_s: negative where the tracker leads the video.
+        lag_s: negative if the tracker leads the video.
         interval_s: 95 % confidence interval of lag_s, for residuals that are correlated in time.
         correlation: |Pearson correlation| of the two motions at lag_s.
-        inverted: True where the row falls while the principal motion rises.
+        inverted: True if the row falls while the principal motion rises.
         second_lag_s, second_peak_ratio: the best other lag and its |correlation| over the winner's.
         second_sigmas: by how many standard errors that lag fits worse.
         halves_s: lags of the first and of the second half.
@@ -97,7 +97,7 @@ class LatencyResult:
 
 
 def estimate_latency(recording: LatencyRecording, *, options: LatencyOptions | None = None) -> LatencyResult:
-    """The lag at which the probe's principal motion best explains the line's row, whatever the sign.
+    """Estimate the lag at which the probe's principal motion best explains the line's row, of either sign.
 
     Args:
         recording: tracker_from_probe on the tracker clock, row of the tank bottom on the video clock.
@@ -105,7 +105,7 @@ def estimate_latency(recording: LatencyRecording, *, options: LatencyOptions | N
     Raises:
         NoOverlapError: the two recordings share too little time.
         QualityGateError: there is no motion to compare. A lag from too few movements, of poor correlation, at
-            the end of the search, or beside a second that fits as well carries its refusals.
+            the end of the search, or with a second lag that fits as well carries its refusals.
     Source: PLUS temporal calibration (principal axis against line position).
     Differs from source: of the two motion signs the better fit is kept, not the smaller lag.
     """
@@ -148,7 +148,7 @@ def estimate_latency(recording: LatencyRecording, *, options: LatencyOptions | N
 
 
 def principal_motion_mm(poses: PoseStream) -> FloatArray:
-    """(n valid,) translation along its axis of largest variance, mm, zero mean; direction made unique."""
+    """Compute (n valid,) translation along its principal axis, mm, zero mean; direction made unique."""
     translations = poses.translations_mm[poses.valid]
     centred = translations - translations.mean(axis=0)
     axis = np.linalg.svd(centred, full_matrices=False)[2][0]
@@ -166,17 +166,17 @@ def _motions(recording: LatencyRecording, options: LatencyOptions) -> Motions:
             f"{rows.t_s[-1]:.2f} s), needed at least 10; its own times run from {poses.t_s[0]:.2f} to "
             f"{poses.t_s[-1]:.2f} s: record both together on one clock"
         )
-    kept = PoseStream(
+    nearby = PoseStream(
         poses.target, poses.source, poses.t_s[near], poses.rotations[near], poses.translations_mm[near],
         poses.valid[near],
     )  # fmt: skip
-    covered = _covered(rows.t_s, kept.t_s, options.search_s)
+    covered = _covered(rows.t_s, nearby.t_s, options.search_s)
     if covered.sum() < 20:
         raise NoOverlapError(
             f"only {int(covered.sum())} of {len(rows.t_s)} video frames lie within the tracked time with "
             f"{options.search_s:g} s to spare on both sides, needed at least 20; let the tracker run longer"
         )
-    motion = principal_motion_mm(kept)
+    motion = principal_motion_mm(nearby)
     row = rows.values[covered]
     if motion.std() < options.min_motion_mm or row.std() < options.min_motion_px:
         raise QualityGateError(
@@ -184,11 +184,11 @@ def _motions(recording: LatencyRecording, options: LatencyOptions) -> Motions:
             f"{options.min_motion_mm:g}) and the line {row.std():.2f} px (needed {options.min_motion_px:g}), "
             "standard deviations; move the probe up and down above the tank's floor"
         )
-    return Motions(kept.t_s, motion, rows.t_s[covered], row)
+    return Motions(nearby.t_s, motion, rows.t_s[covered], row)
 
 
 def _covered(video_t_s: FloatArray, tracker_t_s: FloatArray, search_s: float) -> BoolArray:
-    """Video frames with close tracker samples at every lag tried (not at edges or gaps beyond 0.25 s)."""
+    """Flag video frames with close tracker samples at every lag tried (no edges, gaps up to 0.25 s)."""
     inside = (video_t_s - search_s >= tracker_t_s[0]) & (video_t_s + search_s <= tracker_t_s[-1])
     for gap in np.flatnonzero(np.diff(tracker_t_s) > 0.25):
         inside &= (video_t_s + search_s < tracker_t_s[gap]) | (video_t_s - search_s > tracker_t_s[gap + 1])
@@ -204,7 +204,7 @@ def _periods(motions: Motions) -> float:
 
 
 def _refined(motions: Motions, lag_s: float, sign: float, options: LatencyOptions) -> tuple[float, float]:
-    """Best lag near `lag_s` for one sign of motion, by fine steps and a parabola, with its correlation."""
+    """Refine the lag near `lag_s` for one sign of motion, by fine steps and a parabola."""
     steps = round(2 * options.coarse_s / options.fine_s)
     for _ in range(20):
         lags = lag_s + options.fine_s * np.arange(-steps, steps + 1)
@@ -224,7 +224,7 @@ def _refined(motions: Motions, lag_s: float, sign: float, options: LatencyOption
 def _second_peak(
     motions: Motions, lags: FloatArray, correlations: FloatArray, best: int, options: LatencyOptions
 ) -> tuple[float, float]:
-    """Lag and |correlation| of the strongest other local maximum (NaN and 0 where there is none)."""
+    """Lag and |correlation| of the strongest other local maximum (NaN and 0 if there is none)."""
     strength = np.abs(correlations)
     peaks = find_peaks(np.concatenate([[-1.0], strength, [-1.0]]))[0] - 1
     others = peaks[np.abs(peaks - best) > 2]

@@ -1,4 +1,4 @@
-"""Bright dots in a B-mode image: where wires that cross the image plane echo."""
+"""Bright dots in a B-mode image: echoes of wires that cross the image plane."""
 
 from dataclasses import dataclass
 
@@ -16,11 +16,11 @@ PIXELS_PER_SD = 2.0
 
 @dataclass(frozen=True, slots=True)
 class DotOptions:
-    """What counts as a dot.
+    """Criteria by which an echo counts as a dot.
 
     Attributes:
-        dot_mm: SD of the Gaussian that stands for a dot, about a pulse length.
-        background_mm: SD of the Gaussian that stands for what surrounds it.
+        dot_mm: SD of the Gaussian that models a dot, about a pulse length.
+        background_mm: SD of the Gaussian that models its surroundings.
         window_mm: a dot's echo lies within this distance of its peak along rows and columns...
         apart_mm: of peaks closer than this along rows and columns the strongest is kept.
         echo_share: ...and is what is joined to the peak and above this share of it...
@@ -64,7 +64,7 @@ def find_dots(
     clip: Clip | None = None,
     options: DotOptions | None = None,
 ) -> Dots:
-    """The brightest dots of one image.
+    """Find the brightest dots of one image.
 
     Peaks of a difference of Gaussians at the dot's scale; each is placed at the intensity-weighted centre of
     the echo around it.
@@ -93,7 +93,7 @@ def find_dots(
 
 
 def _clipped(image: NDArray[np.uint8], clip: Clip | None) -> tuple[NDArray[np.uint8], tuple[int, int]]:
-    """The searched part of an image, and its first column and row."""
+    """Crop an image to its searched part, and its first column and row."""
     rows, columns = image.shape
     left, top, width, height = clip or (0, 0, columns, rows)
     if min(left, top) < 0 or min(width, height) < 1 or left + width > columns or top + height > rows:
@@ -115,9 +115,9 @@ def _peaks(contrast: AnyArray, spacing_mm: float, options: DotOptions) -> IntArr
     """(n, 2) row, column of the strongest local maxima."""
     side = 2 * max(1, round(options.apart_mm / spacing_mm)) + 1
     highest = (contrast == maximum_filter(contrast, size=side)) & (contrast > options.min_contrast)
-    found = np.argwhere(highest)
-    strongest = np.argsort(-contrast[found[:, 0], found[:, 1]], kind="stable")
-    return np.asarray(found[strongest[: options.most]], dtype=np.int64)
+    maxima = np.argwhere(highest)
+    strongest = np.argsort(-contrast[maxima[:, 0], maxima[:, 1]], kind="stable")
+    return np.asarray(maxima[strongest[: options.most]], dtype=np.int64)
 
 
 def _echo_center(

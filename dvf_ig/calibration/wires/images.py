@@ -28,20 +28,20 @@ from .plan import WirePlan, plan_wires
 SCALE_FRAMES = 10
 """Frames from which the pixel size is estimated."""
 SCALE_STEP = 1.25
-"""Ratio of one pixel size tried to the next, where none is given."""
+"""Ratio between successive pixel sizes tried if none is given."""
 SCALE_SHARE = 0.08
-"""Pixel sizes of one recording are equal: frames may differ by this share, a tilt's foreshortening."""
+"""Share by which the apparent pixel size of frames may differ: the foreshortening of a tilt."""
 
 
 @dataclass(frozen=True, slots=True)
 class WireImageOptions:
-    """Where and at what scale wires are sought.
+    """Region, scale and criteria of the search for wires.
 
     Attributes:
         spacing_mm: approximate pixel size; None tries many.
         clip: the part of the images that shows ultrasound; None takes all.
         dots: what counts as a dot.
-        pattern: how closely dots must lie as the phantom's wires.
+        pattern: how closely dots must match the phantom's wires.
     """
 
     spacing_mm: float | None = None
@@ -52,7 +52,7 @@ class WireImageOptions:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WireFrame:
-    """What was seen in one frame: candidate dots, and the wires among them or why there are none."""
+    """Detections in one frame: candidate dots, and the wires among them or why there are none."""
 
     dots: Dots
     wires: FoundWires | RejectedFrame
@@ -69,12 +69,12 @@ class WireFrame:
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class WireSegmentation:
-    """The wires of a recording.
+    """Wires found in a recording.
 
     Attributes:
         spacing_mm: pixel size estimated from the phantom's, along the larger side of the pixel.
         frames: one for each image.
-        points_px: (n, wires, 2) column, row in the phantom's order; NaN where a frame was left out.
+        points_px: (n, wires, 2) column, row in the phantom's order; NaN if a frame was left out.
     """
 
     spacing_mm: float
@@ -83,12 +83,12 @@ class WireSegmentation:
 
     @property
     def used(self) -> int:
-        """Frames whose wires were found."""
+        """Number of frames whose wires were found."""
         return int(np.isfinite(self.points_px).all(axis=(1, 2)).sum())
 
     @property
     def reasons(self) -> dict[str, int]:
-        """How many frames were left out for which reason, the most frequent first."""
+        """Number of frames left out by reason, the most frequent first."""
         return dict(Counter(f.rejected.reason.value for f in self.frames if f.rejected).most_common())
 
 
@@ -102,9 +102,9 @@ def segment_wires(
     """Find the wires of an N-wire phantom in every image of a sequence.
 
     Args:
-        sequence: with images; its orientation tells left from right where the phantom's outer wires do not.
+        sequence: with images; its orientation separates left from right if the phantom's outer wires do not.
         phantom: two or more N patterns.
-        progress: told the share of the images that are done.
+        progress: called with the fraction of images done.
     Raises:
         InvalidInputError: no images, a phantom that gives no plan, or a clip outside the images.
         QualityGateError: the pixel size is not given, and no frame shows the phantom at any.
@@ -132,7 +132,7 @@ def segment_wires(
 def recording_of(
     segmentation: WireSegmentation, phantom: NWirePhantom, phantom_from_probe: PoseStream
 ) -> NWireRecording:
-    """The segmented wires with the poses of the same frames.
+    """Combine the segmented wires with the poses of the same frames.
 
     Raises:
         QualityGateError: no frame shows all wires.
@@ -149,9 +149,9 @@ def recording_of(
 def _spacing(
     images: NDArray[np.uint8], valid: IntArray, plan: WirePlan, options: WireImageOptions
 ) -> float | None:
-    """The pixel size in mm by the phantom's, from a few valid frames; None where none shows it.
+    """Estimate the pixel size in mm from the phantom in a few valid frames; None if none shows it.
 
-    Of several sizes tried, the one at which most frames show the phantom, and then with the least misfit.
+    Chooses the size at which most frames show the phantom, then the one with the least misfit.
     """
     sampled = (
         valid[np.unique(np.linspace(0, len(valid) - 1, SCALE_FRAMES).astype(int))] if len(valid) else valid
@@ -159,11 +159,11 @@ def _spacing(
     best, best_score = None, (0, -np.inf)
     for size in _sizes(images.shape[2], plan, options):
         tried = [_frame(images[i], True, plan, size, options).wires for i in sampled.tolist()]
-        found = [wires for wires in tried if isinstance(wires, FoundWires)]
-        if found:
-            score = (len(found), -float(np.median([wires.misfit_mm for wires in found])))
+        matches = [wires for wires in tried if isinstance(wires, FoundWires)]
+        if matches:
+            score = (len(matches), -float(np.median([wires.misfit_mm for wires in matches])))
             if score > best_score:
-                best, best_score = size * float(np.median([wires.scale for wires in found])), score
+                best, best_score = size * float(np.median([wires.scale for wires in matches])), score
     return best
 
 
@@ -177,7 +177,7 @@ def _given_spacing(options: WireImageOptions) -> float:
 
 
 def _sizes(columns: int, plan: WirePlan, options: WireImageOptions) -> list[float]:
-    """The pixel size given, or those at which the phantom spans all to a twelfth of the image's width."""
+    """List the given pixel size, or those at which the phantom spans all to a twelfth of the image width."""
     if options.spacing_mm is not None:
         return [options.spacing_mm]
     width_px = columns if options.clip is None else options.clip[2]

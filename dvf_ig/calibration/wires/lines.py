@@ -1,4 +1,4 @@
-"""Lines of three dots, and sets of them that lie as the patterns of an N-wire phantom."""
+"""Lines of three dots, and sets of them that match the patterns of an N-wire phantom."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from .plan import Labelling, WirePlan
 
 @dataclass(frozen=True, slots=True)
 class LineOptions:
-    """Which dots may lie on one line, and which lines may belong together.
+    """Tolerances for dots on one line and for lines that belong together.
 
     Attributes:
         scale_share: pixel sizes may differ from the approximate one by this share.
@@ -67,7 +67,7 @@ class LineSet:
 def find_lines(
     xy_mm: FloatArray, plan: WirePlan, pattern: int, labelling: Labelling, options: LineOptions
 ) -> Lines:
-    """Pairs at the distance of a pattern's outer wires, in the labelled direction, with a dot between them.
+    """Find pairs at the distance of a pattern's outer wires, as labelled, with a dot between them.
 
     Args:
         xy_mm: (n, 2) dots, columns and rows times the approximate pixel size.
@@ -96,7 +96,7 @@ def find_lines(
 def line_sets(
     xy_mm: FloatArray, plan: WirePlan, lines: list[Lines], labelling: Labelling, options: LineOptions
 ) -> Iterator[LineSet]:
-    """Sets in which each line lies where the first one, by a similarity of the plan, predicts it.
+    """Find sets in which each line lies where the first one predicts it by a similarity of the plan.
 
     Args:
         lines: of each pattern, under this labelling.

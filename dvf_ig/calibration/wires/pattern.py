@@ -1,4 +1,4 @@
-"""Which dots of an image are which wires of an N-wire phantom, by geometry alone."""
+"""Assignment of an image's dots to the wires of an N-wire phantom, by geometry alone."""
 
 from dataclasses import dataclass, field
 from itertools import product
@@ -18,7 +18,7 @@ MIN_SPREAD_MM = 5.0
 
 @dataclass(frozen=True, slots=True)
 class PatternOptions:
-    """How closely dots must lie as the phantom's wires.
+    """Tolerances for dots that match the phantom's wires.
 
     Attributes:
         lines: which dots may lie on one line, and which lines may belong together.
@@ -34,13 +34,13 @@ class PatternOptions:
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class FoundWires:
-    """The wires of one frame.
+    """Wires found in one frame.
 
     Attributes:
         points_px: (wires, 2) column, row in the phantom's order.
         misfit_mm: root mean square distance of the outer wires from the phantom's shape.
         scale: true over approximate pixel size, along the direction in the image that suffers no tilt.
-        labelling: how the plan lies in the image.
+        labelling: orientation of the plan in the image.
     """
 
     points_px: FloatArray
@@ -52,7 +52,7 @@ class FoundWires:
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class _Match:
-    """One choice of dots.
+    """Candidate assignment of dots to wires.
 
     Attributes:
         wires: (wires,) dots in the phantom's order.
@@ -71,10 +71,10 @@ class _Match:
 def find_wires(
     dots: Dots, plan: WirePlan, spacing_mm: float, *, options: PatternOptions | None = None
 ) -> FoundWires | RejectedFrame:
-    """The choice of dots that best repeats the phantom, or why there is none.
+    """Find the dots that best match the phantom, or the reason why there are none.
 
     Pairs of dots at the distance of two outer wires, with a third between them, are lines. A line of the
-    first pattern predicts where the others lie; of the sets of lines that are there, the one with the least
+    first pattern predicts where the others lie; among complete sets of lines, the one with the least
     misfit to the phantom and the brightest dots is taken. Which end is which follows from the outer wires;
     where these are symmetric, from PLUS's convention (first wire right, first pattern on top).
 
@@ -112,7 +112,7 @@ def _matches(
     labelling: Labelling,
     options: PatternOptions,
 ) -> list[_Match]:
-    """The choices of diagonals on one set of lines."""
+    """List the choices of diagonals on one set of lines."""
     ends = chosen.ends.ravel()
     shape = plan.outer_mm.reshape(-1, 2)
     with_one = np.column_stack([xy_mm, np.ones(len(xy_mm))])
@@ -137,7 +137,7 @@ def _matches(
 def _shape_fault(
     misfit_mm: float, large: float, small: float, options: PatternOptions
 ) -> RejectedFrame | None:
-    """What is wrong with the outer wires: their shape, or the tilt that follows from their foreshortening."""
+    """Check the outer wires: their shape, and the tilt that follows from their foreshortening."""
     if misfit_mm > options.max_misfit_mm:
         return RejectedFrame(
             Rejection.MISFIT,
@@ -158,17 +158,17 @@ def _shape_fault(
 def _slope_fault(
     middle_mm: FloatArray, across_mm: FloatArray, plan: WirePlan, options: PatternOptions
 ) -> RejectedFrame | None:
-    """What is wrong with the diagonals: the tilt that follows from where they are met along the wires.
+    """Check the diagonals: the tilt that follows from the positions along the wires at which they are met.
 
-    The image is a plane, so the place along the wires is linear over the image and its gradient is the sine
-    of the tilt. Two diagonals, or three nearly in line, give a part of the gradient.
+    The image is a plane, so the position along the wires is linear over the image and its gradient is the
+    sine of the tilt. Two diagonals, or three nearly in line, give a part of the gradient.
     """
     start, end = plan.across_mm.T
     share = (across_mm - start) / (end - start)
     along = plan.along_mm[:, 0] + share * (plan.along_mm[:, 1] - plan.along_mm[:, 0])
     into_axes, spread_mm, _ = np.linalg.svd(middle_mm - middle_mm.mean(axis=0), full_matrices=False)
-    known = spread_mm >= MIN_SPREAD_MM
-    sine = float(np.linalg.norm((into_axes.T @ along)[known] / spread_mm[known]))
+    determined = spread_mm >= MIN_SPREAD_MM
+    sine = float(np.linalg.norm((into_axes.T @ along)[determined] / spread_mm[determined]))
     if sine > np.sin(np.radians(options.lines.max_tilt_deg)) * (1 + options.lines.scale_share):
         return _steep(float(np.degrees(np.arcsin(min(1.0, sine)))), options)
     return None
@@ -182,7 +182,7 @@ def _steep(tilt_deg: float, options: PatternOptions) -> RejectedFrame:
 
 
 def _rejected(dots: int, tried: list[list[Lines]]) -> RejectedFrame:
-    """Why no set of lines was found, from the lines of each labelling and pattern."""
+    """Explain why no set of lines was found, from the lines of each labelling and pattern."""
     patterns = len(tried[0])
     seen = max(_separate_lines(lines) for lines in tried)
     if dots < 3 * patterns:
@@ -202,12 +202,12 @@ def _rejected(dots: int, tried: list[list[Lines]]) -> RejectedFrame:
 
 
 def _separate_lines(lines: list[Lines]) -> int:
-    """Lines that share no end, whatever pattern they may be of."""
-    taken: set[int] = set()
+    """Count lines that share no end, of any pattern."""
+    used_ends: set[int] = set()
     count = 0
     for first, last in (pair for of_pattern in lines for pair in of_pattern.ends.tolist()):
-        if first not in taken and last not in taken:
-            taken |= {first, last}
+        if first not in used_ends and last not in used_ends:
+            used_ends |= {first, last}
             count += 1
     return count
 

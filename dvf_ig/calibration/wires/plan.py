@@ -1,4 +1,4 @@
-"""An N-wire phantom seen along its wires: what an image of it must look like, up to pose and scale."""
+"""An N-wire phantom seen along its wires: its appearance in an image, up to pose and scale."""
 
 from dataclasses import dataclass
 
@@ -8,10 +8,10 @@ from dvf_ig.calibration.probe.nwire_geometry import diagonal_crossings
 from dvf_ig.core import FloatArray, InvalidInputError, NWirePhantom, Wire, read_only_arrays
 
 SAME_MM = 1.0
-"""Wires closer than this cannot be told apart by their place in the image."""
+"""Wires closer than this cannot be distinguished by their position in the image."""
 
 Labelling = tuple[int, int]
-"""+1 where the phantom's across (down) axis runs as in PLUS's images, -1 where it runs the other way."""
+"""+1 if the phantom's across (down) axis runs as in PLUS's images, -1 if it runs the other way."""
 
 
 @read_only_arrays
@@ -24,9 +24,9 @@ class WirePlan:
 
     Attributes:
         outer_mm: (patterns, 2, 2) across and down of the first and the last wire of each pattern.
-        across_mm: (patterns, 2) where each diagonal starts and ends, across.
+        across_mm: (patterns, 2) start and end of each diagonal, across.
         along_mm: (patterns, 2) the same, along.
-        labellings: the ways to lay the plan into an image that the outer wires can tell apart; one each.
+        labellings: orientations of the plan in an image that the outer wires can distinguish.
     """
 
     outer_mm: FloatArray
@@ -36,7 +36,7 @@ class WirePlan:
 
 
 def plan_wires(phantom: NWirePhantom, orientation: str = "MF") -> WirePlan:
-    """The plan of a phantom.
+    """Project a phantom along its wires.
 
     Args:
         orientation: of the images, as PLUS writes it: columns run from the marked (M) or the unmarked (U)
@@ -47,8 +47,8 @@ def plan_wires(phantom: NWirePhantom, orientation: str = "MF") -> WirePlan:
     """
     if len(phantom.patterns) < 2:
         raise InvalidInputError(
-            f"the phantom has {len(phantom.patterns)} N pattern; needed at least two to tell its wires apart "
-            "in an image: give segmented wire points instead"
+            f"the phantom has {len(phantom.patterns)} N pattern; needed at least two to distinguish its "
+            "wires in an image: give segmented wire points instead"
         )
     for pattern in phantom.patterns:
         diagonal_crossings(pattern)
@@ -67,7 +67,7 @@ def plan_wires(phantom: NWirePhantom, orientation: str = "MF") -> WirePlan:
 
 
 def _axes(phantom: NWirePhantom) -> FloatArray:
-    """(3, 3) rows across, down, along; a left-handed set where the phantom lists its wires that way."""
+    """(3, 3) rows across, down, along; a left-handed set if the phantom lists its wires that way."""
     outer = [wire for pattern in phantom.patterns for wire in pattern[::2]]
     directions = np.stack([_direction(wire) for wire in outer])
     directions *= np.sign(directions @ directions[0])[:, None]
@@ -99,18 +99,18 @@ def _direction(wire: Wire) -> FloatArray:
 
 
 def _distinct(outer: FloatArray, usual: Labelling) -> tuple[Labelling, ...]:
-    """One labelling of each set under which the outer wires as a whole look alike, the usual first."""
+    """Keep one of the labellings under which the outer wires look the same, the usual one first."""
     points = outer.reshape(-1, 2)
     centered = points - 0.5 * (points.min(axis=0) + points.max(axis=0))
-    kept: list[Labelling] = []
+    distinct: list[Labelling] = []
     for across, down in ((1, 1), (-1, 1), (1, -1), (-1, -1)):
         signs = (across * usual[0], down * usual[1])
-        looks_like = [np.array(signs) * np.array(other) for other in kept]
+        looks_like = [np.array(signs) * np.array(other) for other in distinct]
         if not any(_same(centered, centered * flip) for flip in looks_like):
-            kept.append(signs)
-    return tuple(kept)
+            distinct.append(signs)
+    return tuple(distinct)
 
 
 def _same(a: FloatArray, b: FloatArray) -> bool:
-    """Every point of `a` has one of `b` on its place."""
+    """Return whether every point of `a` coincides with one of `b`."""
     return bool((np.linalg.norm(a[:, None] - b[None], axis=2).min(axis=1) < SAME_MM).all())

@@ -1,4 +1,4 @@
-"""`dvf-ig calibrate hand-eye`: where a camera sits on the robot or the hand that holds it."""
+"""`dvf-ig calibrate hand-eye`: pose of a camera on the robot or the hand that holds it."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -16,7 +16,9 @@ if TYPE_CHECKING:
 
 def hand_eye(
     robot: Annotated[Path, typer.Argument(help="Poses of the hand in its base: sequence, folder or table.")],
-    camera: Annotated[Path, typer.Argument(help="Poses of a still target as the camera sees it, likewise.")],
+    camera: Annotated[
+        Path, typer.Argument(help="Poses of a fixed target as the camera sees it, in the same forms.")
+    ],
     hand: Annotated[str | None, typer.Option("--hand", help="Frame of the hand in a sequence.")] = None,
     target: Annotated[str | None, typer.Option("--target", help="Frame of the target in a sequence.")] = None,
     method: Annotated[
@@ -27,7 +29,7 @@ def hand_eye(
     seed: SeedOption = 0,
     as_json: JsonFlag = False,
 ) -> None:
-    """Place of a camera on the hand that holds it, from a target that stands still."""
+    """Find the pose of a camera on the hand that holds it, from a fixed target."""
     with command():
         from typing import cast
 
@@ -36,39 +38,39 @@ def hand_eye(
         from dvf_ig.calibration import HandEyeMethod, HandEyeOptions, calibrate_hand_eye
         from dvf_ig.report import write_residual_picture
 
-        found = calibrate_hand_eye(
+        fit = calibrate_hand_eye(
             _poses(robot, "base", "hand", hand),
             _poses(camera, "camera", "target", target),
             rng=np.random.default_rng(seed),
             options=HandEyeOptions(method=cast(HandEyeMethod, method)),
         )
-        result = _result(found, method)
-        fitted = found.hand_from_camera
+        result = _result(fit, method)
+        fitted = fit.hand_from_camera
         title = marked(
             result,
-            f"{fitted.name}: target seen to {found.rms_mm:.2f} mm, {found.rms_deg:.2f}° RMS by "
-            f"{int(found.inliers.sum())} of {len(found.inliers)} pairs",
+            f"{fitted.name}: target seen to {fit.rms_mm:.2f} mm, {fit.rms_deg:.2f}° RMS by "
+            f"{int(fit.inliers.sum())} of {len(fit.inliers)} pairs",
         )
         save(
-            output, result, fitted.name, fitted.matrix, found.rms_mm,
+            output, result, fitted.name, fitted.matrix, fit.rms_mm,
             lambda png: write_residual_picture(
-                png, found.residuals_mm, title=title, used=found.inliers, x_label="pair of poses"
+                png, fit.residuals_mm, title=title, used=fit.inliers, x_label="pair of poses"
             ),
         )  # fmt: skip
         rows = [
             ("transform", fitted.name),
             ("camera", f"{vector(fitted.translation_mm.tolist())} mm in '{fitted.target}'"),
             ("standard error", f"{_errors(result)}"),
-            ("residual", f"{found.rms_mm:.3f} mm and {found.rms_deg:.3f} deg RMS of the target's place"),
-            ("pairs used", f"{int(found.inliers.sum())} of {len(found.inliers)}"),
-            ("angular span", f"{found.span_deg:.1f} deg, spread of the axes {found.axis_spread:.2f}"),
+            ("residual", f"{fit.rms_mm:.3f} mm and {fit.rms_deg:.3f} deg RMS of the target's pose"),
+            ("pairs used", f"{int(fit.inliers.sum())} of {len(fit.inliers)}"),
+            ("angular span", f"{fit.span_deg:.1f} deg, spread of the axes {fit.axis_spread:.2f}"),
         ]
         show(result, rows, as_json=as_json)
         judge(result)
 
 
 def _poses(path: Path, target: str, source: str, chosen: str | None) -> "PoseStream":
-    """From a sequence the frames that it records; elsewhere the names given here."""
+    """Read poses: from a sequence by the frames that it records, else with the names given here."""
     from dvf_ig.io import read_poses
     from dvf_ig.io.plus.poses import SEQUENCE_SUFFIXES
 
@@ -77,26 +79,26 @@ def _poses(path: Path, target: str, source: str, chosen: str | None) -> "PoseStr
     return read_poses(path, target, chosen or source)
 
 
-def _result(found: "HandEyeResult", method: str) -> dict[str, Any]:
+def _result(fit: "HandEyeResult", method: str) -> dict[str, Any]:
     import numpy as np
 
-    fitted, errors = found.hand_from_camera, np.sqrt(np.diag(found.covariance))
+    fitted, errors = fit.hand_from_camera, np.sqrt(np.diag(fit.covariance))
     return {
         "kind": "hand-eye",
-        **verdict(found.refusals),
+        **verdict(fit.refusals),
         "hand_from_camera": fitted.matrix.tolist(),
-        "base_from_target": found.base_from_target.matrix.tolist(),
-        "rms_mm": found.rms_mm,
-        "rms_deg": found.rms_deg,
-        "residuals_mm": found.residuals_mm.tolist(),
-        "residuals_deg": found.residuals_deg.tolist(),
-        "inliers": int(found.inliers.sum()),
-        "pairs": len(found.inliers),
-        "span_deg": found.span_deg,
-        "axis_spread": found.axis_spread,
+        "base_from_target": fit.base_from_target.matrix.tolist(),
+        "rms_mm": fit.rms_mm,
+        "rms_deg": fit.rms_deg,
+        "residuals_mm": fit.residuals_mm.tolist(),
+        "residuals_deg": fit.residuals_deg.tolist(),
+        "inliers": int(fit.inliers.sum()),
+        "pairs": len(fit.inliers),
+        "span_deg": fit.span_deg,
+        "axis_spread": fit.axis_spread,
         "rotation_sd_deg": np.degrees(errors[:3]).tolist(),
         "translation_sd_mm": errors[3:].tolist(),
-        "covariance": found.covariance.tolist(),
+        "covariance": fit.covariance.tolist(),
         "method": method,
         "target": fitted.target,
         "source": fitted.source,

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from dvf_ig.core import Landmarks, Points, PoseStream
 
 TIP_SHIFT_MM = 1.0
-"""Distance of the point about which a stylus pivoted from its stated tip beyond which the user is warned."""
+"""Distance of a stylus's pivot from its stated tip above which the user is warned."""
 
 
 def landmarks(
@@ -38,24 +38,24 @@ def landmarks(
         poses, phantom = read_poses(stylus), read_phantom_landmarks(device_set)
         tip = _stated_tip(poses, device_set)
         dwells = find_dwells(*tip_positions(poses, tip))
-        found, chosen = match_dwells(dwells, phantom.points)
-        difference = _difference(found, phantom.points, compare, device_set)
+        fit, chosen = match_dwells(dwells, phantom.points)
+        difference = _difference(fit, phantom.points, compare, device_set)
         checked = check_tip(poses, tip, dwells)
         samples = dwells.samples[list(chosen)].tolist()
-        result = _result(found, phantom, samples, checked, difference)
-        fitted = found.target_from_source
-        errors = f"{found.rms_mm:.2f} mm RMS, {found.mean_mm:.2f} mm mean"
+        result = _result(fit, phantom, samples, checked, difference)
+        fitted = fit.target_from_source
+        errors = f"{fit.rms_mm:.2f} mm RMS, {fit.mean_mm:.2f} mm mean"
         title = marked(result, f"{fitted.name}: {errors} over {len(samples)} landmarks")
         save(
-            output, result, fitted.name, fitted.matrix, found.rms_mm,
+            output, result, fitted.name, fitted.matrix, fit.rms_mm,
             lambda png: write_residual_picture(
-                png, found.residuals_mm, title=title, names=[f"landmark {n}" for n in phantom.names],
-                second=found.leave_one_out_mm,
+                png, fit.residuals_mm, title=title, names=[f"landmark {n}" for n in phantom.names],
+                second=fit.leave_one_out_mm,
             ),
         )  # fmt: skip
-        rows = _rows(found, phantom, samples, checked, difference)
+        rows = _rows(fit, phantom, samples, checked, difference)
         show(result, rows, as_json=as_json)
-        _warn(found, checked, poses.source)
+        _warn(fit, checked, poses.source)
         judge(result)
 
 
@@ -67,21 +67,21 @@ def _stated_tip(poses: "PoseStream", device_set: Path) -> "Points":
     definitions = read_coordinate_definitions(device_set)
     if name not in definitions:
         raise InvalidInputError(
-            f"{device_set} does not say where the tip of '{poses.source}' is; calibrate it first "
+            f"{device_set} does not state the tip of '{poses.source}'; calibrate it first "
             "(dvf-ig calibrate pivot -o) and add the transform"
         )
     return Points(poses.source, definitions[name][None, :3, 3])
 
 
 def _difference(
-    found: "LandmarkResult", points: "Points", compare: Path | None, device_set: Path
+    fit: "LandmarkResult", points: "Points", compare: Path | None, device_set: Path
 ) -> "MapDifference | None":
-    """From the placement in the file to compare with, or in the device set where it has one."""
+    """Compare with the placement in the file to compare with, or in the device set if it has one."""
     from dvf_ig.calibration import map_difference
     from dvf_ig.core import InvalidInputError, Rigid
     from dvf_ig.io import read_coordinate_definitions
 
-    fitted = found.target_from_source
+    fitted = fit.target_from_source
     matrix = read_coordinate_definitions(compare or device_set).get(fitted.name)
     if matrix is None:
         if compare is not None:
@@ -91,25 +91,25 @@ def _difference(
 
 
 def _result(
-    found: "LandmarkResult",
+    fit: "LandmarkResult",
     phantom: "Landmarks",
     samples: list[int],
     checked: "TipCheck",
     difference: "MapDifference | None",
 ) -> dict[str, Any]:
-    fitted = found.target_from_source
+    fitted = fit.target_from_source
     return {
         "kind": "landmarks",
-        **verdict(found.refusals),
+        **verdict(fit.refusals),
         "target_from_source": fitted.matrix.tolist(),
-        "rms_mm": found.rms_mm,
-        "mean_mm": found.mean_mm,
-        "residuals_mm": found.residuals_mm.tolist(),
-        "leave_one_out_mm": [v if v == v else None for v in found.leave_one_out_mm.tolist()],
+        "rms_mm": fit.rms_mm,
+        "mean_mm": fit.mean_mm,
+        "residuals_mm": fit.residuals_mm.tolist(),
+        "leave_one_out_mm": [v if v == v else None for v in fit.leave_one_out_mm.tolist()],
         "landmarks": list(phantom.names),
         "samples": samples,
-        "ambiguous": found.ambiguous,
-        "second_rms_mm": found.second_rms_mm if found.second_rms_mm < float("inf") else None,
+        "ambiguous": fit.ambiguous,
+        "second_rms_mm": fit.second_rms_mm if fit.second_rms_mm < float("inf") else None,
         "tip_shift_mm": checked.shift_mm.tolist(),
         "tip_spread_mm": [checked.spread_mm, checked.spread_after_mm],
         "difference": None
@@ -125,24 +125,24 @@ def _result(
 
 
 def _rows(
-    found: "LandmarkResult",
+    fit: "LandmarkResult",
     phantom: "Landmarks",
     samples: list[int],
     checked: "TipCheck",
     difference: "MapDifference | None",
 ) -> list[tuple[str, str]]:
     rows = [
-        ("transform", found.target_from_source.name),
+        ("transform", fit.target_from_source.name),
         (
             "residual",
-            f"{found.rms_mm:.3f} mm RMS, {found.mean_mm:.3f} mean, {max(found.residuals_mm):.3f} max",
+            f"{fit.rms_mm:.3f} mm RMS, {fit.mean_mm:.3f} mean, {max(fit.residuals_mm):.3f} max",
         ),
     ]
-    errors = zip(phantom.names, found.residuals_mm, found.leave_one_out_mm, samples, strict=True)
+    errors = zip(phantom.names, fit.residuals_mm, fit.leave_one_out_mm, samples, strict=True)
     for name, residual, without, count in errors:
         left_out = f", {without:.3f} left out" if without == without else ""
         rows.append((f"landmark {name}", f"{residual:.3f} mm{left_out}; {count} samples"))
-    rows.append(("other order", f"{found.second_rms_mm:.2f} mm RMS at best"))
+    rows.append(("other order", f"{fit.second_rms_mm:.2f} mm RMS at best"))
     rows.append(
         (
             "stylus pivoted",
@@ -161,10 +161,10 @@ def _rows(
     return rows
 
 
-def _warn(found: "LandmarkResult", checked: "TipCheck", tool: str) -> None:
-    if found.ambiguous:
+def _warn(fit: "LandmarkResult", checked: "TipCheck", tool: str) -> None:
+    if fit.ambiguous:
         warn(
-            f"the landmarks are nearly symmetric: in another order they fit to {found.second_rms_mm:.2f} mm; "
+            f"the landmarks are nearly symmetric: in another order they fit to {fit.second_rms_mm:.2f} mm; "
             "make sure that they were touched in the device set's order"
         )
     shift = float((checked.shift_mm**2).sum() ** 0.5)

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from dvf_ig.core import LatencyRecording
 
 WANDER_S = 0.015
-"""Standard deviation of the lags of single movements beyond which the user is warned."""
+"""Standard deviation of the lags of single movements above which the user is warned."""
 
 
 def latency(
@@ -26,76 +26,76 @@ def latency(
     ] = None,
     output: Annotated[
         Path | None,
-        typer.Option("-o", "--out", callback=output_file, help="Write JSON here, and a picture beside it."),
+        typer.Option("-o", "--out", callback=output_file, help="Write JSON here, and a picture next to it."),
     ] = None,
     seed: SeedOption = 0,
     as_json: JsonFlag = False,
 ) -> None:
-    """Lag of the tracker's clock behind the video's: t_tracker = t_video + lag."""
+    """Find the lag of the tracker's clock behind the video's: t_tracker = t_video + lag."""
     with command():
         from dvf_ig.calibration import estimate_latency
         from dvf_ig.report import write_latency_picture
 
-        found = estimate_latency(_recording(tracker, video, line_table, seed))
-        result = _result(found)
-        title = marked(result, f"Tracker against video: {_lag_text(found)}, r = {found.correlation:.3f}")
+        fit = estimate_latency(_recording(tracker, video, line_table, seed))
+        result = _result(fit)
+        title = marked(result, f"Tracker against video: {_lag_text(fit)}, r = {fit.correlation:.3f}")
         save(
             output, result, None, None, None,
-            lambda png: write_latency_picture(png, found, title=title),
+            lambda png: write_latency_picture(png, fit, title=title),
         )  # fmt: skip
-        show(result, _rows(found), as_json=as_json)
-        if found.wander_s > WANDER_S:
+        show(result, _rows(fit), as_json=as_json)
+        if fit.wander_s > WANDER_S:
             warn(
-                f"single movements give lags that differ by {1000 * found.wander_s:.0f} ms (SD): the clocks "
-                "drift against one another, and the mean lag is off by as much at any one moment"
+                f"single movements give lags that differ by {1000 * fit.wander_s:.0f} ms (SD): the clocks "
+                "drift against one another, and the mean lag is wrong by as much at any time"
             )
         judge(result)
 
 
-def _result(found: "LatencyResult") -> dict[str, Any]:
+def _result(fit: "LatencyResult") -> dict[str, Any]:
     return {
         "kind": "latency",
-        **verdict(found.refusals),
-        "lag_s": found.lag_s,
-        "interval_s": list(found.interval_s),
-        "correlation": found.correlation,
-        "second_lag_s": found.second_lag_s if found.second_peak_ratio else None,
-        "second_peak_ratio": found.second_peak_ratio,
-        "second_sigmas": found.second_sigmas if found.second_peak_ratio else None,
-        "halves_s": list(found.halves_s),
-        "periods": found.periods,
-        "period_lags_s": found.period_lags_s.tolist(),
-        "wander_s": found.wander_s,
+        **verdict(fit.refusals),
+        "lag_s": fit.lag_s,
+        "interval_s": list(fit.interval_s),
+        "correlation": fit.correlation,
+        "second_lag_s": fit.second_lag_s if fit.second_peak_ratio else None,
+        "second_peak_ratio": fit.second_peak_ratio,
+        "second_sigmas": fit.second_sigmas if fit.second_peak_ratio else None,
+        "halves_s": list(fit.halves_s),
+        "periods": fit.periods,
+        "period_lags_s": fit.period_lags_s.tolist(),
+        "wander_s": fit.wander_s,
     }
 
 
-def _lag_text(found: "LatencyResult") -> str:
-    low, high = (1000 * value for value in found.interval_s)
-    side = "leads" if found.lag_s < 0 else "follows"
-    return f"{1000 * found.lag_s:+.1f} ms (95 %: {low:+.1f} to {high:+.1f}), the tracker {side} the video"
+def _lag_text(fit: "LatencyResult") -> str:
+    low, high = (1000 * value for value in fit.interval_s)
+    side = "leads" if fit.lag_s < 0 else "follows"
+    return f"{1000 * fit.lag_s:+.1f} ms (95 %: {low:+.1f} to {high:+.1f}), the tracker {side} the video"
 
 
-def _rows(found: "LatencyResult") -> list[tuple[str, str]]:
+def _rows(fit: "LatencyResult") -> list[tuple[str, str]]:
     second = "no other lag comes near"
-    if found.second_peak_ratio:
+    if fit.second_peak_ratio:
         second = (
-            f"next best {1000 * found.second_lag_s:+.0f} ms at {found.second_peak_ratio:.3f} of it, "
-            f"{found.second_sigmas:.1f} standard errors worse"
+            f"next best {1000 * fit.second_lag_s:+.0f} ms at {fit.second_peak_ratio:.3f} of it, "
+            f"{fit.second_sigmas:.1f} standard errors worse"
         )
     return [
-        ("lag", _lag_text(found)),
-        ("halves", ", ".join(f"{1000 * v:+.1f}" for v in found.halves_s) + " ms"),
+        ("lag", _lag_text(fit)),
+        ("halves", ", ".join(f"{1000 * v:+.1f}" for v in fit.halves_s) + " ms"),
         (
             "wander",
-            f"{1000 * found.wander_s:.1f} ms (SD of the lags of {len(found.period_lags_s)} movements)",
+            f"{1000 * fit.wander_s:.1f} ms (SD of the lags of {len(fit.period_lags_s)} movements)",
         ),
-        ("correlation", f"{found.correlation:.3f}; {second}"),
-        ("movements", f"{found.periods:.1f}"),
+        ("correlation", f"{fit.correlation:.3f}; {second}"),
+        ("movements", f"{fit.periods:.1f}"),
     ]
 
 
 def _recording(tracker: Path, video: Path, line_table: Path | None, seed: int) -> "LatencyRecording":
-    """From the line table, or with lines found in the video's images."""
+    """Read the recording, with lines from the table or found in the video's images."""
     import numpy as np
 
     from dvf_ig.calibration import wall_trace

@@ -24,12 +24,12 @@ def nwire_result(
     max_residual_mm: float | None,
     rng: Any,
 ) -> tuple[dict[str, Any], list[tuple[str, ...]], float]:
-    """JSON, rows to print and the error to save.
+    """Calibrate from an N-wire sweep: JSON, rows to print and the error to save.
 
     Args:
         tables: PLUS results with the wire points of the calibration and of the validation sequence; None
             finds the wires in the images.
-        names: of the probe and its reference in the sequences.
+        names: names of the probe and its reference in the sequences.
     """
     from dvf_ig.calibration import NWireOptions, compare_nwire_methods, validate_nwire
     from dvf_ig.core import InvalidInputError
@@ -45,20 +45,20 @@ def nwire_result(
     if max_residual_mm is not None:
         options = NWireOptions(max_mean_mm=max_residual_mm)
     variants = compare_nwire_methods(recording, rng=rng, options=options)
-    found = _chosen(variants, method)
+    fit = _chosen(variants, method)
     checked = {
         name: None if held_out is None else validate_nwire(r.probe_from_image, held_out)
         for name, r in variants.results.items()
     }
-    result = _result(found, checked[found.method])
+    result = _result(fit, checked[fit.method])
     result["max_residual_mm"] = options.max_mean_mm
     result["method_from"] = "cross-validation of the calibration frames" if method is None else "--method"
     result["variants"] = _variants(variants, checked)
     result["segmentation"] = segmentation_json(seen)
     result["validation_segmentation"] = segmentation_json(validated)
     rows: list[tuple[str, ...]] = [*segmentation_rows(seen, validated)]
-    rows += [*_rows(found, checked[found.method]), *_variant_rows(result)]
-    return result, rows, (checked[found.method] or found.calibration).summary.mean95
+    rows += [*_rows(fit, checked[fit.method]), *_variant_rows(result)]
+    return result, rows, (checked[fit.method] or fit.calibration).summary.mean95
 
 
 def _chosen(variants: "NWireVariants", method: str | None) -> "NWireResult":
@@ -75,24 +75,24 @@ def _chosen(variants: "NWireVariants", method: str | None) -> "NWireResult":
     raise InvalidInputError(f"probe method '{method}' is unknown; choose {', '.join(NWIRE_METHODS)}")
 
 
-def _result(found: "NWireResult", checked: "CalibrationErrors | None") -> dict[str, Any]:
+def _result(fit: "NWireResult", checked: "CalibrationErrors | None") -> dict[str, Any]:
     from dvf_ig.calibration.probe.known_points import known_points_refusals
 
-    refusals = (*found.refusals, *(() if checked is None else known_points_refusals(checked)))
+    refusals = (*fit.refusals, *(() if checked is None else known_points_refusals(checked)))
     return {
         "kind": "probe",
         **verdict(refusals),
-        **image_fields(found.probe_from_image),
+        **image_fields(fit.probe_from_image),
         "phantom": "nwire",
-        "calibration": error_fields(found.calibration),
+        "calibration": error_fields(fit.calibration),
         "validation": error_fields(checked),
-        "method": found.method,
-        "inlier_frames": int(found.inliers.sum()),
-        "rejected": rejected_list(found.rejected),
-        "edge_sd_mm": found.edge_sd_mm,
-        "shear_deg": found.shear_deg,
-        "leave_one_out_rms_mm": float((found.uncertainty.held_out_mm**2).mean() ** 0.5),
-        "uncertainty": uncertainty(found.uncertainty),
+        "method": fit.method,
+        "inlier_frames": int(fit.inliers.sum()),
+        "rejected": rejected_list(fit.rejected),
+        "edge_sd_mm": fit.edge_sd_mm,
+        "shear_deg": fit.shear_deg,
+        "leave_one_out_rms_mm": float((fit.uncertainty.held_out_mm**2).mean() ** 0.5),
+        "uncertainty": uncertainty(fit.uncertainty),
     }
 
 
@@ -118,20 +118,20 @@ def _variants(
     return table
 
 
-def _rows(found: "NWireResult", checked: "CalibrationErrors | None") -> list[tuple[str, ...]]:
+def _rows(fit: "NWireResult", checked: "CalibrationErrors | None") -> list[tuple[str, ...]]:
     rows: list[tuple[str, ...]] = [
-        ("frames used", f"{int(found.inliers.sum())} of {found.calibration.frames}"),
-        *map_rows(found.uncertainty),
-        ("calibration", error_row(found.calibration)),
+        ("frames used", f"{int(fit.inliers.sum())} of {fit.calibration.frames}"),
+        *map_rows(fit.uncertainty),
+        ("calibration", error_row(fit.calibration)),
     ]
     if checked is not None:
         rows.append(("validation", error_row(checked)))
-    rows += rejected_rows(found.rejected)
-    return rows + list(wire_rows(checked or found.calibration))
+    rows += rejected_rows(fit.rejected)
+    return rows + list(wire_rows(checked or fit.calibration))
 
 
 def _variant_rows(result: dict[str, Any]) -> list[tuple[str, ...]]:
-    """A table of the methods: lowest 95 % of the errors, in mm."""
+    """Tabulate the methods: lowest 95 % of the errors, in mm."""
     rows: list[tuple[str, ...]] = [
         ("method", "cross-validated  calibration  validation  in plane (mm; all but the last: lowest 95 %)")
     ]

@@ -1,4 +1,4 @@
-"""How calibration results are printed and saved: JSON, and PLUS XML and a picture beside it."""
+"""Printing and saving of calibration results: JSON, with PLUS XML and a picture next to it."""
 
 from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 OutputOption = Annotated[
     Path | None,
     typer.Option(
-        "-o", "--out", callback=output_file, help="Write JSON here; PLUS XML and a picture go beside it."
+        "-o", "--out", callback=output_file, help="Write JSON here; PLUS XML and a picture go next to it."
     ),
 ]
 MaxResidualOption = Annotated[
@@ -24,7 +24,7 @@ MaxResidualOption = Annotated[
     typer.Option(
         "--max-residual-mm",
         min=0.0,
-        help="Largest residual that is accepted; raise it only if you know that this error will do.",
+        help="Largest residual that is accepted; raise it only if you know that this error is acceptable.",
     ),
 ]
 DeviceSetOption = Annotated[
@@ -40,16 +40,16 @@ def save(
     error_mm: float | None,
     picture: Callable[[Path], None] | None = None,
 ) -> None:
-    """Write a result as JSON with its date, and beside it its transform and a picture: all or none.
+    """Write a result as JSON with its date, its transform and a picture: all or none.
 
-    A refused result has no PLUS XML: that format cannot say that it must not be used.
+    A refused result has no PLUS XML, as that format cannot mark it as unusable.
 
     Args:
-        output: where to, or None to write nothing.
+        output: file to write, or None to write nothing.
         result: the JSON object, with its `kind` and its verdict.
-        name, matrix: the transform for PLUS XML, or None where there is none.
+        name, matrix: the transform for PLUS XML, or None without one.
         error_mm: its error as PLUS records it.
-        picture: draws the evidence into the PNG file it is given.
+        picture: draws the evidence into a PNG file.
     """
     if output is None:
         return
@@ -87,18 +87,18 @@ def save(
 
 def _warn_of_xml(path: Path) -> None:
     if path.is_file():
-        warn(f"{path} is of an earlier calibration and was left as it is")
+        warn(f"{path} is of an earlier calibration and was left unchanged")
     else:
-        warn(f"{path} was not written: PLUS XML cannot say that a calibration is refused")
+        warn(f"{path} was not written: PLUS XML cannot mark a calibration as refused")
 
 
 def verdict(refusals: "Sequence[Refusal]") -> dict[str, Any]:
-    """JSON fields: whether the result must not be used, and why."""
+    """Build the JSON fields on whether the result must not be used, and why."""
     return {"refused": bool(refusals), "refused_because": [refusal.detail for refusal in refusals]}
 
 
 def show(result: dict[str, Any], rows: Sequence[tuple[str, ...]], *, as_json: bool) -> None:
-    """Print a result and why it is refused; what a refused one leaves infinite is null in JSON."""
+    """Print a result and why it is refused; infinite values of a refused one are null in JSON."""
     from dvf_ig.io import plain
 
     refused = [("REFUSED", why) for why in result["refused_because"]]
@@ -106,12 +106,12 @@ def show(result: dict[str, Any], rows: Sequence[tuple[str, ...]], *, as_json: bo
 
 
 def marked(result: dict[str, Any], title: str) -> str:
-    """Title of a picture, marked where the result is refused."""
+    """Mark the title of a picture if the result is refused."""
     return f"REFUSED - {title}" if result["refused"] else title
 
 
 def judge(result: dict[str, Any]) -> None:
-    """Last step of a command, after everything was written and printed.
+    """Raise for a refused result; last step of a command, after everything was written and printed.
 
     Raises:
         QualityGateError: the result is refused.
@@ -123,12 +123,12 @@ def judge(result: dict[str, Any]) -> None:
 
 
 def vector(values: Sequence[float]) -> str:
-    """Coordinates as text, to a thousandth."""
+    """Format coordinates to a thousandth."""
     return "(" + ", ".join(f"{v:.3f}" for v in values) + ")"
 
 
 def image_fields(image: "ImageMap") -> dict[str, Any]:
-    """An image calibration: its matrix, and its parts with every digit, which the product rounds off."""
+    """Describe an image calibration: its matrix, and its parts with all digits, which the product loses."""
     return {
         "sensor_from_image": image.matrix.tolist(),
         "sensor_frame": image.rigid.target,
@@ -138,29 +138,29 @@ def image_fields(image: "ImageMap") -> dict[str, Any]:
 
 
 def error_fields(errors: "CalibrationErrors | None") -> dict[str, float | int] | None:
-    """JSON of the errors of one recording; null where there is none."""
+    """Build the JSON of the errors of one recording; null without one."""
     if errors is None:
         return None
-    found = errors.summary
+    summary = errors.summary
     return {
-        "mean_mm": found.mean,
-        "sd_mm": found.sd,
-        "mean95_mm": found.mean95,
-        "sd95_mm": found.sd95,
+        "mean_mm": summary.mean,
+        "sd_mm": summary.sd,
+        "mean95_mm": summary.mean95,
+        "sd95_mm": summary.sd95,
         "frames_used": errors.frames_used,
         "frames": errors.frames,
     }
 
 
 def error_row(errors: "CalibrationErrors") -> str:
-    """Errors of a calibration as printed: of all frames, and of the lowest 95 %."""
-    found = errors.summary
+    """Format errors of a calibration: of all frames, and of the lowest 95 %."""
+    summary = errors.summary
     return (
-        f"{found.mean:.3f} ± {found.sd:.3f} mm, lowest 95 %: {found.mean95:.3f} ± "
-        f"{found.sd95:.3f} mm, {errors.frames_used} of {errors.frames} frames"
+        f"{summary.mean:.3f} ± {summary.sd:.3f} mm, lowest 95 %: {summary.mean95:.3f} ± "
+        f"{summary.sd95:.3f} mm, {errors.frames_used} of {errors.frames} frames"
     )
 
 
 def wire_rows(errors: "CalibrationErrors") -> list[tuple[str, str]]:
-    """One row a wire: its error in the image plane."""
+    """Build one row a wire: its error in the image plane."""
     return [(f"wire {name}", f"{length:.3f} mm in plane") for name, length in errors.in_plane_mm.items()]

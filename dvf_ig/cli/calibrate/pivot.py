@@ -23,7 +23,7 @@ def pivot(
     seed: SeedOption = 0,
     as_json: JsonFlag = False,
 ) -> None:
-    """Tool tip from poses recorded while the tip rested in a divot."""
+    """Find the tool tip from poses recorded while it rested in a divot."""
     with command():
         import numpy as np
 
@@ -35,50 +35,50 @@ def pivot(
         if max_residual_mm is not None:
             options = PivotOptions(max_rms_mm=max_residual_mm)
         recorded = read_poses(poses, source=tool)
-        found = calibrate_pivot(recorded, rng=np.random.default_rng(seed), options=options)
-        result = {**_result(found), "max_residual_mm": options.max_rms_mm}
+        fit = calibrate_pivot(recorded, rng=np.random.default_rng(seed), options=options)
+        result = {**_result(fit), "max_residual_mm": options.max_rms_mm}
         matrix = np.eye(4)
         matrix[:3, 3] = result["tip_mm"]
-        name = f"{found.tip.frame}_from_{found.tip.frame}_tip"
+        name = f"{fit.tip.frame}_from_{fit.tip.frame}_tip"
         title = marked(
             result,
-            f"Tool tip of '{found.tip.frame}': {found.rms_3d_mm:.2f} mm RMS over {int(found.inliers.sum())} "
-            f"of {found.poses} poses that span {found.span_deg:.0f}°",
+            f"Tool tip of '{fit.tip.frame}': {fit.rms_3d_mm:.2f} mm RMS over {int(fit.inliers.sum())} "
+            f"of {fit.poses} poses that span {fit.span_deg:.0f}°",
         )
         save(
-            output, result, name, matrix, found.rms_3d_mm,
-            lambda png: write_residual_picture(png, found.residuals_mm, title=title, used=found.inliers),
+            output, result, name, matrix, fit.rms_3d_mm,
+            lambda png: write_residual_picture(png, fit.residuals_mm, title=title, used=fit.inliers),
         )  # fmt: skip
-        show(result, _rows(found), as_json=as_json)
+        show(result, _rows(fit), as_json=as_json)
         judge(result)
 
 
-def _result(found: "PivotResult") -> dict[str, Any]:
+def _result(fit: "PivotResult") -> dict[str, Any]:
     import numpy as np
 
     return {
         "kind": "tip",
-        **verdict(found.refusals),
-        "tip_mm": found.tip.xyz_mm[0].tolist(),
-        "pivot_mm": found.pivot.xyz_mm[0].tolist(),
-        "rms_3d_mm": found.rms_3d_mm,
-        "rms_per_coordinate_mm": found.rms_per_coordinate_mm,
-        "inliers": int(found.inliers.sum()),
-        "poses": found.poses,
-        "span_deg": found.span_deg,
-        "condition": found.condition,
-        "tip_sd_mm": np.sqrt(np.diag(found.covariance)[:3]).tolist(),
-        "tip_frame": found.tip.frame,
-        "pivot_frame": found.pivot.frame,
+        **verdict(fit.refusals),
+        "tip_mm": fit.tip.xyz_mm[0].tolist(),
+        "pivot_mm": fit.pivot.xyz_mm[0].tolist(),
+        "rms_3d_mm": fit.rms_3d_mm,
+        "rms_per_coordinate_mm": fit.rms_per_coordinate_mm,
+        "inliers": int(fit.inliers.sum()),
+        "poses": fit.poses,
+        "span_deg": fit.span_deg,
+        "condition": fit.condition,
+        "tip_sd_mm": np.sqrt(np.diag(fit.covariance)[:3]).tolist(),
+        "tip_frame": fit.tip.frame,
+        "pivot_frame": fit.pivot.frame,
     }
 
 
-def _rows(found: "PivotResult") -> list[tuple[str, str]]:
-    residual = f"{found.rms_3d_mm:.3f} mm RMS (3-D), {found.rms_per_coordinate_mm:.3f} per coordinate"
+def _rows(fit: "PivotResult") -> list[tuple[str, str]]:
+    residual = f"{fit.rms_3d_mm:.3f} mm RMS (3-D), {fit.rms_per_coordinate_mm:.3f} per coordinate"
     return [
-        ("tip", f"{vector(found.tip.xyz_mm[0].tolist())} mm in '{found.tip.frame}'"),
-        ("pivot", f"{vector(found.pivot.xyz_mm[0].tolist())} mm in '{found.pivot.frame}'"),
+        ("tip", f"{vector(fit.tip.xyz_mm[0].tolist())} mm in '{fit.tip.frame}'"),
+        ("pivot", f"{vector(fit.pivot.xyz_mm[0].tolist())} mm in '{fit.pivot.frame}'"),
         ("residual", residual),
-        ("poses used", f"{int(found.inliers.sum())} of {found.poses}"),
-        ("angular span", f"{found.span_deg:.1f} deg, condition {found.condition:.1f}"),
+        ("poses used", f"{int(fit.inliers.sum())} of {fit.poses}"),
+        ("angular span", f"{fit.span_deg:.1f} deg, condition {fit.condition:.1f}"),
     ]

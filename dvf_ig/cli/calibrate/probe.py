@@ -1,4 +1,4 @@
-"""`dvf-ig calibrate probe`: where an image pixel lies in the probe's sensor."""
+"""`dvf-ig calibrate probe`: map from image pixels to the probe's sensor."""
 
 from enum import StrEnum
 from pathlib import Path
@@ -12,7 +12,7 @@ from .output import MaxResidualOption, OutputOption, judge, save, show
 
 
 class Phantom(StrEnum):
-    """What was imaged."""
+    """Imaged phantom."""
 
     nwire = "nwire"
     crosswire = "cross-wire"
@@ -26,7 +26,7 @@ def probe(
             help="Tracked images of the phantom; cross-wire and wall with --points: also poses as text."
         ),
     ],
-    phantom: Annotated[Phantom, typer.Option("--phantom", help="What was imaged.")] = Phantom.nwire,
+    phantom: Annotated[Phantom, typer.Option("--phantom", help="Imaged phantom.")] = Phantom.nwire,
     device_set: Annotated[
         Path | None,
         typer.Option("--device-set", help="N-wire: PLUS device-set XML with the phantom and its placement."),
@@ -38,7 +38,7 @@ def probe(
         ),
     ] = None,
     validate: Annotated[
-        Path | None, typer.Option("--validate", help="A second sequence to measure the error on.")
+        Path | None, typer.Option("--validate", help="A second sequence on which the error is measured.")
     ] = None,
     validate_points: Annotated[
         Path | None,
@@ -57,7 +57,7 @@ def probe(
     ] = None,
     picture: Annotated[
         Path | None,
-        typer.Option("--picture", help="N-wire without --points: PNG of the dots and wires that were found."),
+        typer.Option("--picture", help="N-wire without --points: PNG of the detected dots and wires."),
     ] = None,
     max_residual_mm: MaxResidualOption = None,
     probe_name: ProbeNameOption = None,
@@ -66,7 +66,7 @@ def probe(
     seed: SeedOption = 0,
     as_json: JsonFlag = False,
 ) -> None:
-    """Map from image pixels to the probe's sensor, from an N-wire, cross-wire or wall phantom."""
+    """Find the map from image pixels to the probe's sensor, from an N-wire, cross-wire or wall phantom."""
     with command():
         import numpy as np
 

@@ -25,11 +25,11 @@ def target_result(
     max_residual_mm: float | None,
     rng: Any,
 ) -> Printed:
-    """JSON, rows to print and the error to save.
+    """Calibrate from a fixed target: JSON, rows to print and the error to save.
 
     Args:
         recorded, validate: file of the poses (and images), and table of the points.
-        names: of the probe and its reference in the poses.
+        names: names of the probe and its reference in the poses.
     """
     from dvf_ig.calibration import TargetOptions
     from dvf_ig.core import InvalidInputError
@@ -44,33 +44,33 @@ def target_result(
     if validate[0] is not None:
         second = _recording(phantom, validate[0], validate[1], names, "--validate-points", rng)
     solve = _crosswire if phantom == "cross-wire" else _wall
-    found, checked, place, rows = solve(seen, second, options, rng)
+    fit, checked, place, rows = solve(seen, second, options, rng)
     result = {
         "kind": "probe",
-        **verdict(found.refusals),
+        **verdict(fit.refusals),
         "max_residual_mm": options.max_rms_mm,
-        **image_fields(found.probe_from_image),
+        **image_fields(fit.probe_from_image),
         "phantom": phantom,
-        "calibration": error_fields(found.calibration),
+        "calibration": error_fields(fit.calibration),
         "validation": error_fields(checked),
         "method": method or METHODS[0],
-        "inlier_frames": int(found.inliers.sum()),
-        "rejected": rejected_list(found.rejected),
-        "leave_one_out": error_fields(found.held_out),
+        "inlier_frames": int(fit.inliers.sum()),
+        "rejected": rejected_list(fit.rejected),
+        "leave_one_out": error_fields(fit.held_out),
         **place,
-        "uncertainty": uncertainty(found.uncertainty),
+        "uncertainty": uncertainty(fit.uncertainty),
     }
     table: list[tuple[str, ...]] = [
-        ("frames used", f"{int(found.inliers.sum())} of {found.calibration.frames}"),
-        *map_rows(found.uncertainty),
+        ("frames used", f"{int(fit.inliers.sum())} of {fit.calibration.frames}"),
+        *map_rows(fit.uncertainty),
         *rows,
-        ("calibration", error_row(found.calibration)),
-        ("leave-one-out", error_row(found.held_out)),
+        ("calibration", error_row(fit.calibration)),
+        ("leave-one-out", error_row(fit.held_out)),
     ]
     if checked is not None:
         table.append(("validation", error_row(checked)))
-    table += rejected_rows(found.rejected)
-    return result, table, (checked or found.held_out).summary.mean95
+    table += rejected_rows(fit.rejected)
+    return result, table, (checked or fit.held_out).summary.mean95
 
 
 Solved = tuple[
@@ -82,32 +82,32 @@ PosesAndPoints = tuple["PoseStream", "FloatArray"]
 def _crosswire(seen: PosesAndPoints, second: PosesAndPoints | None, options: Any, rng: Any) -> Solved:
     from dvf_ig.calibration import calibrate_crosswire, validate_crosswire
 
-    found = calibrate_crosswire(*seen, rng=rng, options=options)
-    checked = None if second is None else validate_crosswire(found.probe_from_image, *second)[0]
-    crossing, frame = found.target.xyz_mm.tolist(), seen[0].target
+    fit = calibrate_crosswire(*seen, rng=rng, options=options)
+    checked = None if second is None else validate_crosswire(fit.probe_from_image, *second)[0]
+    crossing, frame = fit.target.xyz_mm.tolist(), seen[0].target
     place = {"crossing_mm": crossing, "target_frame": frame}
-    return found, checked, place, [("crossing", f"{vector(crossing)} mm in '{frame}'")]
+    return fit, checked, place, [("crossing", f"{vector(crossing)} mm in '{frame}'")]
 
 
 def _wall(seen: PosesAndPoints, second: PosesAndPoints | None, options: Any, rng: Any) -> Solved:
     from dvf_ig.calibration import calibrate_wall, validate_wall
 
-    found = calibrate_wall(*seen, rng=rng, options=options)
-    checked = None if second is None else validate_wall(found.probe_from_image, *second)[0]
-    plane, frame = found.target, seen[0].target
+    fit = calibrate_wall(*seen, rng=rng, options=options)
+    checked = None if second is None else validate_wall(fit.probe_from_image, *second)[0]
+    plane, frame = fit.target, seen[0].target
     place = {
         "wall_normal": plane.normal.tolist(),
         "wall_offset_mm": plane.offset_mm,
         "target_frame": frame,
     }
     shown = f"{vector(plane.normal.tolist())} · x = {plane.offset_mm:.3f} mm in '{frame}'"
-    return found, checked, place, [("wall", shown)]
+    return fit, checked, place, [("wall", shown)]
 
 
 def _recording(
     phantom: str, sequence: Path, points: Path | None, names: "ProbeNames", option: str, rng: Any
 ) -> PosesAndPoints:
-    """Poses and points; a wall's line is found in the images where no points are given."""
+    """Read poses and points; without points, a wall's line is searched in the images."""
     from dvf_ig.calibration import find_wall_lines
     from dvf_ig.core import InvalidInputError
     from dvf_ig.io import read_sequence, read_target_recording, tracked_probe
@@ -116,7 +116,7 @@ def _recording(
         return read_target_recording(sequence, points, names)
     frames = read_sequence(sequence)
     if phantom != "wall" or frames.images is None:
-        what = "the crossing is not looked for in the images" if phantom != "wall" else "it has no images"
+        what = "the crossing is not detected in images" if phantom != "wall" else "it has no images"
         raise InvalidInputError(
             f"{sequence}: {what}; give {option} FILE, a table of the columns frame, column1_px, row1_px"
             + (", column2_px, row2_px" if phantom == "wall" else "")

@@ -1,4 +1,4 @@
-"""How the uncertainty of an image calibration, and the frames it rejected, are printed and saved."""
+"""Printing and saving of an image calibration's uncertainty and rejected frames."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
@@ -12,7 +12,7 @@ AXES = ("lateral", "axial", "elevation")
 
 
 def uncertainty(spread: "MapUncertainty") -> dict[str, Any]:
-    """95 % half-widths along and about the image's axes, and 95 % intervals of the pixel sizes."""
+    """Build 95 % half-widths along and about the image's axes, and 95 % intervals of pixel sizes."""
     import numpy as np
 
     origin = spread.point_mm(np.zeros(2))
@@ -32,17 +32,17 @@ def uncertainty(spread: "MapUncertainty") -> dict[str, Any]:
 
 
 def rejected_list(rejected: "Sequence[tuple[int, RejectedFrame]]") -> list[dict[str, Any]]:
-    """Rejected frames as JSON."""
+    """Describe rejected frames as JSON."""
     return [{"frame": frame, "reason": why.detail} for frame, why in rejected]
 
 
 def rejected_rows(rejected: "Sequence[tuple[int, RejectedFrame]]") -> list[tuple[str, ...]]:
-    """Rejected frames as printed, one row each."""
+    """Build one row for each rejected frame."""
     return [(f"frame {frame}", why.detail) for frame, why in rejected]
 
 
 def map_rows(spread: "MapUncertainty") -> list[tuple[str, ...]]:
-    """Pixel size, origin and the image's middle with their 95 % half-widths."""
+    """Build rows of pixel size, origin and the image's middle with their 95 % half-widths."""
     estimate = spread.parameters.estimate
     scale, sensor = estimate.scale_mm_per_px, estimate.rigid.target
     half = 0.5 * (spread.scale_mm_per_px[:, 1] - spread.scale_mm_per_px[:, 0])

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WireRecording:
-    """A recording, and how its wires were found; None where a table gave them."""
+    """Recording with the segmentation of its wires, which is None if a table gave them."""
 
     recording: "NWireRecording"
     segmentation: "WireSegmentation | None"
@@ -28,11 +28,11 @@ def read_wires(
     names: "ProbeNames",
     picture: Path | None = None,
 ) -> WireRecording:
-    """Wires from a section of a PLUS result, or from the images where there is no table.
+    """Read wires from a section of a PLUS result, or find them in the images without a table.
 
     Args:
-        names: of the probe and its reference in the sequence.
-        picture: PNG of what was found in the images; written even where too little was found.
+        names: names of the probe and its reference in the sequence.
+        picture: PNG of the detections in the images, also written if there are not enough.
     """
     from dvf_ig.calibration import recording_of, segment_wires
     from dvf_ig.core import InvalidInputError
@@ -54,22 +54,22 @@ def read_wires(
     poses = phantom_from_probe(sequence, recorded, device_set, names)
     options = wire_image_options(read_wire_search(device_set))
     with progress("images") as report:
-        found = segment_wires(recorded, phantom, options=options, progress=report)
+        segmented = segment_wires(recorded, phantom, options=options, progress=report)
     if picture is not None:
-        title = f"{sequence.name}: wires found in {found.used} of {len(found.frames)} frames"
-        write_wire_picture(picture, recorded, found, title=title)
+        title = f"{sequence.name}: wires found in {segmented.used} of {len(segmented.frames)} frames"
+        write_wire_picture(picture, recorded, segmented, title=title)
         wrote(picture, "image")
-    return WireRecording(recording_of(found, phantom, poses), found)
+    return WireRecording(recording_of(segmented, phantom, poses), segmented)
 
 
 def wire_image_options(search: "WireSearch") -> "WireImageOptions":
-    """What a device set says of the search; what it does not say keeps its default."""
+    """Read the settings of the search from a device set; missing ones keep their default."""
     from dvf_ig.calibration import WireImageOptions
 
     options = WireImageOptions()
     dots, pattern = options.dots, options.pattern
     if search.candidates is not None:
-        # more cost little, and a bright wall can take many places
+        # more cost little, and a bright wall can take many of them
         dots = replace(dots, most=max(dots.most, search.candidates))
     if search.collinear_mm is not None:
         pattern = replace(pattern, lines=replace(pattern.lines, collinear_mm=search.collinear_mm))
@@ -77,15 +77,15 @@ def wire_image_options(search: "WireSearch") -> "WireImageOptions":
 
 
 def segmentation_json(seen: WireRecording | None) -> dict[str, Any] | None:
-    """Frames used and left out by reason; None where a table gave the wires."""
+    """Count frames used and left out by reason; None if a table gave the wires."""
     if seen is None or seen.segmentation is None:
         return None
-    found = seen.segmentation
-    return {"frames_used": found.used, "frames": len(found.frames), "reasons": found.reasons}
+    segmented = seen.segmentation
+    return {"frames_used": segmented.used, "frames": len(segmented.frames), "reasons": segmented.reasons}
 
 
 def segmentation_rows(seen: WireRecording, validated: WireRecording | None) -> list[tuple[str, str]]:
-    """Share of frames used, and how many were left out for which reason."""
+    """Build rows of the share of frames used, and the number left out by reason."""
     rows = []
     for what, wires in (("calibration", seen), ("validation", validated)):
         if wires is None or wires.segmentation is None:

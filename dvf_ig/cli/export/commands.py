@@ -1,4 +1,4 @@
-"""`dvf-ig export`: what was recorded and found, for other programs."""
+"""`dvf-ig export`: recordings and results for other programs."""
 
 import typer
 

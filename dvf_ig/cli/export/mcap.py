@@ -29,8 +29,8 @@ def mcap(
 
         if out.suffix != ".mcap":
             raise typer.BadParameter(f"-o is {out}; needed a name that ends in .mcap")
-        found, _, given = read_source(run, recording, model)
-        messages = write_session_log(found, run, out, given=given, seed=seed)
+        exported, _, model_given = read_source(run, recording, model)
+        messages = write_session_log(exported, run, out, given=model_given, seed=seed)
         megabytes = out.stat().st_size / 1e6
         result = {"file": str(out), "messages": messages, "megabytes": round(megabytes, 1)}
         emit(result, [("messages", str(messages)), ("size", f"{megabytes:.1f} MB")], as_json=as_json)

@@ -20,7 +20,7 @@ def rerun(
 ) -> None:
     """Write a replay as a recording of the Rerun viewer: heart, probe, ultrasound, tool, force, and curves.
 
-    Needs pip install "dvf-ig[rerun]" (0.7 GB). Frames hang on each other in mm, LPS; time is the tracker's.
+    Needs pip install "dvf-ig[rerun]" (0.7 GB). Frames are nested, in mm, LPS; time is the tracker's.
     """
     with command():
         from dvf_ig.replay.export.rerun_file import write_rerun
@@ -29,8 +29,8 @@ def rerun(
 
         if out.suffix != ".rrd":
             raise typer.BadParameter(f"-o is {out}; needed a name that ends in .rrd")
-        found, built, _ = read_source(run, recording, model)
-        frames = write_rerun(found, built, read_ticks(run / TICKS), out)
+        exported, built, _ = read_source(run, recording, model)
+        frames = write_rerun(exported, built, read_ticks(run / TICKS), out)
         result = {"file": str(out), "frames": frames}
         emit(result, [("ultrasound frames", str(frames))], as_json=as_json)
         wrote(out, "mr, tracker, probe, tool")

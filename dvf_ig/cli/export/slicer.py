@@ -16,7 +16,7 @@ def slicer(
     out: Annotated[
         Path,
         typer.Option(
-            "-o", "--out", callback=output_dir, help="Folder to write; an own earlier one is replaced."
+            "-o", "--out", callback=output_dir, help="Folder to write; an earlier one of dvf-ig is replaced."
         ),
     ],
     recording: RecordingOption = None,
@@ -26,15 +26,15 @@ def slicer(
     """Write a run or a registration as a scene that 3D Slicer opens, each file also usable alone.
 
     MR, surfaces through the cycle, targets and landmarks; ultrasound, probe, tool and registration over time,
-    hung on each other as they were tracked. README.md in the folder says how to load each file.
+    nested as they were tracked. README.md in the folder describes how to load each file.
     """
     with command():
         from dvf_ig.io.writing.atomic import atomic_folder
         from dvf_ig.replay.export.slicer_scene import SCENE, write_slicer_scene
 
-        found, built, _ = read_source(run, recording, model)
+        exported, built, _ = read_source(run, recording, model)
         with atomic_folder(out) as new:
-            frames = write_slicer_scene(found, built, new)
+            frames = write_slicer_scene(exported, built, new)
         result = {"scene": str(out / SCENE), "files": frames}
         rows = [("scene", str(out / SCENE)), ("files", str(len(frames))), ("open", f"README.md in {out}")]
         emit(result, rows, as_json=as_json)

@@ -1,4 +1,4 @@
-"""The run that is exported, and the recording that it was made from."""
+"""Exported run, and its recording."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NamedTuple
@@ -19,7 +19,7 @@ RunOrRegistration = Annotated[
 
 
 class Source(NamedTuple):
-    """What is exported: the run, the patient's model, and that model where a file gave it."""
+    """Source of an export: the run, the patient's model, and that model if a file gave it."""
 
     run: "ExportedRun"
     model: "DvfModel"
@@ -27,7 +27,7 @@ class Source(NamedTuple):
 
 
 def read_source(run: Path, recording: Path | None, model: Path | None) -> Source:
-    """The run with its recording, which a replay names and a registration does not."""
+    """Read the run with its recording, which a replay names and a registration does not."""
     from dvf_ig.replay.export.exported_run import read_exported_run
     from dvf_ig.replay.view_file import VIEW, read_view_file
 
@@ -35,14 +35,14 @@ def read_source(run: Path, recording: Path | None, model: Path | None) -> Source
     place = recording or (named.recording if named is not None else None)
     if place is None:
         raise typer.BadParameter(
-            f"{run} does not say what it was made from; name it with --recording FOLDER or SESSION.yaml"
+            f"{run} does not name its recording; name it with --recording FOLDER or SESSION.yaml"
         )
     require_place("recording", place, run, "--recording FOLDER or SESSION.yaml")
     file = model or (named.model if named is not None else None)
     if file is not None:
         require_place("model", file, run, "--model FILE")
     recordings = read_recording(place)
-    found = read_exported_run(run, recordings.scenario)
-    given = recordings.model or file
-    built, _ = patient_model(found.scenario.preop, given)
-    return Source(found, built, None if given is None else built)
+    exported = read_exported_run(run, recordings.scenario)
+    file_model = recordings.model or file
+    built, _ = patient_model(exported.scenario.preop, file_model)
+    return Source(exported, built, None if file_model is None else built)

@@ -1,4 +1,4 @@
-"""`dvf-ig inspect`: what a file is, and the facts worth knowing before it is used."""
+"""`dvf-ig inspect`: the kind of a file, and the facts to know before it is used."""
 
 from typing import Annotated, Any
 
@@ -21,7 +21,7 @@ def inspect(
     reference_name: ReferenceNameOption = None,
     as_json: JsonFlag = False,
 ) -> None:
-    """Say what a file is: sequence, image, mesh, model, transform, landmarks, ECG, PLUS XML, scenario."""
+    """Describe a file: sequence, image, mesh, model, transform, landmarks, ECG, PLUS XML, scenario."""
     with command():
         from dvf_ig.io import ProbeNames, describe, plain
 
@@ -29,13 +29,13 @@ def inspect(
         names = ProbeNames.from_plus(probe_name, reference_name) if named else None
         description = describe(file, rate, names)
         facts = plain(description.facts)
-        told = sequence_rows(facts) if description.kind == "tracked sequence" else _rows(facts)
-        rows = [("file", file), ("kind", description.kind), *told]
+        table = sequence_rows(facts) if description.kind == "tracked sequence" else _rows(facts)
+        rows = [("file", file), ("kind", description.kind), *table]
         emit({"file": file, "kind": description.kind, **facts}, rows, as_json=as_json)
 
 
 def _rows(facts: dict[str, Any]) -> list[tuple[str, str]]:
-    """One row a fact; of a group of groups, one row a member. Transforms keep their names as they are."""
+    """Build one row a fact, or one a member for a group of groups; transforms keep their names."""
     rows: list[tuple[str, str]] = []
     for name, value in facts.items():
         label = name.replace("_", " ")

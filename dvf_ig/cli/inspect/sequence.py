@@ -7,7 +7,7 @@ Row = tuple[str, str]
 
 
 def sequence_rows(facts: Facts) -> list[Row]:
-    """Rows (label, text) of the facts of one tracked sequence."""
+    """Build rows (label, text) of the facts of one tracked sequence."""
     return [
         ("frames", str(facts["frames"])),
         _images(facts),
@@ -59,7 +59,7 @@ def _stamps(facts: Facts) -> str:
 
 
 def _tree(facts: Facts) -> list[Row]:
-    """The frame tree, with what is known of each transform beside the frame that hangs on it."""
+    """Draw the frame tree, with the facts of each transform next to its child frame."""
     lines: list[str] = facts["frame_tree"]
     if not lines:
         return [("poses", "none recorded")]
@@ -70,50 +70,50 @@ def _tree(facts: Facts) -> list[Row]:
         name = line.lstrip("│├└─ ")
         depth = (len(line) - len(name)) // 3
         parents = [*parents[:depth], name]
-        told = _transform(facts, parents[depth - 1], name) if depth else ""
-        rows.append(("poses" if not rows else "", f"{line:<{width}}  {told}".rstrip()))
+        text = _transform(facts, parents[depth - 1], name) if depth else ""
+        rows.append(("poses" if not rows else "", f"{line:<{width}}  {text}".rstrip()))
     return rows
 
 
 def _probe(facts: Facts) -> list[Row]:
-    """The pose that the user named, joined from what is recorded."""
-    return [("probe", f"{name}: {_moves(known)}") for name, known in facts.get("probe", {}).items()]
+    """Describe the pose that the user named, joined from the recorded ones."""
+    return [("probe", f"{name}: {_moves(facts_of)}") for name, facts_of in facts.get("probe", {}).items()]
 
 
 def _fields(facts: Facts) -> list[Row]:
-    """The ECG that the frames carry, and other numbers."""
-    rows = [("ECG", f"field {name}: {_ecg(known)}") for name, known in facts["ecg"].items()]
+    """Describe the ECG and other numbers in the frames' fields."""
+    rows = [("ECG", f"field {name}: {_ecg(ecg)}") for name, ecg in facts["ecg"].items()]
     others = [name for name in facts["numeric_fields"] if name not in facts["ecg"]]
     return [*rows, ("other fields", ", ".join(others))] if others else rows
 
 
-def _ecg(known: Facts) -> str:
-    if "problem" in known:
-        return f"not usable: {known['problem']}"
-    leads, missing = ", ".join(known["leads"]), known["missing_share"]
+def _ecg(ecg: Facts) -> str:
+    if "problem" in ecg:
+        return f"not usable: {ecg['problem']}"
+    leads, missing = ", ".join(ecg["leads"]), ecg["missing_share"]
     lost = f", {missing:.1%} missing" if missing else ""
     return (
-        f"{leads} in {known['unit']}, {known['rate_hz']:.5g} Hz for {known['duration_s']:.2f} s "
-        f"from {known['start_s']:.3f} s{lost}"
+        f"{leads} in {ecg['unit']}, {ecg['rate_hz']:.5g} Hz for {ecg['duration_s']:.2f} s "
+        f"from {ecg['start_s']:.3f} s{lost}"
     )
 
 
 def _transform(facts: Facts, parent: str, child: str) -> str:
     for name in (f"{parent}_from_{child}", f"{child}_from_{parent}"):
-        known = facts["transforms"].get(name)
-        if known is not None:
-            return f"{name}: {_moves(known)}"
+        transform = facts["transforms"].get(name)
+        if transform is not None:
+            return f"{name}: {_moves(transform)}"
         if name in facts["image_maps"]:
             return f"{name}: a map from pixels, not a pose"
     return ""
 
 
-def _moves(known: Facts) -> str:
-    if known["extent_mm"] is None:
-        return _valid(known["invalid_share"])
-    extent = " x ".join(f"{side:.1f}" for side in known["extent_mm"])
-    frozen = f", frozen for {known['frozen_share']:.0%}" if known["frozen_share"] else ""
-    return f"{_valid(known['invalid_share'])}{frozen}, moves {extent} mm, turns {known['turn_deg']:.1f} deg"
+def _moves(moved: Facts) -> str:
+    if moved["extent_mm"] is None:
+        return _valid(moved["invalid_share"])
+    extent = " x ".join(f"{side:.1f}" for side in moved["extent_mm"])
+    frozen = f", frozen for {moved['frozen_share']:.0%}" if moved["frozen_share"] else ""
+    return f"{_valid(moved['invalid_share'])}{frozen}, moves {extent} mm, turns {moved['turn_deg']:.1f} deg"
 
 
 def _valid(invalid_share: float) -> str:

@@ -1,4 +1,4 @@
-"""Which labels are blood: what a user is told where nothing says so."""
+"""Messages on the labels of blood if nothing states which they are."""
 
 import numpy as np
 
@@ -7,19 +7,21 @@ from dvf_ig.core import Volume, VolumeSeries
 
 
 def warn_of_no_blood(what_to_do: str) -> None:
-    """Tell that a model has no chambers of blood, and what to do."""
+    """Warn that a model has no chambers of blood, with advice."""
     warn(
-        "nothing says where the blood is, so the model holds no boundary of it, which registration to "
-        f"ultrasound goes by, and end-systole is where the whole surface encloses least: {what_to_do}"
+        "nothing states where the blood is, so the model holds no boundary of it, which registration to "
+        f"ultrasound uses, and end-systole is the phase with the smallest whole volume: {what_to_do}"
     )
 
 
-def labels_told(image: VolumeSeries, labels: Volume, ed_phase: int) -> str:
-    """Volume and mean grey level of each label at end-diastole: blood is bright in most cines."""
+def describe_labels(image: VolumeSeries, labels: Volume, ed_phase: int) -> str:
+    """Describe volume and mean grey level of each label at end-diastole: blood is bright in most cines."""
     voxel_ml = float(np.prod(labels.grid.spacing_mm)) / 1000.0
     grey = image.values[ed_phase]
-    told = []
+    labels_text = []
     for value in np.unique(labels.values[labels.values != 0]).tolist():
         inside = labels.values == value
-        told.append(f"{value}: {inside.sum() * voxel_ml:.0f} ml of mean grey level {grey[inside].mean():.0f}")
-    return "; ".join(told)
+        labels_text.append(
+            f"{value}: {inside.sum() * voxel_ml:.0f} ml of mean grey level {grey[inside].mean():.0f}"
+        )
+    return "; ".join(labels_text)

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from .request import BuildRequest
 
 CHECK_POINTS = 4000
-"""Random points on each phase at which a model is checked."""
+"""Number of random points on each phase at which a model is checked."""
 
 app = typer.Typer(
     help="Build a dynamic fixture from pre-operative data, check it, export its surface.",
@@ -124,7 +124,7 @@ def check(
         str | None,
         typer.Option(
             "--organ",
-            help="With --labels: label values inside the surface, for example 1,2,5 (default: all but 0).",
+            help="With --labels: label values inside the surface, for example 1,2,5 (default: all except 0).",
         ),
     ] = None,
     voxel_mm: VoxelOption = None,
@@ -134,8 +134,8 @@ def check(
 ) -> None:
     """Measure a model's spline fit error, at random points of the surfaces kept in it.
 
-    It says how well the splines describe those surfaces, not how well these describe the patient's anatomy:
-    that is what --labels tells, labels of a phase that the model was not built from.
+    This describes how well the splines fit those surfaces, not how well these describe the patient's anatomy,
+    which --labels measures with labels of a phase that the model was not built from.
     """
     from .labels import check_with_labels, labels_at
 
@@ -155,10 +155,10 @@ def check(
         rows = model_rows(model, result, seconds, size_mb) + phase_rows(model, result)
         payload = model_payload(model, result, seed, seconds, size_mb)
         if given_labels is not None:
-            payload["labels"], told = check_with_labels(
+            payload["labels"], label_rows = check_with_labels(
                 model, given_labels, values, points, seed, voxel_size(voxel_mm)
             )
-            rows += told
+            rows += label_rows
         emit(payload, rows, as_json=as_json)
 
 

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 class ExportFormat(StrEnum):
-    """Ending of the files: a mesh of the surface, or an image of the distance."""
+    """Format of the files: a mesh of the surface, or an image of the distance."""
 
     vtp = "vtp"
     stl = "stl"

@@ -9,7 +9,7 @@ import typer
 from dvf_ig.cli.shell import emit, progress, warn, wrote
 from dvf_ig.core import DvfModel, InvalidInputError, Preop, Volume, VolumeSeries
 
-from .blood import labels_told, warn_of_no_blood
+from .blood import describe_labels, warn_of_no_blood
 from .labels import anatomical_error_mm
 from .request import BuildRequest
 
@@ -18,13 +18,13 @@ if TYPE_CHECKING:
 
 
 def model_from_image(request: BuildRequest, path: Path, *, as_json: bool) -> tuple[DvfModel, dict[str, Any]]:
-    """Segment where seeds are given, propagate by the motion, fit; print the evidence and write it.
+    """Build a model: segment from seeds if given, propagate by the motion, fit, and write the evidence.
 
     Args:
-        request: with an image, and labels or seeds.
+        request: request with an image, and labels or seeds.
         path: the image.
     Returns:
-        the model, and the evidence ("motion" is also written as JSON beside it).
+        the model, and the evidence ("motion" is also written as JSON next to it).
     """
     from dvf_ig.io import read_volume_series, require_outputs
     from dvf_ig.preop import cine_options, model_from_cine
@@ -45,7 +45,7 @@ def model_from_image(request: BuildRequest, path: Path, *, as_json: bool) -> tup
             sources=(f"{path.name}: motion by {request.method}",),
         )
     if not result.model.chambers:
-        warn_of_no_blood(f"give --cavity ({labels_told(image, labels, request.ed_phase)})")
+        warn_of_no_blood(f"give --cavity ({describe_labels(image, labels, request.ed_phase)})")
     error = None if truth is None else anatomical_error_mm(result.model, truth, request)
     payload = {**_payload(result, request), "anatomical_error_mm": error}
     _write_evidence(result, image, payload, request)
@@ -63,7 +63,7 @@ def _sized(
     labels: Volume,
     truth: VolumeSeries | None,
 ) -> tuple[VolumeSeries, Preop, Volume, VolumeSeries | None]:
-    """Image and labels, with the voxel size that was given in place of the header's."""
+    """Replace the header's voxel size of image and labels by the given one."""
     from dvf_ig.preop import with_voxel_size
 
     if request.voxel_mm is None:
@@ -76,14 +76,14 @@ def _sized(
 
 
 def _beside(request: BuildRequest) -> tuple[Path, Path]:
-    """JSON and picture that go beside the model."""
+    """Return the paths of JSON and picture next to the model."""
     return request.output.with_suffix(".json"), request.output.with_suffix(".png")
 
 
 def _write_evidence(
     result: "CineModel", image: VolumeSeries, payload: dict[str, Any], request: BuildRequest
 ) -> None:
-    """JSON and a picture beside the model."""
+    """Write JSON and a picture next to the model."""
     from dvf_ig.io import write_sidecar
     from dvf_ig.report import write_motion_picture
 
@@ -100,7 +100,7 @@ def _write_evidence(
 def _preop(
     request: BuildRequest, path: Path, image: VolumeSeries
 ) -> tuple[Preop, Volume, VolumeSeries | None]:
-    """The image with the labels of its end-diastole, and those of every phase where given."""
+    """Combine the image with the labels of its end-diastole, and those of every phase if given."""
     from dvf_ig.io import read_cine_labels, read_label_names
 
     truth: VolumeSeries | None = None
@@ -127,7 +127,7 @@ def _preop(
 
 
 def _grown(request: BuildRequest, image: VolumeSeries) -> tuple[Volume, tuple[int, ...]]:
-    """Labels grown from seeds, also written beside the model, and the cavity's values."""
+    """Grow labels from seeds, write them next to the model, and return the cavity's values."""
     from dvf_ig.io import read_seeds, write_volume
     from dvf_ig.preop import seed_shortage, segment_from_seeds
     from dvf_ig.preop.segment.seeded import CAVITY
@@ -143,7 +143,8 @@ def _grown(request: BuildRequest, image: VolumeSeries) -> tuple[Volume, tuple[in
     shortage = seed_shortage(grey, labels, seeds)
     if shortage.told:
         raise InvalidInputError(
-            f"the seeds are too few: {'; '.join(shortage.told)}. What grew from them is in {path.name}"
+            f"the seeds are too few: {'; '.join(shortage.told)}. The labels grown from them are in "
+            f"{path.name}"
         )
     warn(f"labels grown from seeds are a first segmentation: correct {path.name} and give it as --labels")
     return labels, (CAVITY,) if len(seeds.cavity) else ()
@@ -154,19 +155,19 @@ def _warn_of_limits(result: "CineModel", request: BuildRequest) -> None:
     for replaced in result.motion.replaced:
         warn(
             f"the motion of phase {replaced.phase} was rejected: {replaced.reason.value}. It is interpolated "
-            "between the phases around it; look at the frame"
+            "between the phases around it; check the frame"
         )
     for stiffened in result.motion.stiffened:
         warn(
             f"the motion of phase {stiffened.phase}, registered back to end-diastole, ends "
-            f"{stiffened.inconsistency_mm:.1f} mm from where it began: it was estimated anew with less "
-            "freedom; look at the frame"
+            f"{stiffened.inconsistency_mm:.1f} mm from its start: it was estimated again with less "
+            "freedom; check the frame"
         )
     if result.open_ends:
         ends = " and ".join(f"slice {end.index} (across axis {'ijk'[end.axis]})" for end in result.open_ends)
         warn(
-            f"the image ends within the organ at {ends}: beyond, the surface is not known; it is closed "
-            "half a voxel further on"
+            f"the image ends within the organ at {ends}: outside, the surface is not known; it is closed "
+            "half a voxel further out"
         )
     if quality.slice_pitch_mm is not None:
         warn(

@@ -1,4 +1,4 @@
-"""Labels that a model is checked with, and how well its surface agrees with them."""
+"""Check of a model's surface against labels."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,12 +18,12 @@ if TYPE_CHECKING:
     from dvf_ig.preop import LabelCheck
 
 PHASE_POINTS = 1000
-"""Random points on each of the two surfaces of a phase, where labels of every phase are given."""
+"""Random points on each of the two surfaces of a phase if labels of every phase are given."""
 
 
 @dataclass(frozen=True, slots=True)
 class LabelsAt:
-    """A label image and its place in the cycle: a phase of the model, or a fraction of the cycle."""
+    """Label image with its position in the cycle: a phase of the model, or a fraction of the cycle."""
 
     path: Path
     phase: int | None
@@ -52,17 +52,17 @@ def labels_at(text: str) -> LabelsAt:
 
 def check_with_labels(
     model: DvfModel,
-    given: LabelsAt,
+    labels_file: LabelsAt,
     organ: tuple[int, ...],
     points: int,
     seed: int,
     voxel_mm: tuple[float, float, float] | None = None,
 ) -> tuple[dict[str, Any], list[tuple[str, str]]]:
-    """What is printed of the agreement with labels: JSON and rows."""
+    """Measure the agreement with labels: JSON and rows to print."""
     from dvf_ig.io import read_labels
     from dvf_ig.preop import check_labels, with_voxel_size
 
-    labels, fraction = _labels_of(model, given, read_labels(given.path, model.frame))
+    labels, fraction = _labels_of(model, labels_file, read_labels(labels_file.path, model.frame))
     if voxel_mm is not None:
         labels = Volume(with_voxel_size(labels.grid, voxel_mm), labels.values)
 
@@ -70,39 +70,39 @@ def check_with_labels(
         rng = np.random.default_rng(seed)
         return check_labels(model, labels, at, organ_labels=organ, points=points, rng=rng)
 
-    found = agreement(fraction)
+    moving = agreement(fraction)
     still = agreement(float(model.timing.fractions[model.ed_phase]))
-    if still.both_mm.mean() < found.both_mm.mean():
+    if still.both_mm.mean() < moving.both_mm.mean():
         warn(
             f"the end-diastolic surface agrees better with these labels ({still.both_mm.mean():.2f} mm mean) "
-            f"than the surface at their place in the cycle ({found.both_mm.mean():.2f} mm): check PHASE and "
-            "the motion"
+            f"than the surface at their position in the cycle ({moving.both_mm.mean():.2f} mm): check PHASE "
+            "and the motion"
         )
     payload = {
-        **_numbers(found),
-        "phase": found.fraction,
-        "model_to_labels_mm": _spread(found.model_to_labels_mm),
-        "labels_to_model_mm": _spread(found.labels_to_model_mm),
+        **_numbers(moving),
+        "phase": moving.fraction,
+        "model_to_labels_mm": _spread(moving.model_to_labels_mm),
+        "labels_to_model_mm": _spread(moving.labels_to_model_mm),
         "end_diastole": _numbers(still),
     }
     rows = [
-        ("labels", f"{given.path.name} at {found.fraction:.3f} of the cycle"),
-        ("Dice", f"{found.dice:.3f}; of the end-diastolic surface, without motion, {still.dice:.3f}"),
-        ("anatomical error", f"{_told(found.both_mm)}: {DEFINITIONS['anatomical_error_mm']}"),
-        ("  model to labels", _told(found.model_to_labels_mm)),
-        ("  labels to model", _told(found.labels_to_model_mm)),
-        ("  without motion", _told(still.both_mm)),
+        ("labels", f"{labels_file.path.name} at {moving.fraction:.3f} of the cycle"),
+        ("Dice", f"{moving.dice:.3f}; of the end-diastolic surface, without motion, {still.dice:.3f}"),
+        ("anatomical error", f"{_spread_text(moving.both_mm)}: {DEFINITIONS['anatomical_error_mm']}"),
+        ("  model to labels", _spread_text(moving.model_to_labels_mm)),
+        ("  labels to model", _spread_text(moving.labels_to_model_mm)),
+        ("  without motion", _spread_text(still.both_mm)),
     ]
     return payload, rows
 
 
 def anatomical_error_mm(model: DvfModel, truth: VolumeSeries, request: BuildRequest) -> dict[str, Any]:
-    """Distance between the model's surfaces and labels that were not used to build it, both directions."""
+    """Measure distances between the model's surfaces and labels not used to build it, both directions."""
     from dvf_ig.preop import check_labels
 
     rng = np.random.default_rng(request.seed)
     others = [i for i in range(model.phases) if i != request.ed_phase]
-    found = [
+    checks = [
         check_labels(
             model,
             truth.phase(i),
@@ -113,32 +113,33 @@ def anatomical_error_mm(model: DvfModel, truth: VolumeSeries, request: BuildRequ
         )
         for i in others
     ]
-    every = np.concatenate([check.both_mm for check in found])
+    every = np.concatenate([check.both_mm for check in checks])
     return {
         "mean": float(every.mean()),
         "p95": float(np.percentile(every, 95)),
         "phases": others,
-        "per_phase": [float(check.both_mm.mean()) for check in found],
-        "dice": [check.dice for check in found],
+        "per_phase": [float(check.both_mm.mean()) for check in checks],
+        "dice": [check.dice for check in checks],
     }
 
 
-def _labels_of(model: DvfModel, given: LabelsAt, frames: Sequence[Volume]) -> tuple[Volume, float]:
-    """The frame that is meant, and its place in the cycle."""
+def _labels_of(model: DvfModel, labels_file: LabelsAt, frames: Sequence[Volume]) -> tuple[Volume, float]:
+    """Choose the frame, and its position in the cycle."""
     fractions = model.timing.fractions
-    if given.phase is not None and given.phase >= model.phases:
+    if labels_file.phase is not None and labels_file.phase >= model.phases:
         raise InvalidInputError(
-            f"--labels {given.path}@{given.phase}: the model has phases 0 to {model.phases - 1}"
+            f"--labels {labels_file.path}@{labels_file.phase}: the model has phases 0 to {model.phases - 1}"
         )
     if len(frames) == 1:
-        return frames[0], given.fraction if given.phase is None else float(fractions[given.phase])
+        phase = labels_file.phase
+        return frames[0], labels_file.fraction if phase is None else float(fractions[phase])
     if len(frames) != model.phases:
         raise InvalidInputError(
-            f"{given.path} has labels of {len(frames)} phases, the model {model.phases}; give labels of one "
-            "phase, or of each of the model's"
+            f"{labels_file.path} has labels of {len(frames)} phases, the model {model.phases}; give labels "
+            "of one phase, or of each of the model's"
         )
-    nearest = int(nearest_phase(fractions, np.array([given.fraction]))[0])
-    phase = nearest if given.phase is None else given.phase
+    nearest = int(nearest_phase(fractions, np.array([labels_file.fraction]))[0])
+    phase = nearest if labels_file.phase is None else labels_file.phase
     return frames[phase], float(fractions[phase])
 
 
@@ -151,6 +152,6 @@ def _spread(distance_mm: np.ndarray[Any, Any]) -> dict[str, float]:
     return {"mean": float(distance_mm.mean()), "p95": float(np.percentile(distance_mm, 95))}
 
 
-def _told(distance_mm: np.ndarray[Any, Any]) -> str:
+def _spread_text(distance_mm: np.ndarray[Any, Any]) -> str:
     spread = _spread(distance_mm)
     return f"{spread['mean']:.2f} mm mean, {spread['p95']:.2f} p95"

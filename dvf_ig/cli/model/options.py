@@ -35,15 +35,16 @@ OrganOption = Annotated[
     str | None,
     typer.Option(
         "--organ",
-        help="Label values inside the surface, for example 1,2,5 (default with --image: all but 0).",
+        help="Label values inside the surface, for example 1,2,5 (default with --image: all except 0).",
     ),
 ]
 CavityOption = Annotated[
     str | None,
     typer.Option(
         "--cavity",
-        help="Label values of blood, the left ventricle's first, for example 3,1: end-systole is where the "
-        "first is smallest; ultrasound shows the boundaries of all (default: what .seg.nrrd names so).",
+        help="Label values of blood, the left ventricle's first, for example 3,1: end-systole is the phase "
+        "in which the first is smallest; ultrasound shows the boundaries of all (default: those that "
+        ".seg.nrrd names so).",
     ),
 ]
 EdPhaseOption = Annotated[
@@ -52,20 +53,20 @@ EdPhaseOption = Annotated[
 MotionOption = Annotated[str, typer.Option("--motion", help="With --image: bspline or demons.")]
 TimingOption = Annotated[Path | None, typer.Option("--timing", help="JSON file of phase times and RR.")]
 PatientOption = Annotated[
-    str | None, typer.Option("--patient", help="Patient id (default: by the file's name).")
+    str | None, typer.Option("--patient", help="Patient id (default: from the file's name).")
 ]
 KnotOption = Annotated[float | None, typer.Option("--knot-mm", help="Spline knot pitch in mm (default 3).")]
 AccuracyOption = Annotated[
     float | None,
     typer.Option(
         "--accuracy-mm",
-        help="Wanted mean surface error in mm (p99: four times that): the coarsest knots that reach it "
+        help="Required mean surface error in mm (p99: four times that): the coarsest knots that reach it "
         "on the most contracted phase.",
     ),
 ]
 MarginOption = Annotated[float, typer.Option("--margin-mm", help="Box margin around the heart in mm.")]
 LABELS_HELP = (
-    "A label image and its place in the model's cycle. PHASE with a decimal point is a fraction of the cycle "
-    "in [0, 1), a whole number one of the model's phases, counted from 0: es.nii.gz@0.35, es.seg.nrrd@11. Of "
-    "a 4-D image it picks the frame."
+    "A label image and its position in the model's cycle. PHASE with a decimal point is a fraction of the "
+    "cycle in [0, 1), a whole number one of the model's phases, counted from 0: es.nii.gz@0.35, "
+    "es.seg.nrrd@11. For a 4-D image it selects the frame."
 )

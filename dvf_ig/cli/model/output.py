@@ -12,8 +12,8 @@ DEFINITIONS = {
     "surface_error_mm": "spline fit error, |d|/|grad d| at random points of the reference triangles, no caps "
     "nor rim; not the error of the anatomy",
     "anatomical_error_mm": "distance between the model's surface and that of the labels, at random points of "
-    "both, without the border where the label image cuts the organ off",
-    "caps": "what closes the openings of the surface at end-diastole: area, area of all caps by the measured "
+    "both, without the border at which the label image cuts the organ off",
+    "caps": "closed openings of the surface at end-diastole: area, area of all caps by the measured "
     "area, depth of what may be missing beyond, middle",
     "normal_error_deg": "grad d against the smooth surface's normal at the nearest point, within 2 mm of it",
     "normal_error_deg.facet": "grad d against the exact distance to the flat facets, at the same points",
@@ -23,14 +23,14 @@ DEFINITIONS = {
 
 
 def file_megabytes(path: Path) -> float:
-    """Size of a file, 10⁶ bytes."""
+    """Return the size of a file, 10⁶ bytes."""
     return path.stat().st_size / 1e6
 
 
 def model_payload(
     model: "DvfModel", result: "ModelCheck", seed: int, seconds: float | None, file_mb: float
 ) -> dict[str, Any]:
-    """JSON of `model build` and `model check`."""
+    """Build the JSON of `model build` and `model check`."""
     from dvf_ig.preop import border_distance_mm, caps_of, potential_at_border
 
     border_mm = border_distance_mm(model)
@@ -90,7 +90,7 @@ def model_rows(
     file_mb: float,
     anatomical: Mapping[str, Any] | None = None,
 ) -> list[tuple[str, str]]:
-    """What is printed of a model, with its anatomical error where labels told it."""
+    """Build the rows of a model, with its anatomical error if labels gave it."""
     from dvf_ig.preop import border_distance_mm, potential_at_border
 
     border_mm = border_distance_mm(model)
@@ -131,7 +131,7 @@ def model_rows(
 
 
 def anatomical_rows(error: Mapping[str, Any] | None) -> list[tuple[str, str]]:
-    """The error that labels tell; none without labels."""
+    """Build the row of the error against labels; none without labels."""
     if error is None:
         return []
     return [
@@ -144,7 +144,7 @@ def anatomical_rows(error: Mapping[str, Any] | None) -> list[tuple[str, str]]:
 
 
 def phase_rows(model: "DvfModel", result: "ModelCheck") -> list[tuple[str, str]]:
-    """One row a phase."""
+    """Build one row a phase."""
     megabytes = model.megabytes / model.phases
     columns = zip(
         model.timing.fractions,

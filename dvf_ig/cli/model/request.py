@@ -1,4 +1,4 @@
-"""The options of `dvf-ig model build` as one value, checked before any file is read."""
+"""Options of `dvf-ig model build` as one value, checked before any file is read."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,20 +16,20 @@ METHODS = ("bspline", "demons")
 
 @dataclass(frozen=True, slots=True)
 class BuildRequest:
-    """The source, what it means, and how the model is fitted.
+    """Source of a model, its meaning, and options of the fit.
 
     Attributes:
-        output: the model's file; with an image, JSON and picture are written beside it.
+        output: the model's file; with an image, JSON and picture are written next to it.
         surfaces, labels, image, seeds: the source: surfaces, a 4-D label image, or a 4-D image with the
             labels of one phase or with seeds.
         surface: name of the guarded surface.
-        organ, cavity: label values; of cavity, that of the left ventricle first.
-        ed_phase, method: of the motion: the labelled phase, and how motion is estimated.
+        organ, cavity: label values; for cavity, that of the left ventricle first.
+        ed_phase, method: the labelled phase, and the method of motion estimation.
         timing: JSON file of phase times and RR.
         patient: identifier; None takes that of DICOM images, else the file's name.
-        knot_mm, accuracy_mm, margin_mm, threads: of the fit; see ModelOptions.
-        seed: of the random points at which errors are measured.
-        voxel_mm: of an image whose header has lost it.
+        knot_mm, accuracy_mm, margin_mm, threads: options of the fit; see ModelOptions.
+        seed: seed of the random points at which errors are measured.
+        voxel_mm: voxel size of an image whose header has lost it.
     Raises:
         typer.BadParameter: options that do not go together.
         OutputError: the folder of the output does not exist.
@@ -60,10 +60,10 @@ class BuildRequest:
         if self.image is None and self.voxel_mm is not None:
             raise typer.BadParameter("--voxel-mm belongs to --image, the 4-D image whose header has lost it")
         if self.image is None and self.seeds is not None:
-            raise typer.BadParameter("--seeds needs --image, the 4-D image that they are set in")
+            raise typer.BadParameter("--seeds needs --image, the 4-D image in which they are set")
         if self.surfaces is not None and (self.organ or self.cavity):
             raise typer.BadParameter(
-                "--organ and --cavity belong to --labels; surfaces are told by their names"
+                "--organ and --cavity belong to --labels; surfaces are identified by their names"
             )
         if not self.output.parent.is_dir():
             raise OutputError(
@@ -88,7 +88,7 @@ class BuildRequest:
                 "--voxel-mm needs --labels: seeds were set in the coordinates of the header"
             )
         if self.seeds is not None and (self.organ or self.cavity):
-            raise typer.BadParameter("--organ and --cavity belong to --labels; seeds name what they are in")
+            raise typer.BadParameter("--organ and --cavity belong to --labels; seeds name their tissue")
 
     def patient_id(self, source: Path) -> str:
         from dvf_ig.io import dicom_patient_id, is_dicom_folder

@@ -1,4 +1,4 @@
-"""From the source of a `BuildRequest` to the model: surfaces, labels, or an image."""
+"""Building of a model from the source of a `BuildRequest`: surfaces, labels, or an image."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -15,13 +15,13 @@ from .request import BuildRequest
 
 
 def model_of(request: BuildRequest, *, as_json: bool) -> tuple[DvfModel, dict[str, Any]]:
-    """The fitted model, and the evidence that is added to what is printed."""
+    """Build the model, and the evidence that is added to the output."""
     if request.image is not None:
         return model_from_image(request, request.image, as_json=as_json)
     if request.surfaces is not None:
         model = _from_surfaces(request, request.surfaces)
         if not model.chambers:
-            warn_of_no_blood("put LV_ENDOCARDIAL or RV_ENDOCARDIAL beside it")
+            warn_of_no_blood("put LV_ENDOCARDIAL or RV_ENDOCARDIAL in the same folder")
         return model, {}
     if request.labels is not None:
         model = _from_labels(request, request.labels)
@@ -57,7 +57,7 @@ def _from_labels(request: BuildRequest, image: Path) -> DvfModel:
 
     if image_dimension(image) == 3:
         raise InvalidInputError(
-            f"{image} labels one phase; give the 4-D image whose motion carries it through the cycle, too: "
+            f"{image} labels one phase; also give the 4-D image whose motion carries it through the cycle: "
             "--image CINE"
         )
     preop = Preop(

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 class Kind(StrEnum):
-    """What is recorded."""
+    """Kind of calibration recording."""
 
     pivot = "pivot"
     nwire = "nwire"
@@ -30,7 +30,7 @@ class Kind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class RecordingFiles:
-    """What a recording consists of: truth as JSON, and (file, content, frame) of each file."""
+    """Parts of a recording: truth as JSON, and (file, content, frame) of each file."""
 
     truth: dict[str, Any]
     files: tuple[tuple[str, str, str], ...]
@@ -56,15 +56,15 @@ def calibration(
             np.zeros(3), SectorProbe().plane_from_image, 150.0, child_rng(seed, "planting")
         )
         with output_folder(out), files_together(out) as new:
-            made = _MAKERS[kind](truth, new, child_rng(seed, kind.name))
-            write_json(new / "truth.json", {"kind": kind.value, "seed": seed, **made.truth})
-            write_text(new / "README.md", _readme(kind, seed, made))
+            recording = _MAKERS[kind](truth, new, child_rng(seed, kind.name))
+            write_json(new / "truth.json", {"kind": kind.value, "seed": seed, **recording.truth})
+            write_text(new / "README.md", _readme(kind, seed, recording))
         emit(
-            {"kind": kind.value, "folder": str(out), "files": [name for name, _, _ in made.files]},
-            [(name, content) for name, content, _ in made.files],
+            {"kind": kind.value, "folder": str(out), "files": [name for name, _, _ in recording.files]},
+            [(name, content) for name, content, _ in recording.files],
             as_json=as_json,
         )
-        for name, _, frame in made.files:
+        for name, _, frame in recording.files:
             wrote(out / name, frame)
         wrote(out / "truth.json")
         wrote(out / "README.md")
@@ -95,10 +95,10 @@ def _nwire(truth: "GroundTruth", out: Path, rng: "np.random.Generator") -> Recor
     )
     probe = recording.phantom_from_probe
     # the phantom is its own reference
-    held = PoseStream(
+    poses = PoseStream(
         "reference", probe.source, probe.t_s, probe.rotations, probe.translations_mm, probe.valid
     )
-    sequence = TrackedSequence(images.t_s, images.images, images.image_valid, {held.name: held})
+    sequence = TrackedSequence(images.t_s, images.images, images.image_valid, {poses.name: poses})
     write_sequence(sequence, out / "nwire.igs.mha")
     write_nwire_phantom(out / "nwire.xml", recording.phantom, Rigid.identity("reference", "phantom"))
     write_wire_points(out / "nwire_points.xml", "CalibrationData", recording.phantom, recording.points_px)
@@ -117,11 +117,11 @@ def _crosswire(truth: "GroundTruth", out: Path, rng: "np.random.Generator") -> R
     from data_synth.scenario.presets import Preset
     from data_synth.ultrasound.probe import SectorProbe
 
-    made = crosswire_recording(
+    crossing = crosswire_recording(
         truth.probe_from_image, SectorProbe(), Preset().nwire_tracker, CrossWireSpec(), rng
     )
-    files = _write_tank(out, "cross-wire", made.recording, "the crossing in each image, px")
-    return RecordingFiles({**_image_truth(truth), "crossing_tracker_mm": made.crossing.xyz_mm[0]}, files)
+    files = _write_tank(out, "cross-wire", crossing.recording, "the crossing in each image, px")
+    return RecordingFiles({**_image_truth(truth), "crossing_tracker_mm": crossing.crossing.xyz_mm[0]}, files)
 
 
 def _wall(truth: "GroundTruth", out: Path, rng: "np.random.Generator") -> RecordingFiles:
@@ -129,9 +129,9 @@ def _wall(truth: "GroundTruth", out: Path, rng: "np.random.Generator") -> Record
     from data_synth.scenario.presets import Preset
     from data_synth.ultrasound.probe import SectorProbe
 
-    made = wall_recording(truth.probe_from_image, SectorProbe(), Preset().nwire_tracker, WallSpec(), rng)
-    files = _write_tank(out, "wall", made.recording, "two points of the wall's line in each image, px")
-    plane = {"wall_normal_tracker": made.normal, "wall_offset_mm": made.offset_mm}
+    wall = wall_recording(truth.probe_from_image, SectorProbe(), Preset().nwire_tracker, WallSpec(), rng)
+    files = _write_tank(out, "wall", wall.recording, "two points of the wall's line in each image, px")
+    plane = {"wall_normal_tracker": wall.normal, "wall_offset_mm": wall.offset_mm}
     return RecordingFiles({**_image_truth(truth), **plane}, files)
 
 
@@ -187,7 +187,7 @@ def _write_tank(
 
 
 def _points_csv(features_px: "FloatArray") -> str:
-    """One row an image; empty where the segmentation failed."""
+    """Format one row an image; empty if the segmentation failed."""
     count = features_px.shape[1]
     head = ["frame", *(f"{axis}{k + 1}_px" for k in range(count) for axis in ("column", "row"))]
     lines = [",".join(head)]

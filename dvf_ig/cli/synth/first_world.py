@@ -1,4 +1,4 @@
-"""`dvf-ig synth scenario --world first`: a phantom, real surfaces or a real cine, and what goes wrong."""
+"""`dvf-ig synth scenario --world first`: a phantom, real surfaces or a real cine, with faults."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,11 +14,11 @@ if TYPE_CHECKING:
     from .spec import SpecFile
 
 SURFACES = ("EPICARDIAL", "LV_ENDOCARDIAL", "RV_ENDOCARDIAL")
-"""Read from --surfaces; all but the first where present."""
+"""Surfaces read from --surfaces; all except the first are optional."""
 
 
 def first_scenario(file: "SpecFile", out: Path | None, *, print_spec: bool, as_json: bool) -> None:
-    """Make, write and describe it.
+    """Make, write and describe a scenario of the first world.
 
     Raises:
         typer.BadParameter: options that do not belong together, or nowhere to write.
@@ -35,18 +35,18 @@ def first_scenario(file: "SpecFile", out: Path | None, *, print_spec: bool, as_j
         return
     if out is None:
         raise typer.BadParameter("give a folder to write with -o, or --print-spec")
-    made, path = _made(file, spec)
-    notes = ScenarioNotes(describe_faults(spec.options), spec_text(file), preview_png(made))
-    write_scenario(made, out, notes)
-    emit(_facts(made, out, path), _rows(made, path), as_json=as_json)
+    recorded, path = _made(file, spec)
+    notes = ScenarioNotes(describe_faults(spec.options), spec_text(file), preview_png(recorded))
+    write_scenario(recorded, out, notes)
+    emit(_facts(recorded, out, path), _rows(recorded, path), as_json=as_json)
     wrote(out, "mr, tracker")
 
 
 def _made(file: "SpecFile", spec: "ScenarioSpec") -> "tuple[Scenario, ReplayedPath | None]":
     inputs, images = (file.surfaces, file.ecg, file.probe_path), (file.cine, file.labels, file.es_labels)
-    if file.anatomy != "surfaces" and any(given is not None for given in inputs):
+    if file.anatomy != "surfaces" and any(value is not None for value in inputs):
         raise typer.BadParameter("--surfaces, --ecg and --probe-path belong to --anatomy surfaces")
-    if file.anatomy != "cine" and any(given is not None for given in images):
+    if file.anatomy != "cine" and any(value is not None for value in images):
         raise typer.BadParameter("--cine, --labels and --es-labels belong to --anatomy cine")
     if file.anatomy == "phantom":
         return _on_the_phantom(spec), None
@@ -61,7 +61,7 @@ def _made(file: "SpecFile", spec: "ScenarioSpec") -> "tuple[Scenario, ReplayedPa
 
 
 def _on_a_cine(spec: "ScenarioSpec", cine: Path, labels: Path, es_labels: str | None) -> "Scenario":
-    """Real MR and its expert's labels, simulated ultrasound."""
+    """Record a scenario on real MR and its expert's labels, with simulated ultrasound."""
     from data_synth import CineHeart, cine_scenario
     from dvf_ig.io import read_cine_labels, read_volume_series
 
@@ -75,7 +75,7 @@ def _on_a_cine(spec: "ScenarioSpec", cine: Path, labels: Path, es_labels: str | 
 
 
 def _named_systole(es_labels: str) -> tuple[Path, int]:
-    """File and phase of FILE@PHASE."""
+    """Parse file and phase of FILE@PHASE."""
     from dvf_ig.core import InvalidInputError
 
     name, _, phase = es_labels.rpartition("@")
@@ -85,7 +85,7 @@ def _named_systole(es_labels: str) -> tuple[Path, int]:
 
 
 def _drawn_systole(series: "VolumeSeries", cine: Path, labels: Path, phase: int) -> "tuple[Volume, int]":
-    """The expert's end-systole, and its phase."""
+    """Read the expert's end-systole, and its phase."""
     from dvf_ig.core import InvalidInputError
     from dvf_ig.io import read_cine_labels
 
@@ -95,7 +95,7 @@ def _drawn_systole(series: "VolumeSeries", cine: Path, labels: Path, phase: int)
 
 
 def _tracked_systole(series: "VolumeSeries", ed: "Volume") -> "tuple[Volume, int]":
-    """End-systole as the motion that is found in the cine has it: where the left ventricle is smallest."""
+    """Find end-systole by the motion in the cine: the phase with the smallest left ventricle."""
     import numpy as np
 
     from data_synth import LV_LABEL, RV_LABEL
@@ -139,27 +139,27 @@ def _on_real_anatomy(
 
 
 def _present_surfaces(folder: Path) -> list[str]:
-    """The required surface, and those of the optional ones that the folder holds."""
+    """List the required surface, and the optional ones that the folder holds."""
     from dvf_ig.io import surface_names
 
-    held = surface_names(folder)
-    return [name for name in SURFACES if name == SURFACES[0] or name in held]
+    present = surface_names(folder)
+    return [name for name in SURFACES if name == SURFACES[0] or name in present]
 
 
-def _facts(made: "Scenario", out: Path, path: "ReplayedPath | None") -> dict[str, Any]:
-    """What was made, as JSON."""
+def _facts(recorded: "Scenario", out: Path, path: "ReplayedPath | None") -> dict[str, Any]:
+    """Describe the scenario as JSON."""
     from dvf_ig.core import Signal
 
-    truth, ecg = made.truth, made.ecg
+    truth, ecg = recorded.truth, recorded.ecg
     facts: dict[str, Any] = {
         "scenario": str(out),
-        "name": made.name,
-        "preset": made.preset,
-        "patient_id": made.preop.patient_id,
-        "seed": made.seed,
-        "us_frames": len(made.ultrasound),
+        "name": recorded.name,
+        "preset": recorded.preset,
+        "patient_id": recorded.preop.patient_id,
+        "seed": recorded.seed,
+        "us_frames": len(recorded.ultrasound),
         "ecg_seconds": len(ecg) / ecg.rate_hz if isinstance(ecg, Signal) else float(ecg.t_s[-1]),
-        "preop_phases": len((made.preop.mr or made.preop.surfaces[0]).timing),
+        "preop_phases": len((recorded.preop.mr or recorded.preop.surfaces[0]).timing),
     }
     if truth is not None:
         facts["beats"] = len(truth.r_peaks_s)
@@ -171,17 +171,17 @@ def _facts(made: "Scenario", out: Path, path: "ReplayedPath | None") -> dict[str
     return facts
 
 
-def _rows(made: "Scenario", path: "ReplayedPath | None") -> list[tuple[str, str]]:
-    """What was made, as a table."""
-    facts = _facts(made, Path(), path)
+def _rows(recorded: "Scenario", path: "ReplayedPath | None") -> list[tuple[str, str]]:
+    """Describe the scenario as a table."""
+    facts = _facts(recorded, Path(), path)
     rows = [
-        ("scenario", made.name),
-        ("patient", made.preop.patient_id),
+        ("scenario", recorded.name),
+        ("patient", recorded.preop.patient_id),
         ("pre-operative phases", str(facts["preop_phases"])),
         ("ECG", f"{facts['ecg_seconds']:.1f} s"),
         ("ultrasound", f"{facts['us_frames']} frames"),
     ]
-    if made.truth is not None:
+    if recorded.truth is not None:
         touching = f"{100 * facts['contact_share']:.0f} %, deepest {facts['deepest_mm']:.2f} mm"
         rows += [
             ("true beats", str(facts["beats"])),

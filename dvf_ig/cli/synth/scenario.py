@@ -17,11 +17,11 @@ PRESET_NAMES = (
     "wrong-calibration, lost-ultrasound, noise-ultrasound, black-ultrasound, frozen-ultrasound, frozen-tool, "
     "tool-clock-restart, late-ecg, tool-in-view, tool-elsewhere, tool-unseen"
 )
-"""Written out: the synthetic world itself is loaded only where a scenario is made."""
+"""Names written out, as the synthetic world is loaded only to make a scenario."""
 
 
 class Anatomy(StrEnum):
-    """Whose heart beats."""
+    """Source of the beating heart."""
 
     phantom = "phantom"
     surfaces = "surfaces"
@@ -39,11 +39,11 @@ def scenario(
         ),
     ] = None,
     print_spec: Annotated[
-        bool, typer.Option("--print-spec", help="Print the YAML of this scenario and make nothing.")
+        bool, typer.Option("--print-spec", help="Only print the YAML of this scenario.")
     ] = False,
     world: Annotated[
         World | None,
-        typer.Option("--world", help="The first (default), or the second: other tables, only to report."),
+        typer.Option("--world", help="The first (default), or the second: other tables, only for reports."),
     ] = None,
     quality: Annotated[
         ImageQuality | None,
@@ -57,7 +57,7 @@ def scenario(
         ),
     ] = None,
     preset: Annotated[
-        str | None, typer.Option("--preset", help=f"What is disturbed: {PRESET_NAMES} (default: calm).")
+        str | None, typer.Option("--preset", help=f"Disturbance: {PRESET_NAMES} (default: calm).")
     ] = None,
     motion: Annotated[
         str | None, typer.Option("--motion", help="Phantom only: paper5mm (default) or physiological.")
@@ -85,13 +85,15 @@ def scenario(
     ] = None,
     labels: Annotated[
         Path | None,
-        typer.Option("--labels", help="At end-diastole: 1 right ventricle, 2 myocardium, 3 left ventricle."),
+        typer.Option(
+            "--labels", help="Labels at end-diastole: 1 right ventricle, 2 myocardium, 3 left ventricle."
+        ),
     ] = None,
     es_labels: Annotated[
         str | None,
         typer.Option(
             "--es-labels",
-            help="At end-systole, with its phase (0 is the first): FILE@PHASE; without, the cine is tracked.",
+            help="Labels at end-systole, FILE@PHASE (phase 0 is the first); else the cine is tracked.",
         ),
     ] = None,
     probe_calibration: Annotated[
@@ -134,14 +136,14 @@ def scenario(
 
     The same options and seed give bit-identical recordings. With --anatomy surfaces the heart, its motion,
     the ECG and the hand motion are real; only the ultrasound is simulated. With --anatomy cine the MR is
-    real, and the heart that the ultrasound shows is made of the expert's labels. Truth, and the YAML from
+    real, and the heart that the ultrasound shows is built from the expert's labels. Truth, and the YAML from
     which the scenario can be made again, go to OUT/truth.
     """
     with command(threads):
         from .first_world import first_scenario
         from .second_world import second_scenario
 
-        given = {
+        values = {
             "world": None if world is None else world.value,
             "quality": None if quality is None else quality.value,
             "anatomy": None if anatomy is None else anatomy.value,
@@ -165,17 +167,17 @@ def scenario(
             "us_rate_hz": us_rate_hz,
             "mismatch_mm": mismatch_mm,
         }
-        file = _with_options(spec_file, given)
+        file = _with_options(spec_file, values)
         second = file.world == "second" or file.quality is not None
         make = second_scenario if second else first_scenario
         make(file, out, print_spec=print_spec, as_json=as_json)
 
 
-def _with_options(spec_file: Path | None, given: dict[str, Any]) -> "SpecFile":
-    """The file (or the defaults), with the options that were given in place of its values."""
+def _with_options(spec_file: Path | None, values: dict[str, Any]) -> "SpecFile":
+    """Read the file (or the defaults), and replace its values by the given options."""
     from .spec import SpecFile, read_spec
 
-    if spec_file is not None and given["preset"] is not None:
-        raise typer.BadParameter("--preset and --spec both say what is wrong; change it in the file")
+    if spec_file is not None and values["preset"] is not None:
+        raise typer.BadParameter("--preset and --spec both state the disturbances; change them in the file")
     file = read_spec(spec_file) if spec_file is not None else SpecFile()
-    return file.model_copy(update={key: value for key, value in given.items() if value is not None})
+    return file.model_copy(update={key: value for key, value in values.items() if value is not None})

@@ -1,4 +1,4 @@
-"""`dvf-ig synth scenario --world second`: one intervention of the world that serves to report alone."""
+"""`dvf-ig synth scenario --world second`: an intervention of the world that is only for reports."""
 
 from dataclasses import asdict
 from pathlib import Path
@@ -22,7 +22,7 @@ _KEYS = {"schema_", "world", "quality", "heart", "motion", "seconds", "seed", "u
 
 
 def second_scenario(file: "SpecFile", out: Path | None, *, print_spec: bool, as_json: bool) -> None:
-    """Make, write and describe it.
+    """Make, write and describe a scenario of the second world.
 
     Raises:
         typer.BadParameter: an option of the first world, or nowhere to write.
@@ -37,7 +37,7 @@ def second_scenario(file: "SpecFile", out: Path | None, *, print_spec: bool, as_
         raise typer.BadParameter(
             "--world second takes --quality, --heart, --motion, --seconds, --seed and --us-rate-hz"
         )
-    motion: Any = file.motion  # checked there, as the kind of heart
+    motion: Any = file.motion  # checked there, like the kind of heart
     heart: Any = file.heart if "heart" in file.model_fields_set else "varied"
     quality = file.quality or "calm"
     spec = SecondWorldSpec(file.seed, quality, motion, file.seconds, file.us_rate_hz, heart)
@@ -50,28 +50,28 @@ def second_scenario(file: "SpecFile", out: Path | None, *, print_spec: bool, as_
     from dvf_ig.report import preview_png
 
     with progress("scenario of the second world") as report:
-        made = second_world_recording(spec, progress=report)
-    notes = ScenarioNotes(FAULTS, _text(spec, made), preview_png(made.scenario))
-    write_scenario(made.scenario, out, notes)
-    facts = _facts(made, out)
+        recorded = second_world_recording(spec, progress=report)
+    notes = ScenarioNotes(FAULTS, _text(spec, recorded), preview_png(recorded.scenario))
+    write_scenario(recorded.scenario, out, notes)
+    facts = _facts(recorded, out)
     emit(facts, [(key.replace("_", " "), str(value)) for key, value in facts.items()], as_json=as_json)
     wrote(out, "mr, tracker")
 
 
-def _text(spec: "SecondWorldSpec", made: "SecondWorldRecording | None" = None) -> str:
-    """YAML from which the scenario can be made again; of a made one, with what was drawn as comments."""
+def _text(spec: "SecondWorldSpec", recorded: "SecondWorldRecording | None" = None) -> str:
+    """Format YAML to make the scenario again, with the values drawn for a made one as comments."""
     text = yaml_text({"schema": "dvf_ig.scenario-spec/1", "world": "second", **asdict(spec)})
-    if made is None:
+    if recorded is None:
         return text
-    floor = [f"#   {name}: {value:.4g}\n" for name, value in asdict(made.floor).items()]
-    drawn = [f"#   {name}: {value:.5g}\n" for name, value in made.drawn.table().items()]
-    head = f"# probe {made.probe}, sweep {made.sweep}\n# what no rigid registration can remove:\n"
+    floor = [f"#   {name}: {value:.4g}\n" for name, value in asdict(recorded.floor).items()]
+    drawn = [f"#   {name}: {value:.5g}\n" for name, value in recorded.drawn.table().items()]
+    head = f"# probe {recorded.probe}, sweep {recorded.sweep}\n# what no rigid registration can remove:\n"
     return text + head + "".join(floor) + "# drawn:\n" + "".join(drawn)
 
 
-def _facts(made: "SecondWorldRecording", out: Path) -> dict[str, Any]:
-    """What was made, as JSON."""
-    scenario = made.scenario
+def _facts(recorded: "SecondWorldRecording", out: Path) -> dict[str, Any]:
+    """Describe the scenario as JSON."""
+    scenario = recorded.scenario
     return {
         "scenario": str(out),
         "name": scenario.name,
@@ -79,7 +79,7 @@ def _facts(made: "SecondWorldRecording", out: Path) -> dict[str, Any]:
         "patient_id": scenario.preop.patient_id,
         "seed": scenario.seed,
         "us_frames": len(scenario.ultrasound),
-        "probe": made.probe,
-        "sweep": made.sweep,
-        "rigid_floor": asdict(made.floor),
+        "probe": recorded.probe,
+        "sweep": recorded.sweep,
+        "rigid_floor": asdict(recorded.floor),
     }

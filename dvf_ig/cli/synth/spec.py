@@ -1,4 +1,4 @@
-"""The YAML that describes a synthetic scenario in full: read strictly, and written."""
+"""Strict reader and writer of the YAML that describes a synthetic scenario in full."""
 
 import dataclasses
 from pathlib import Path
@@ -15,10 +15,10 @@ if TYPE_CHECKING:
 
 SCHEMA = "dvf_ig.scenario-spec/1"
 _KEYS = {"occlusion": "sight"}
-"""Keys of the file that differ from the names of their fields: the format stays as it was."""
+"""Keys of the file that differ from the names of their fields, to keep the format."""
 _FIELDS = {key: field for field, key in _KEYS.items()}
 _INPUTS = {"surfaces": ("surfaces", "ecg", "probe_path"), "cine": ("cine", "labels", "es_labels")}
-"""What belongs to one kind of anatomy alone."""
+"""Keys that belong to only one kind of anatomy."""
 _SEEDS = ("anatomy_seed", "motion_seed", "mismatch_seed", "speckle_seed")
 _HEADER = """\
 # A synthetic scenario. It can be made again from this file: dvf-ig synth scenario --spec FILE -o DIR
@@ -27,17 +27,17 @@ _HEADER = """\
 
 
 class SpecFile(BaseModel):
-    """The content of a specification file.
+    """Content of a specification file.
 
     Attributes:
-        world: which synthetic world; `quality` belongs to the second, which takes seed, motion, seconds and
-            us_rate_hz besides.
-        anatomy: whose heart beats; surfaces, ecg and probe_path belong to "surfaces", cine, labels and
-            es_labels (FILE@PHASE; without, end-systole is tracked) to "cine".
+        world: which synthetic world; `quality` belongs to the second, which also takes seed, motion, seconds
+            and us_rate_hz.
+        anatomy: source of the beating heart; surfaces, ecg and probe_path belong to "surfaces", cine, labels
+            and es_labels (FILE@PHASE; without, end-systole is tracked) to "cine".
         probe_calibration, image_px: file with a real probe's image calibration, and its image's columns and
             rows; both or neither.
         heart: kind of heart of the phantom.
-        anatomy_seed, motion_seed, mismatch_seed, speckle_seed: where they differ from `seed`.
+        anatomy_seed, motion_seed, mismatch_seed, speckle_seed: if they differ from `seed`.
         options: changes to the preset, as deep as needed.
     """
 
@@ -85,7 +85,7 @@ def read_spec(path: Path) -> SpecFile:
 
 
 def scenario_spec(file: SpecFile) -> "ScenarioSpec":
-    """The values that the file stands for.
+    """Convert the file to the values of a scenario.
 
     Raises:
         InvalidInputError: unknown preset, motion or option, or an impossible value.
@@ -93,7 +93,7 @@ def scenario_spec(file: SpecFile) -> "ScenarioSpec":
     """
     from data_synth import MOTIONS, PRESETS, ScenarioSpec, preset_name
 
-    motion = next((known for known in MOTIONS if known == file.motion), None)
+    motion = next((name for name in MOTIONS if name == file.motion), None)
     if motion is None:
         raise InvalidInputError(f"there is no motion '{file.motion}'; choose from {', '.join(MOTIONS)}")
     name = preset_name(file.preset)
@@ -112,10 +112,10 @@ def scenario_spec(file: SpecFile) -> "ScenarioSpec":
 
 
 def _heart(file: SpecFile) -> "HeartSpec":
-    """Kind and seeds of the heart."""
+    """Return kind and seeds of the heart."""
     from data_synth import HEART_KINDS, HeartSpec
 
-    kind = next((known for known in HEART_KINDS if known == file.heart), None)
+    kind = next((name for name in HEART_KINDS if name == file.heart), None)
     if kind is None:
         raise InvalidInputError(
             f"there is no kind of heart '{file.heart}'; choose from {', '.join(HEART_KINDS)}"
@@ -129,13 +129,13 @@ def _heart(file: SpecFile) -> "HeartSpec":
 
 
 def _calibrated_image(file: SpecFile) -> "CalibratedImage | None":
-    """The real probe that the file names, if any."""
+    """Read the real probe that the file names, if any."""
     if file.probe_calibration is None and file.image_px is None:
         return None
     if file.probe_calibration is None or file.image_px is None:
         raise InvalidInputError(
             "a probe's calibration and the size of its image belong together; needed --probe-calibration "
-            "(probe_calibration) and --image-px (image_px), which dvf-ig inspect tells of its recordings"
+            "(probe_calibration) and --image-px (image_px), which dvf-ig inspect reports for its recordings"
         )
     from data_synth import CalibratedImage
     from dvf_ig.io import read_probe
@@ -144,7 +144,7 @@ def _calibrated_image(file: SpecFile) -> "CalibratedImage | None":
 
 
 def spec_text(file: SpecFile) -> str:
-    """YAML with every option spelt out."""
+    """Format YAML with every option spelt out."""
     spec = scenario_spec(file)
     options = {_KEYS.get(field, field): value for field, value in dataclasses.asdict(spec.options).items()}
     full = file.model_copy(update={"preset": spec.preset, "options": options})
@@ -154,12 +154,12 @@ def spec_text(file: SpecFile) -> str:
     inputs |= {"world", "quality"}
     if file.probe_calibration is None:
         inputs |= {"probe_calibration", "image_px"}
-    kept = {key: value for key, value in document.items() if key not in inputs}
-    return _HEADER + yaml_text(kept, flow=None)
+    complete = {key: value for key, value in document.items() if key not in inputs}
+    return _HEADER + yaml_text(complete, flow=None)
 
 
 def _merged(preset: "Preset", options: dict[str, Any]) -> "Preset":
-    """`preset` with some of its values replaced."""
+    """Replace some of the values of `preset`."""
     try:
         merged: Preset = _replaced(preset, options)
     except ValidationError as exc:
@@ -168,19 +168,19 @@ def _merged(preset: "Preset", options: dict[str, Any]) -> "Preset":
 
 
 def _replaced(value: Any, options: dict[str, Any]) -> Any:
-    """A frozen dataclass with new values, down to the fields of its fields."""
+    """Replace values of a frozen dataclass, down to the fields of its fields."""
     checked = _strict(type(value)).model_validate(options)
     new = {}
-    for key, given in options.items():
+    for key, new_value in options.items():
         name = _FIELDS.get(key, key)
-        held = getattr(value, name)
-        nested = dataclasses.is_dataclass(held) and isinstance(given, dict)
-        new[name] = _replaced(held, given) if nested else getattr(checked, name)
+        old_value = getattr(value, name)
+        nested = dataclasses.is_dataclass(old_value) and isinstance(new_value, dict)
+        new[name] = _replaced(old_value, new_value) if nested else getattr(checked, name)
     return dataclasses.replace(value, **new)
 
 
 def _strict(kind: Any) -> type[BaseModel]:
-    """A model with the keys of a dataclass's fields, all optional, that refuses unknown ones."""
+    """Build a model with the keys of a dataclass's fields, all optional, that refuses unknown ones."""
     hints = get_type_hints(kind)
     fields: dict[str, Any] = {}
     for field in dataclasses.fields(kind):

@@ -1,4 +1,4 @@
-"""`dvf-ig synth stream`: a recorded scenario sent as PLUS sends a live intervention."""
+"""`dvf-ig synth stream`: a recorded scenario, sent as by PLUS in a live intervention."""
 
 import threading
 from pathlib import Path
@@ -15,7 +15,9 @@ def stream(
     scenario: Annotated[Path, typer.Argument(help="Scenario folder (see `dvf-ig synth scenario`).")],
     port: Annotated[
         int,
-        typer.Option("--port", min=0, max=65535, help="To listen at, on this machine; 0 takes a free one."),
+        typer.Option(
+            "--port", min=0, max=65535, help="Port to listen at, on this machine; 0 takes a free one."
+        ),
     ] = 18944,
     speed: Annotated[
         float, typer.Option("--speed", min=0.01, max=100.0, help="Recorded seconds a second.")
@@ -23,8 +25,8 @@ def stream(
 ) -> None:
     """Wait for `dvf-ig serve` (or another client) on this machine, and send it a recording once.
 
-    Device names as PLUS has them: ProbeToTracker and ToolToTracker (TRANSFORM), Image_Tracker (IMAGE),
-    EcgData (STRING). Stamps are the recording's, put to today. The truth is not sent.
+    Device names as in PLUS: ProbeToTracker and ToolToTracker (TRANSFORM), Image_Tracker (IMAGE),
+    EcgData (STRING). Stamps are the recording's, shifted to now. The truth is not sent.
     """
     with command(lists_inputs=False):
         import time

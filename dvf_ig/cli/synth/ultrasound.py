@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 Triple = tuple[float, float, float]
 
 VIEW = "apical four-chamber"
-"""What is shown when neither a view nor a place is given."""
+"""View if neither a view nor a position is given."""
 
 
 def us(
@@ -36,7 +36,7 @@ def us(
     ] = None,
     view: Annotated[str | None, typer.Option("--view", help=f"Standard view (default: {VIEW}).")] = None,
     eye: Annotated[
-        Triple | None, typer.Option("--eye", help="Probe's place instead of a view: x y z in mm, LPS.")
+        Triple | None, typer.Option("--eye", help="Probe's position instead of a view: x y z in mm, LPS.")
     ] = None,
     towards: Annotated[
         Triple | None, typer.Option("--towards", help="With --eye: point to look at (default: the heart).")
@@ -50,7 +50,7 @@ def us(
 ) -> None:
     """Simulate an ultrasound image of a labelled volume.
 
-    Blood pools get thin walls and valves, the heart gets fat and pericardium. An image volume carries its
+    Blood pools get thin walls and valves, the heart gets fat and pericardium. An image volume has its
     pose in the labels' space, one slice for a plane; a .png does not.
     """
     with command(threads):
@@ -85,7 +85,7 @@ def us(
 
 
 def _tissues(path: Path | None) -> "dict[int, Tissue] | None":
-    """Label numbers to tissues, from a YAML (or JSON) mapping of numbers to names."""
+    """Read label numbers to tissues from a YAML (or JSON) mapping of numbers to names."""
     if path is None:
         return None
     from data_synth.heart.tissue import Tissue
@@ -94,16 +94,16 @@ def _tissues(path: Path | None) -> "dict[int, Tissue] | None":
 
     document = read_yaml(path, "a map from labels to tissues")
     if not isinstance(document, dict) or not document:
-        raise InvalidInputError(f"{path} holds no map; needed lines such as '3: lv_blood'")
-    known = {tissue.name.lower(): tissue for tissue in Tissue}
+        raise InvalidInputError(f"{path} holds no mapping; needed lines such as '3: lv_blood'")
+    tissues = {tissue.name.lower(): tissue for tissue in Tissue}
     out = {}
     for label, tissue in document.items():
-        if not label.isdecimal() or str(tissue).lower() not in known:
+        if not label.isdecimal() or str(tissue).lower() not in tissues:
             raise InvalidInputError(
                 f"{path}: '{label}: {tissue}' is not a label number and a tissue; "
-                f"tissues are {', '.join(known)}"
+                f"tissues are {', '.join(tissues)}"
             )
-        out[int(label)] = known[str(tissue).lower()]
+        out[int(label)] = tissues[str(tissue).lower()]
     return out
 
 
@@ -114,7 +114,7 @@ def _pose(
     towards: Triple | None,
     roll_deg: float,
 ) -> "Rigid":
-    """mr_from_plane of what was asked for."""
+    """Choose mr_from_plane of the requested view or position."""
     import numpy as np
 
     from data_synth.ultrasound.views import standard_view, view_from
@@ -126,7 +126,7 @@ def _pose(
 
 
 def _write(anatomy: "LabelAnatomy", probe: Any, pose: "Rigid", seed: int, out: Path) -> dict[str, Any]:
-    """Simulate and write; what the image is like."""
+    """Simulate and write an image; return facts on it."""
     import numpy as np
 
     from data_synth.ultrasound.sequence import simulate_frame
@@ -136,9 +136,9 @@ def _write(anatomy: "LabelAnatomy", probe: Any, pose: "Rigid", seed: int, out: P
 
     if isinstance(probe, MatrixProbe):
         still = np.zeros((probe.tall, probe.sector.lines))
-        made = simulate_volume(anatomy, probe, pose, still, seed=seed)
-        values, grid = made.image.values, made.image.grid
-        seen = values[made.mask.values > 0]
+        volume = simulate_volume(anatomy, probe, pose, still, seed=seed)
+        values, grid = volume.image.values, volume.image.grid
+        seen = values[volume.mask.values > 0]
         origin, spacing = pose.apply_array(grid.origin_mm), grid.spacing_mm
     else:
         image = simulate_frame(anatomy, probe, pose, np.zeros(probe.lines), seed=seed, frame=0)
@@ -154,7 +154,7 @@ def _write(anatomy: "LabelAnatomy", probe: Any, pose: "Rigid", seed: int, out: P
 
 
 def _write_png(image: Any, out: Path) -> None:
-    """An 8-bit grey PNG."""
+    """Write an 8-bit grey PNG."""
     from io import BytesIO
 
     from PIL import Image

@@ -1,1 +1,1 @@
-"""What was recorded: signals, tracked images and poses, calibration phantoms, a whole scenario."""
+"""Recordings: signals, tracked images and poses, calibration phantoms, a whole scenario."""

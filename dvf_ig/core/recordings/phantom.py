@@ -1,4 +1,4 @@
-"""Geometry of calibration phantoms and what was seen of them."""
+"""Geometry of calibration phantoms, and recordings of them."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -12,7 +12,7 @@ from .stream import PoseStream
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class Wire:
-    """A straight wire between two points of the phantom, (3,) mm each."""
+    """Straight wire between two points of the phantom, (3,) mm each."""
 
     name: str
     front_mm: FloatArray
@@ -42,7 +42,7 @@ class NWireRecording:
     Attributes:
         phantom: wire geometry in frame "phantom".
         phantom_from_probe: (n frames) pose of the probe's sensor against the phantom.
-        points_px: (n, wires, 2) column, row of each wire in `phantom.wires` order; NaN where a frame was
+        points_px: (n, wires, 2) column, row of each wire in `phantom.wires` order; NaN if a frame was
             not segmented.
     """
 
@@ -63,13 +63,13 @@ class NWireRecording:
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class TargetRecording:
-    """A crossing of two wires, or a flat wall, seen in tracked images.
+    """Crossing of two wires, or a flat wall, seen in tracked images.
 
     Attributes:
-        phantom: which of the two.
-        poses: (n frames) probe against any frame in which the target stands still.
+        phantom: kind of the target: crossing or wall.
+        poses: (n frames) probe against any frame in which the target does not move.
         points_px: (n, 1, 2) column, row of the crossing, or (n, 2, 2) of two points of the wall's line; NaN
-            where it was not found.
+            if not found.
     """
 
     phantom: Literal["cross-wire", "wall"]
@@ -84,12 +84,12 @@ class TargetRecording:
 
 @dataclass(frozen=True, slots=True)
 class WireSearch:
-    """How the wires of a phantom are to be looked for in ultrasound images; None where nothing was said.
+    """Settings of the search for a phantom's wires in ultrasound images; None if not specified.
 
     Attributes:
         spacing_mm: pixel size.
         clip: first column, first row, columns, rows in px of the part of the image to search.
-        candidates: largest number of bright dots that are considered.
+        candidates: largest number of bright dots considered.
         collinear_mm: largest distance of a dot from the line of its N pattern.
     """
 

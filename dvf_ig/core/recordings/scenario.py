@@ -1,4 +1,4 @@
-"""One operating-room recording as a value: what was acquired, and (synthetic only) the ground truth."""
+"""One operating-room recording as a value: the acquired data, and (synthetic only) the ground truth."""
 
 from dataclasses import dataclass
 
@@ -18,27 +18,27 @@ from .stream import PoseStream
 LV_BLOOD = "lv_blood"
 """Name of the label of the left ventricle's blood."""
 BLOOD_WORDS = ("blood", "cavity")
-"""A label with one of these in its name is blood."""
+"""Words in the name of a label that mark it as blood."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Preop:
-    """The pre-operative data of the heart, in frame "mr".
+    """Pre-operative data of the heart, in frame "mr".
 
-    The model is built from `labels`, from `mr` with `ed_labels`, or from `surfaces`. Where there is a model
-    already, none of them is needed: only whose heart it is.
+    The model is built from `labels`, from `mr` with `ed_labels`, or from `surfaces`. If there is a model
+    already, none of them is needed, only the patient's identifier.
 
     Attributes:
-        patient_id: whose heart.
+        patient_id: identifier of the patient.
         mr: 4-D MR intensities.
         labels: 4-D label image, uint8.
         ed_labels: labels of end-diastole alone, on the grid of `mr`, whose motion carries them.
-        ed_phase: the phase of `mr` that `ed_labels` belong to.
+        ed_phase: phase of `mr` that `ed_labels` belong to.
         label_names: value to anatomical name; 0 is background.
         organ_labels: the labels whose union the forbidden surface encloses; with `ed_labels`, none means all
-            but 0.
-        cavity_labels: the labels of blood, that of the left ventricle first; none means those that their
-            names tell (see `blood_labels`).
+            except 0.
+        cavity_labels: the labels of blood, that of the left ventricle first; none means those found by name
+            (see `blood_labels`).
         surfaces: corresponding surface series, each with its name.
         surface: name of the surface that fixtures are built on (for surfaces), e.g. "EPICARDIAL".
     """
@@ -56,7 +56,7 @@ class Preop:
 
     @property
     def blood_labels(self) -> tuple[int, ...]:
-        """`cavity_labels`, else the organ's labels whose name has "blood" or "cavity" in it."""
+        """Labels of blood: `cavity_labels`, else organ labels with "blood" or "cavity" in their name."""
         if self.cavity_labels:
             return self.cavity_labels
         return tuple(
@@ -68,7 +68,7 @@ class Preop:
 
     @property
     def lv_label(self) -> int | None:
-        """The label of the left ventricle's blood, whose volume gives end-systole; None where not known."""
+        """Label of the left ventricle's blood, whose volume gives end-systole; None if not known."""
         if self.cavity_labels:
             return self.cavity_labels[0]
         return next((value for value, name in self.label_names if name == LV_BLOOD), None)
@@ -76,7 +76,7 @@ class Preop:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LatencyRecording:
-    """A water-tank sweep: tracker_from_probe on the tracker clock, wall depth on the video clock."""
+    """Water-tank sweep: tracker_from_probe on the tracker clock, wall depth on the video clock."""
 
     tracker_from_probe: PoseStream
     wall_row_px: Trace
@@ -85,13 +85,13 @@ class LatencyRecording:
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class ToolTruth:
-    """The true contact of the tool tip, sampled on the tracker clock.
+    """True contact of the tool tip, sampled on the tracker clock.
 
     Attributes:
         t_s: (n,).
         tip_mr_mm: (n, 3) tip in frame "mr".
         phi: (n,) true fraction of the RR interval.
-        model_phase: (n,) where in the pre-operative cycle the heart truly was, [0, 1).
+        model_phase: (n,) true position of the heart in the pre-operative cycle, [0, 1).
         distance_mm: (n,) signed distance to the true surface, positive inside.
         normal: (n, 3) unit gradient of that distance (points into the organ).
     """
@@ -119,7 +119,7 @@ class ToolTruth:
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class ScenarioTruth:
-    """The ground truth of a synthetic recording. A replay reads it only to score what it has estimated.
+    """Ground truth of a synthetic recording, which a replay reads only to score its estimates.
 
     Attributes:
         mr_from_tracker: true poses with the times (tracker clock) from which each holds.
@@ -132,11 +132,12 @@ class ScenarioTruth:
         tool: true contact of the tool.
         mismatch_mm: RMS of the non-rigid difference between pre-operative and intra-operative anatomy.
         later_probe_from_image: image calibrations after the first, with the times (tracker clock) from which
-            each holds: a probe whose marker slipped.
-        calibrated_probe_from_image: what the calibration recordings hold, where they are of another probe.
+            each holds: as if the probe's marker slipped.
+        calibrated_probe_from_image: image calibration of the calibration recordings if they are of another
+            probe.
         video_drift_ppm: t_tracker(event) = t_video(event)·(1 + ppm·1e-6) + lag_s.
-        respiration_mm: excursion of the heart in breathing; `mr_from_tracker`, `targets` and `surface` are
-            those of end-expiration, while `tool` holds the contact as it truly was.
+        respiration_mm: excursion of the heart in breathing; `mr_from_tracker`, `targets` and `surface` hold
+            at end-expiration, while `tool` holds the actual contact.
     """
 
     mr_from_tracker: tuple[tuple[float, Rigid], ...]
@@ -154,51 +155,51 @@ class ScenarioTruth:
     respiration_mm: float = 0.0
 
     def mr_from_tracker_at(self, t_s: float) -> Rigid:
-        """The true pose that holds at `t_s`."""
-        held = self.mr_from_tracker[0][1]
+        """Return the true pose at `t_s`."""
+        current = self.mr_from_tracker[0][1]
         for start_s, pose in self.mr_from_tracker:
             if start_s <= t_s:
-                held = pose
-        return held
+                current = pose
+        return current
 
     def probe_from_image_at(self, t_s: float) -> ImageMap:
-        """The true image calibration that holds at `t_s`."""
-        held = self.probe_from_image
+        """Return the true image calibration at `t_s`."""
+        current = self.probe_from_image
         for start_s, later in self.later_probe_from_image:
             if start_s <= t_s:
-                held = later
-        return held
+                current = later
+        return current
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scenario:
-    """Every recording of one intervention.
+    """All recordings of one intervention.
 
     Clocks: ECG and tracker share one; the video clock differs by the latency to be estimated.
 
-    A calibration is its recording, or its result where it was made before.
+    A calibration is its recording, or its result if it was made before.
 
     Attributes:
         name: short title.
-        preset: which synthetic preset, or "recorded".
+        preset: name of the synthetic preset, or "recorded".
         preop: the pre-operative data.
-        ecg: ECG of the live part, or the pulses of a trigger in its place.
+        ecg: ECG of the live part, or the pulses of a trigger instead.
         ultrasound: images with tracker_from_probe recorded at the video time stamps.
-        fan: insonified sector, where the scanner's geometry is known.
-        probe: of the image: tracked images of a phantom, or probe_from_image.
+        fan: insonified sector, if the scanner's geometry is known.
+        probe: image calibration: tracked images of a phantom, or probe_from_image.
         latency: water-tank sweep, or lag_s.
-        tool: tracker_from_tool of the live part; None where no tool was tracked.
-        tracked_against: what the poses of probe and tool are relative to, by its recorded name: the tracker,
+        tool: tracker_from_tool of the live part; None if no tool was tracked.
+        tracked_against: recorded name of the reference of the poses of probe and tool: the tracker,
             or a reference marker. Every frame here calls it "tracker".
-        tip: tracker_from_tool while pivoting, or the tip in frame "tool"; None where it is not known.
+        tip: tracker_from_tool while pivoting, or the tip in frame "tool"; None if not known.
         start: coarse mr_from_tracker given by the operator; it takes precedence over landmarks.
         landmarks_mr, landmarks_tracker: the same anatomical points on the model and touched on the patient.
         touched: points touched all over the heart's surface, in frame "tracker".
-        touched_phase: place in the model's cycle at which they were touched; None stands for end-diastole.
-        seed: what the synthetic world was drawn from; None for recorded data.
+        touched_phase: model phase at which they were touched; None means end-diastole.
+        seed: seed of the synthetic world; None for recorded data.
         truth: None for recorded data.
-        tool_after_restart: poses of the tool that came after its tracker's clock had restarted, with that
-            clock's stamps. Synthetic scenarios are written with them; readers leave them out.
+        tool_after_restart: poses of the tool after its tracker's clock restarted, with the new clock's
+            stamps. Synthetic scenarios are written with them; readers leave them out.
     """
 
     name: str

@@ -14,7 +14,7 @@ from .stream import PoseStream
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class Fan:
-    """The insonified sector in pixels of the B-mode image, as the scanner's geometry gives it.
+    """Insonified sector in pixels of the B-mode image, from the scanner's geometry.
 
     Attributes:
         apex_px: (2,) column, row of the point where the outermost lines meet.
@@ -35,7 +35,7 @@ class Fan:
             )
 
     def mask(self, rows: int, columns: int) -> BoolArray:
-        """(rows, columns) True inside the sector."""
+        """Mark (rows, columns) pixels inside the sector."""
         row, column = np.mgrid[:rows, :columns]
         dx, dy = column - self.apex_px[0], row - self.apex_px[1]
         radius, angle = np.hypot(dx, dy), np.arctan2(dx, dy)
@@ -49,11 +49,11 @@ class TrackedSequence:
     """Image frames with time stamps and the poses recorded with them.
 
     Attributes:
-        t_s: (n,) frame time stamps, video clock, strictly increasing (frame index where the file has none).
+        t_s: (n,) frame time stamps, video clock, strictly increasing (frame index if the file has none).
         images: (n, rows, columns) uint8, or None for a pose-only recording.
-        image_valid: (n,) False where the recorder marked the image INVALID.
+        image_valid: (n,) False if the recorder marked the image INVALID.
         poses: streams by name, e.g. "tracker_from_probe"; their `t_s` equals this sequence's.
-        has_timestamps: False where the file carries none.
+        has_timestamps: False if the file has none.
         orientation: PLUS image orientation as read, e.g. "MFA"; images are as stored.
     """
 
@@ -88,7 +88,7 @@ class TrackedSequence:
         return len(self.t_s)
 
     def stream(self, target: str, source: str) -> PoseStream:
-        """target_from_source, taken directly, inverted, or through one shared frame.
+        """Return target_from_source: recorded directly, inverted, or joined through one shared frame.
 
         PLUS records ProbeToTracker and ReferenceToTracker; `stream("reference", "probe")` joins them.
 
@@ -103,8 +103,10 @@ class TrackedSequence:
             first, second = self._one_step(target, middle), self._one_step(middle, source)
             if first is not None and second is not None:
                 return first @ second
-        known = ", ".join(sorted(self.poses)) or "none"
-        raise InvalidInputError(f"the sequence has no transform {target}_from_{source}; it records {known}")
+        recorded = ", ".join(sorted(self.poses)) or "none"
+        raise InvalidInputError(
+            f"the sequence has no transform {target}_from_{source}; it records {recorded}"
+        )
 
     def _one_step(self, target: str, source: str) -> PoseStream | None:
         forward = self.poses.get(f"{target}_from_{source}")

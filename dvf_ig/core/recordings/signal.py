@@ -11,7 +11,7 @@ from dvf_ig.core.errors import InvalidInputError
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class Signal:
-    """A uniformly sampled recording, one column a lead.
+    """Uniformly sampled recording, one column a lead.
 
     Attributes:
         samples: (n, leads) in `unit`; NaN marks samples the recorder did not deliver.
@@ -44,7 +44,7 @@ class Signal:
         return self.start_s + np.arange(len(self.samples)) / self.rate_hz
 
     def between(self, start_s: float, stop_s: float) -> "Signal":
-        """Samples with start_s <= t < stop_s."""
+        """Cut out the samples with start_s <= t < stop_s."""
         first = max(0, int(np.ceil((start_s - self.start_s) * self.rate_hz - 1e-9)))
         last = min(len(self), int(np.ceil((stop_s - self.start_s) * self.rate_hz - 1e-9)))
         if last - first < 2:
@@ -61,7 +61,7 @@ class Signal:
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class Trace:
-    """One scalar against its own, possibly uneven, time stamps: (n,) each, time strictly increasing."""
+    """Scalar against its own, possibly uneven, time stamps: (n,) each, time strictly increasing."""
 
     t_s: FloatArray
     values: FloatArray

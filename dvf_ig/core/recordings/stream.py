@@ -12,20 +12,20 @@ from dvf_ig.core.space.frames import check_frame
 from dvf_ig.core.space.rigid import Rigid, is_rigid
 
 MAX_GAP_S = 0.25
-"""Longest gap between valid samples that is interpolated over."""
+"""Longest gap between valid samples that is interpolated."""
 
 
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseStream:
-    """target_from_source over time.
+    """Pose target_from_source over time.
 
     Attributes:
         target, source: frame names.
         t_s: (n,) strictly increasing, tracker clock.
         rotations: (n, 3, 3).
         translations_mm: (n, 3).
-        valid: (n,) False where the tracker reported anything but OK; such samples are never used.
+        valid: (n,) False unless the tracker reported OK; other samples are never used.
     """
 
     target: str
@@ -70,16 +70,16 @@ class PoseStream:
     def of_matrices(
         cls, target: str, source: str, t_s: FloatArray, matrices: Sequence[FloatArray | None]
     ) -> "PoseStream":
-        """From what a tracker sent: (4, 4) each, or None where it did not report OK.
+        """Build from a tracker's (4, 4) matrices, None if it did not report OK.
 
         Poses with scale, shear or non-finite entries count as not OK.
         """
-        kept = np.tile(np.eye(4), (len(matrices), 1, 1))
+        matrices_ok = np.tile(np.eye(4), (len(matrices), 1, 1))
         valid = np.zeros(len(matrices), dtype=np.bool_)
         for i, matrix in enumerate(matrices):
             if matrix is not None and is_rigid(matrix):
-                kept[i], valid[i] = matrix, True
-        return cls(target, source, t_s, kept[:, :3, :3], kept[:, :3, 3], valid)
+                matrices_ok[i], valid[i] = matrix, True
+        return cls(target, source, t_s, matrices_ok[:, :3, :3], matrices_ok[:, :3, 3], valid)
 
     @property
     def name(self) -> str:
@@ -94,7 +94,7 @@ class PoseStream:
         return float(1.0 / np.median(np.diff(self.t_s))) if len(self) > 1 else 0.0
 
     def pose(self, i: int) -> Rigid:
-        """Sample i as it was tracked.
+        """Return sample i as it was tracked.
 
         Raises:
             InvalidInputError: the tracker did not report OK.
@@ -106,7 +106,7 @@ class PoseStream:
         return Rigid.from_matrix(matrix, self.target, self.source)
 
     def at(self, t_s: float) -> Rigid | None:
-        """Pose at `t_s` by slerp between its two neighbours; None where either is invalid or too far."""
+        """Interpolate the pose at `t_s` by slerp; None if a neighbour is invalid or too far."""
         rotations, translations, valid = self.at_many(np.array([t_s]))
         if not valid[0]:
             return None
@@ -115,7 +115,7 @@ class PoseStream:
         return Rigid.from_matrix(matrix, self.target, self.source)
 
     def at_many(self, t_s: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
-        """Rotations (k, 3, 3), translations (k, 3) and validity (k,) at the given times.
+        """Interpolate rotations (k, 3, 3), translations (k, 3) and validity (k,) at the given times.
 
         A time is valid when both recorded neighbours are, and lie at most MAX_GAP_S apart. Invalid samples
         are never interpolated over; entries that are not valid hold the identity.
@@ -140,7 +140,7 @@ class PoseStream:
         return rotations, translations, ok
 
     def inverse(self) -> "PoseStream":
-        """source_from_target, same times and statuses."""
+        """Return source_from_target with the same times and statuses."""
         turned = np.swapaxes(self.rotations, 1, 2)
         return PoseStream(
             self.source,
@@ -152,7 +152,7 @@ class PoseStream:
         )
 
     def __matmul__(self, other: "PoseStream") -> "PoseStream":
-        """Sample-wise composition of two streams with the same times."""
+        """Compose two streams with the same times, sample by sample."""
         if self.source != other.target:
             raise InvalidInputError(
                 f"cannot compose {self.name} @ {other.name}: '{self.source}' does not meet '{other.target}'"

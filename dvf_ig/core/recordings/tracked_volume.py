@@ -12,13 +12,13 @@ from dvf_ig.core.space.volume import Volume
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrackedVolume:
-    """One gated 3-D ultrasound image, with its pose and its phase of the model.
+    """Gated 3-D ultrasound image, with its pose and its phase of the model.
 
     Attributes:
         image: uint8 log-compressed grey levels, in the frame of the transducer.
-        mask: non-zero where a voxel was insonified, on the same grid.
-        tracker_from_image: where the tracker saw the image's frame.
-        model_phase: where in the model's cycle it was taken, [0, 1).
+        mask: non-zero if a voxel was insonified, on the same grid.
+        tracker_from_image: pose of the image's frame.
+        model_phase: position in the model's cycle at which it was taken, [0, 1).
         t_s: event time.
     """
 

@@ -1,1 +1,1 @@
-"""Where things are: frames, points, poses, surfaces and images."""
+"""Geometry: frames, points, poses, surfaces and images."""

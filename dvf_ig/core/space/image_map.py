@@ -25,7 +25,7 @@ class ImageMap:
     Attributes:
         rigid: probe_from_image without its scale (source frame "image", in mm).
         scale_mm_per_px: (2,) column and row pixel size.
-        shear_deg: how far columns 1–2 of an imported matrix were from orthogonal (0 when made here).
+        shear_deg: deviation from orthogonal of columns 1–2 of an imported matrix, else 0.
     """
 
     rigid: Rigid
@@ -44,7 +44,7 @@ class ImageMap:
 
     @property
     def matrix(self) -> FloatArray:
-        """(4, 4) probe_from_image in mm per pixel; third column of unit norm."""
+        """Return the (4, 4) probe_from_image in mm per pixel; its third column has unit norm."""
         out = self.rigid.matrix
         out[:3, 0] *= self.scale_mm_per_px[0]
         out[:3, 1] *= self.scale_mm_per_px[1]
@@ -52,7 +52,7 @@ class ImageMap:
 
     @classmethod
     def from_matrix(cls, matrix: Any, sensor: str, image: str = "image") -> "ImageMap":
-        """From a PLUS ImageToProbe matrix: columns 1–2 are orthonormalised, the third is rebuilt.
+        """Build from a PLUS ImageToProbe matrix: columns 1–2 are orthonormalised, the third is rebuilt.
 
         Raises:
             InvalidInputError: columns 1–2 further than 1° from orthogonal, or of zero length.
@@ -74,6 +74,6 @@ class ImageMap:
         return cls(Rigid(sensor, image, rotation, m[:3, 3]), scale, shear_deg)
 
     def apply_pixels(self, pixels: FloatArray) -> Points:
-        """(n, 2) pixel positions (column, row) to mm in the probe's frame."""
+        """Map (n, 2) pixel positions (column, row) to mm in the probe's frame."""
         flat = np.column_stack([pixels * self.scale_mm_per_px, np.zeros(len(pixels))])
         return Points(self.rigid.target, self.rigid.apply_array(flat))

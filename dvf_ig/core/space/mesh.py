@@ -11,13 +11,13 @@ from dvf_ig.core.timing.cycle import CycleTiming
 from .frames import check_frame
 
 LV_CAVITY = "LV_ENDOCARDIAL"
-"""Name of the series whose volume tells end-diastole from end-systole."""
+"""Name of the series whose volume gives end-diastole and end-systole."""
 
 
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class Mesh:
-    """Triangles in one frame; counter-clockwise seen from outside.
+    """Triangle surface in one frame; counter-clockwise seen from outside.
 
     Attributes:
         frame: frame name.
@@ -43,15 +43,15 @@ class Mesh:
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class SurfaceSeries:
-    """One surface that keeps its vertices through the cycle.
+    """Surface that keeps its vertices over the cycle.
 
     Attributes:
         name: anatomical name, for example "EPICARDIAL".
         frame: frame name.
         vertices_mm: (n, v, 3), vertex i is the same material point in every phase.
         triangles: (m, 3).
-        timing: when each phase was taken.
-        patient_id: whose heart it is.
+        timing: phase times.
+        patient_id: identifier of the patient.
         caps: (m,) True for triangles added to close the surface, not measured ones.
     """
 
@@ -76,12 +76,12 @@ class SurfaceSeries:
         return Mesh(self.frame, self.vertices_mm[i], self.triangles)
 
     def volumes_mm3(self) -> FloatArray:
-        """(n,) enclosed volume per phase."""
+        """Compute the (n,) enclosed volume per phase."""
         return np.array([enclosed_volume_mm3(v, self.triangles) for v in self.vertices_mm])
 
 
 def enclosed_volume_mm3(vertices_mm: FloatArray, triangles: IntArray) -> float:
-    """Signed volume under the triangles (divergence theorem), taken about the centroid."""
+    """Compute the signed volume enclosed by triangles (divergence theorem about the centroid)."""
     a, b, c = (vertices_mm[triangles[:, k]] - vertices_mm.mean(axis=0) for k in range(3))
     return float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6.0)
 

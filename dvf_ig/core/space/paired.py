@@ -1,4 +1,4 @@
-"""The rigid map between two sets of points whose pairing is known."""
+"""Rigid fit of two sets of paired points."""
 
 import numpy as np
 
@@ -9,15 +9,15 @@ from .points import Points
 from .rigid import Rigid, nearest_rotation
 
 COLLINEAR_RATIO = 1e-2
-"""Second over first singular value of the centred points at which they count as a line."""
+"""Second over first singular value of the centred points below which they count as a line."""
 
 
 def fit_paired_points(target: Points, source: Points, weights: FloatArray | None = None) -> Rigid:
-    """target_from_source that minimises Σ wᵢ |target_i − T source_i|².
+    """Fit target_from_source by minimising Σ wᵢ |target_i − T source_i|².
 
     Args:
         target, source: (n, 3) mm each, same order; n >= 3, not on one line.
-        weights: (n,) non-negative; equal where omitted.
+        weights: (n,) non-negative; equal if omitted.
     Raises:
         InvalidInputError: different counts, fewer than 3 pairs (of positive weight), or points on one line.
     Source: Arun 1987, eqs 11–13; reflection fix per Umeyama 1991.

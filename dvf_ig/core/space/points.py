@@ -11,7 +11,7 @@ from .frames import check_frame, require_same_frame
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class Points:
-    """(n, 3) positions in mm in one frame."""
+    """Positions (n, 3) in mm in one frame."""
 
     frame: str
     xyz_mm: FloatArray
@@ -42,7 +42,7 @@ class Landmarks:
         return self.points.frame
 
     def paired_with(self, other: "Landmarks") -> tuple[tuple[str, ...], Points, Points]:
-        """Names common to both, in this one's order, with both point sets."""
+        """Match names common to both, in this one's order, with both point sets."""
         theirs = {name: i for i, name in enumerate(other.names)}
         common = tuple(name for name in self.names if name in theirs)
         mine = [self.names.index(name) for name in common]
@@ -60,7 +60,7 @@ class Seeds:
     Attributes:
         heart: in the muscle.
         background: outside the heart; together they should surround it.
-        cavity: in the blood inside the heart; may be empty where blood looks like muscle.
+        cavity: in the blood inside the heart; may be empty if blood looks like muscle.
     """
 
     heart: Points

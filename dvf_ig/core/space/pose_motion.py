@@ -1,4 +1,4 @@
-"""A pose as a function of time: from one to the next at a bounded speed, constant before and after.
+"""Pose as a function of time: from one to the next at a bounded speed, constant before and after.
 
 Between `start_s` and `end_s`, with w = (t − start_s)/(end_s − start_s) and c = `center_mm`, a point that the
 first pose puts at p₀ is at
@@ -22,7 +22,7 @@ from .frames import require_same_frame
 from .rigid import Rigid
 
 UPDATE_MM_PER_S = 10.0
-"""Fastest motion of the model by a new pose, mean over the heart (docs/theory/safety.md)."""
+"""Largest speed of the model by a new pose, mean over the heart (docs/theory/safety.md)."""
 
 
 @read_only_arrays
@@ -32,7 +32,7 @@ class PoseMotion:
 
     Attributes:
         start, end: target_from_source, before and after.
-        start_s, end_s: when it moves; both −inf for a pose that stays.
+        start_s, end_s: times of the motion; both −inf for a constant pose.
         center_mm: (3,) about which it turns, target frame.
         turn_rad: (3,) rotation vector θ from start to end, target frame.
         shift_mm: (3,) s, displacement of the centre from start to end, target frame.
@@ -58,7 +58,7 @@ class PoseMotion:
 
     @classmethod
     def still(cls, pose: Rigid) -> "PoseMotion":
-        """A pose that stays."""
+        """Build the motion of a constant pose."""
         return cls(pose, pose, -math.inf, -math.inf, np.zeros(3), np.zeros(3), np.zeros(3))
 
     @classmethod
@@ -70,13 +70,13 @@ class PoseMotion:
         center_mm: FloatArray,
         speed_mm_s: float = UPDATE_MM_PER_S,
     ) -> "PoseMotion":
-        """From the pose in use to another.
+        """Build the motion from the pose in use to another.
 
         Args:
             now, target: target_from_source, same frames.
-            start_s: when it begins to move.
+            start_s: start of the motion.
             center_mm: (3,) centre of the heart, target frame.
-            speed_mm_s: of the heart: mean displacement over its duration (`mean_displacement_mm`).
+            speed_mm_s: speed of the heart: mean displacement over its duration (`mean_displacement_mm`).
         Raises:
             FrameMismatchError: the poses map between other frames.
             InvalidInputError: a speed that is not positive.
@@ -90,7 +90,7 @@ class PoseMotion:
         return cls(now, target, start_s, start_s + duration_s, center_mm, turn, shift)
 
     def at(self, t_s: float) -> Rigid:
-        """The pose at one time; exactly `start` before the motion and `end` after it."""
+        """Compute the pose at one time; exactly `start` before the motion and `end` after it."""
         if t_s >= self.end_s:
             return self.end
         if t_s <= self.start_s:
@@ -99,7 +99,7 @@ class PoseMotion:
         return Rigid(self.end.target, self.end.source, matrix[:, :3], matrix[:, 3])
 
     def matrices(self, t_s: FloatArray) -> FloatArray:
-        """(n, 3, 4) rotation and translation of the pose at (n,) times."""
+        """Compute the pose's (n, 3, 4) rotation and translation at (n,) times."""
         t = np.asarray(t_s, dtype=np.float64)
         check_shape(t, "times", (None,))
         first, last = self.start.matrix[:3], self.end.matrix[:3]
@@ -115,10 +115,10 @@ class PoseMotion:
         return out
 
     def velocity_mm_s(self, xyz_mm: FloatArray, t_s: FloatArray) -> FloatArray:
-        """(n, 3) dp/dt, target frame, of the points fixed in the source frame that are now at `xyz_mm`.
+        """Compute (n, 3) dp/dt, target frame, of points fixed in the source frame and now at `xyz_mm`.
 
         Args:
-            xyz_mm: (n, 3) where the points are at these times, target frame.
+            xyz_mm: (n, 3) positions of the points at these times, target frame.
             t_s: (n,).
         """
         xyz, t = np.asarray(xyz_mm, dtype=np.float64), np.asarray(t_s, dtype=np.float64)

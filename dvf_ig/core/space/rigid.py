@@ -1,4 +1,4 @@
-"""SE(3) between two named frames, off the hot path (scipy does the rotations)."""
+"""Rigid transforms between two named frames, off the hot path (rotations by scipy)."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -19,7 +19,7 @@ RIGID_TOLERANCE = 1e-3
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class Rigid:
-    """target_from_source: p_target = rotation @ p_source + translation_mm.
+    """Rigid transform target_from_source: p_target = rotation @ p_source + translation_mm.
 
     Attributes:
         target, source: frame names.
@@ -53,7 +53,7 @@ class Rigid:
 
     @property
     def matrix(self) -> FloatArray:
-        """(4, 4) homogeneous matrix, a fresh writable copy."""
+        """Return the (4, 4) homogeneous matrix as a writable copy."""
         out = np.eye(4)
         out[:3, :3] = self.rotation
         out[:3, 3] = self.translation_mm
@@ -69,7 +69,7 @@ class Rigid:
 
     @classmethod
     def from_matrix(cls, matrix: Any, target: str, source: str) -> "Rigid":
-        """From a 4×4 read from a file: digits lost in print are repaired, shear and scale are refused.
+        """Build from a 4×4 of a file: lost digits are restored, shear and scale are refused.
 
         Raises:
             InvalidInputError: not 4×4, last row not 0 0 0 1, or further than 1e-3 from a rotation.
@@ -89,12 +89,12 @@ class Rigid:
     def from_rotation_vector(
         cls, rotation_rad: Any, translation_mm: Any, target: str, source: str
     ) -> "Rigid":
-        """From a rotation vector (rad, axis times angle) and a translation (mm)."""
+        """Build from a rotation vector (rad, axis times angle) and a translation (mm)."""
         vector = frozen_floats(rotation_rad, "rotation vector", (3,))
         return cls(target, source, Rotation.from_rotvec(vector.copy()).as_matrix(), translation_mm)
 
     def inverse(self) -> "Rigid":
-        """source_from_target."""
+        """Return source_from_target."""
         return Rigid(self.source, self.target, self.rotation.T, -self.rotation.T @ self.translation_mm)
 
     def __matmul__(self, other: "Rigid") -> "Rigid":
@@ -110,16 +110,16 @@ class Rigid:
         )
 
     def apply(self, points: Points) -> Points:
-        """Points given in the source frame, in the target frame."""
+        """Map points from the source frame to the target frame."""
         require_same_frame(self.source, points.frame, f"{self.name}.apply")
         return Points(self.target, self.apply_array(points.xyz_mm))
 
     def apply_array(self, xyz_mm: FloatArray) -> FloatArray:
-        """(..., 3) source coordinates to target coordinates, for arrays whose frame the caller names."""
+        """Map (..., 3) source coordinates to target coordinates; the caller answers for the frame."""
         return xyz_mm @ self.rotation.T + self.translation_mm
 
     def perturbed_left(self, rotation_rad: Any, translation_mm: Any, center_mm: Any) -> "Rigid":
-        """The pose after a small motion in the target frame: rotate about `center_mm`, then translate.
+        """Apply a small motion in the target frame: rotate about `center_mm`, then translate.
 
         Args:
             rotation_rad, translation_mm, center_mm: (3,) each, all in the target frame.
@@ -130,7 +130,7 @@ class Rigid:
         return Rigid(self.target, self.source, nearest_rotation(turn @ self.rotation), shift)
 
     def interpolated(self, other: "Rigid", weight: float) -> "Rigid":
-        """Pose between self (weight 0) and other (weight 1): slerp and linear translation."""
+        """Interpolate between self (weight 0) and other (weight 1): slerp and linear translation."""
         require_same_frame(self.target, other.target, "interpolation target")
         require_same_frame(self.source, other.source, "interpolation source")
         step = Rotation.from_matrix(self.rotation.T @ other.rotation).as_rotvec() * weight
@@ -143,9 +143,9 @@ class Rigid:
 
 
 def rigidity_defect(rotation: FloatArray) -> float:
-    """Largest of |RᵀR − I| (entrywise) and |det R − 1| of a (3, 3).
+    """Compute the largest of |RᵀR − I| (entrywise) and |det R − 1| of a (3, 3).
 
-    In plain numbers: numpy would take eight times as long.
+    Written with plain floats, as numpy takes eight times as long.
     """
     rows: list[list[float]] = rotation.tolist()
     (a, b, c), (d, e, f), (g, h, i) = rows
@@ -161,7 +161,7 @@ def rigidity_defect(rotation: FloatArray) -> float:
 
 
 def nearest_rotation(matrix: FloatArray) -> FloatArray:
-    """The proper rotation closest to `matrix` in the Frobenius norm."""
+    """Find the proper rotation closest to `matrix` in the Frobenius norm."""
     u, _, vt = np.linalg.svd(matrix)
     if np.linalg.det(u @ vt) < 0.0:
         u[:, 2] *= -1.0
@@ -169,5 +169,5 @@ def nearest_rotation(matrix: FloatArray) -> FloatArray:
 
 
 def is_rigid(matrix: FloatArray) -> bool:
-    """Whether a tracker's (4, 4) is finite, and a rotation and a translation to within RIGID_TOLERANCE."""
+    """Return whether a tracker's (4, 4) is finite and rigid to within RIGID_TOLERANCE."""
     return bool(np.isfinite(matrix).all()) and rigidity_defect(matrix[:3, :3]) <= RIGID_TOLERANCE

@@ -19,7 +19,7 @@ from .rigid import rigidity_defect
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class Grid:
-    """Where the voxels of an image lie.
+    """Geometry of an image's voxels.
 
     Attributes:
         frame: frame name.
@@ -55,28 +55,28 @@ class Grid:
 
     @property
     def axes_mm(self) -> FloatArray:
-        """(3, 3) mm per voxel step: column a is one step along axis a."""
+        """Step (3, 3), mm per voxel: column a is one step along axis a."""
         return self.direction * self.spacing_mm
 
     def to_mm(self, index: FloatArray) -> FloatArray:
-        """(..., 3) voxel indices to (..., 3) mm."""
+        """Convert (..., 3) voxel indices to (..., 3) mm."""
         return np.asarray(index @ self.axes_mm.T + self.origin_mm)
 
     def to_index(self, xyz_mm: FloatArray) -> FloatArray:
-        """(..., 3) mm to (..., 3) continuous voxel indices."""
+        """Convert (..., 3) mm to (..., 3) continuous voxel indices."""
         return np.asarray((xyz_mm - self.origin_mm) @ np.linalg.inv(self.axes_mm).T)
 
     def holds(self, index: FloatArray, margin: float = 0.0) -> BoolArray:
-        """(...,) whether continuous voxel indices (..., 3) lie within the centres of the outermost voxels.
+        """Return whether voxel indices (..., 3) are within the centres of the outermost voxels.
 
         Args:
-            margin: so many voxels further out; 0.5 for their faces.
+            margin: width added outside, voxels; 0.5 reaches their faces.
         """
         last = np.array(self.shape) - 1.0
         return np.asarray(((index >= -margin) & (index <= last + margin)).all(axis=-1))
 
     def centers_mm(self) -> FloatArray:
-        """(nx, ny, nz, 3) voxel centres in mm."""
+        """Compute (nx, ny, nz, 3) voxel centres in mm."""
         index = np.stack(np.meshgrid(*(np.arange(n) for n in self.shape), indexing="ij"), axis=-1)
         return self.to_mm(index.astype(np.float64))
 
@@ -88,7 +88,7 @@ class Grid:
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class Volume:
-    """One 3-D image: `values` (nx, ny, nz) on `grid`."""
+    """3-D image: `values` (nx, ny, nz) on `grid`."""
 
     grid: Grid
     values: AnyArray
@@ -100,7 +100,7 @@ class Volume:
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class VolumeSeries:
-    """A cyclic 4-D image: `values` (n, nx, ny, nz) on one grid, with its phase times."""
+    """Cyclic 4-D image: `values` (n, nx, ny, nz) on one grid, with its phase times."""
 
     grid: Grid
     values: AnyArray
@@ -115,7 +115,7 @@ class VolumeSeries:
 
 
 def _owned(values: AnyArray, shape: tuple[int, ...], name: str) -> AnyArray:
-    """Read-only and contiguous; large images are not copied when they already are."""
+    """Make an image read-only and contiguous; large images that are both already are not copied."""
     array = np.ascontiguousarray(values)
     if array.shape != shape:
         raise InvalidInputError(f"{name} has shape {array.shape}; its grid and timing need {shape}")

@@ -1,1 +1,1 @@
-"""When: the cardiac cycle's phases, triggers and retiming."""
+"""Timing: the cardiac cycle's phases, triggers and retiming."""

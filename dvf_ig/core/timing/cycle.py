@@ -1,4 +1,4 @@
-"""When in the cardiac cycle each phase of a 4-D data set was taken."""
+"""Times in the cardiac cycle at which the phases of a 4-D data set were taken."""
 
 from dataclasses import dataclass
 
@@ -16,8 +16,8 @@ class CycleTiming:
     Attributes:
         fractions: (n,) strictly increasing in [0, 1); 0 is the R peak. Spacing may be unequal.
         rr_s: RR interval at which the series was acquired.
-        rr_assumed: True where `rr_s` was not recorded but assumed.
-        timing_assumed: True where `fractions` are i/N because no times were recorded.
+        rr_assumed: True if `rr_s` was not recorded but assumed.
+        timing_assumed: True if `fractions` are i/N because no times were recorded.
     """
 
     fractions: FloatArray
@@ -43,11 +43,11 @@ class CycleTiming:
 
     @classmethod
     def uniform(cls, phases: int, rr_s: float, *, rr_assumed: bool = False) -> "CycleTiming":
-        """Phase i at i/N of the cycle."""
+        """Build evenly spaced phases: phase i at i/N of the cycle."""
         return cls(np.arange(phases) / phases, rr_s, rr_assumed, timing_assumed=True)
 
     def bracket(self, phi: float) -> tuple[int, int, float]:
-        """Neighbouring phases of `phi` (cyclic) and the weight of the second: eq. 10's i, i+1 and α."""
+        """Find neighbouring phases of `phi` (cyclic) and the weight of the second: eq. 10's i, i+1, α."""
         phi = phi % 1.0
         count = len(self.fractions)
         after = int(np.searchsorted(self.fractions, phi, side="right"))
@@ -57,11 +57,11 @@ class CycleTiming:
 
 
 def phase_distance(fractions: FloatArray, phases: FloatArray) -> FloatArray:
-    """(n, m) distance of each of (n,) phases from each of (m,) fractions, the shorter way round the cycle."""
+    """Compute (n, m) cyclic distances of (n,) phases from (m,) fractions, the shorter way round."""
     away = np.abs(np.asarray(phases)[:, None] - fractions[None, :])
     return np.asarray(np.minimum(away, 1 - away))
 
 
 def nearest_phase(fractions: FloatArray, phases: FloatArray) -> IntArray:
-    """(n,) which of (m,) fractions of the cycle is nearest to each of (n,) phases."""
+    """Find (n,) the nearest of (m,) fractions of the cycle to each of (n,) phases."""
     return np.asarray(phase_distance(fractions, phases).argmin(axis=1), dtype=np.int64)

@@ -10,7 +10,7 @@ from dvf_ig.core.errors import InvalidInputError
 
 
 class PhaseState(IntEnum):
-    """Only LOCKED means that the phase may be used."""
+    """State of the cardiac phase; only with LOCKED may it be used."""
 
     INIT = 0
     LOCKED = 1
@@ -22,7 +22,7 @@ class PhaseState(IntEnum):
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class PhaseTrack:
-    """Phase as it was known at each time, from the past alone.
+    """Phase at each time, as estimated from the past alone.
 
     Attributes:
         t_s: (n,) increasing.
@@ -50,5 +50,5 @@ class PhaseTrack:
 
     @property
     def valid(self) -> BoolArray:
-        """(n,) True where the state is LOCKED."""
+        """Return (n,) True if the state is LOCKED."""
         return np.asarray(self.state == int(PhaseState.LOCKED))

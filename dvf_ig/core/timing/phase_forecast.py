@@ -1,4 +1,4 @@
-"""Forecast of cardiac phase: phase, its uncertainty and its state from a moment on, as known at that moment.
+"""Forecast of cardiac phase: phase, its uncertainty and its state from a time on, as known then.
 
 Between two events of the ECG unwrapped phase (whole beats plus phase) is a closed form of time. With the last
 R peak at R, the predicted length RR of its beat, and φ₀ the phase at `since_s` = t₀,
@@ -44,18 +44,17 @@ class PhaseReadings(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class PhaseForecast:
-    """Phase from a moment on, unless an event of the ECG comes first: a pure function of time.
+    """Phase from a time on, until the next event of the ECG: a pure function of time.
 
-    Before `since_s`, and at a time so late that it is no number, it says nothing: phase and σ_φ are NaN, the
-    state is INIT. After `until_s` the state
-    is `state_after`, which is never LOCKED.
+    Before `since_s`, and at non-finite times, phase and σ_φ are NaN and the state is INIT. After `until_s`
+    the state is `state_after`, which is never LOCKED.
 
     Attributes:
-        since_s: the event from which on it holds.
-        until_s: last moment of `state`: then an expected beat is overdue.
-        state, state_after: until then, and from then on.
-        phi: at `since_s`, in [0, 1).
-        r_s: the last R peak; NaN before the first.
+        since_s: time of the event from which on it holds.
+        until_s: end of `state`: then an expected beat is overdue.
+        state, state_after: state until `until_s`, and after it.
+        phi: phase at `since_s`, in [0, 1).
+        r_s: time of the last R peak; NaN before the first.
         cycles: whole cycles of the target at that R peak, on the count in which `phi` lies in [0, 1).
         rr_s: predicted length of the current beat; NaN before the first interval.
         spread: standard deviation of that length, relative to it.
@@ -93,18 +92,18 @@ class PhaseForecast:
 
     @classmethod
     def unknown(cls) -> "PhaseForecast":
-        """Before the first R peak."""
+        """Build the forecast before the first R peak."""
         nan, init = math.nan, PhaseState.INIT
         return cls(-math.inf, math.inf, init, init, 0.0, nan, 0.0, nan, nan, 1.0, 0.0)
 
     def at(self, t_s: float) -> PhaseReading:
-        """Phase at one time."""
-        found = self.at_many(np.array([t_s]))
-        phi, sigma, rr, state, rate = (column[0].item() for column in found)
+        """Compute phase at one time."""
+        readings = self.at_many(np.array([t_s]))
+        phi, sigma, rr, state, rate = (column[0].item() for column in readings)
         return PhaseReading(phi, sigma, rr, PhaseState(state), rate)
 
     def at_many(self, t_s: FloatArray) -> PhaseReadings:
-        """Phase at (n,) times, in any order."""
+        """Compute phase at (n,) times, in any order."""
         t, rr_s = np.asarray(t_s, dtype=np.float64), np.float64(self.rr_s)
         with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
             target, caught = self._target(t), self._caught_up(t)
@@ -115,18 +114,18 @@ class PhaseForecast:
             rate = np.where(caught < target, self.catch_up, np.where(target > self.phi, 1.0, 0.0))
             phi = unwrapped - np.floor(unwrapped)
             rate_hz = rate / rr_s
-            known = (t >= self.since_s) & np.isfinite(phi) & ~np.isinf(variance)
+            valid = (t >= self.since_s) & np.isfinite(phi) & ~np.isinf(variance)
         state = np.where(t <= self.until_s, int(self.state), int(self.state_after))
         return PhaseReadings(
-            np.where(known, phi, np.nan),
-            np.where(known, np.sqrt(variance), np.nan),
+            np.where(valid, phi, np.nan),
+            np.where(valid, np.sqrt(variance), np.nan),
             np.full(t.shape, self.rr_s),
-            np.where(known, state, int(PhaseState.INIT)),
-            np.where(known & (rr_s > 0), rate_hz, 0.0),
+            np.where(valid, state, int(PhaseState.INIT)),
+            np.where(valid & (rr_s > 0), rate_hz, 0.0),
         )
 
     def unwrapped(self, t_s: FloatArray | float) -> FloatArray:
-        """(...) Φ on the count in which it is `phi` at `since_s`; times not before that."""
+        """Compute (...) Φ on the count in which it is `phi` at `since_s`; times not before that."""
         if not self.rr_s > 0:
             return np.full(np.shape(t_s), self.phi)
         t = np.asarray(t_s, dtype=np.float64)

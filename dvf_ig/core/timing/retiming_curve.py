@@ -17,7 +17,7 @@ from dvf_ig.core.errors import InvalidInputError
 
 
 class CubicPieces(NamedTuple):
-    """The cubic through (0, 0), (S, E), (1, 1), periodic; each a number, or an array of one for each beat."""
+    """Periodic cubic through (0, 0), (S, E), (1, 1); each field a number, or one for each beat."""
 
     end_systole: FloatArray | float
     model_end_systole: FloatArray | float
@@ -25,7 +25,7 @@ class CubicPieces(NamedTuple):
     slope_at_end_systole: FloatArray | float
 
     def at(self, phi: FloatArray) -> FloatArray:
-        """(...) model phase in [0, 1) at phases in [0, 1)."""
+        """Compute (...) model phase in [0, 1) at phases in [0, 1)."""
         u, width, height, first, last = self._piece(phi)
         bottom = np.where(phi <= self.end_systole, 0.0, self.model_end_systole)
         cubic = (
@@ -37,13 +37,13 @@ class CubicPieces(NamedTuple):
         return np.asarray(np.clip(cubic, 0.0, np.nextafter(1.0, 0.0)))
 
     def slope(self, phi: FloatArray) -> FloatArray:
-        """(...) derivative of `at`."""
+        """Compute the (...) derivative of `at`."""
         u, width, height, first, last = self._piece(phi)
         chord = height / width
         return np.asarray(6 * chord * u * (1 - u) + first * (1 - u) * (1 - 3 * u) - last * u * (2 - 3 * u))
 
     def _piece(self, phi: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Place in the piece, its width and height, slopes at its ends."""
+        """Find the position in the piece, its width and height, and the slopes at its ends."""
         systole, es = self.end_systole, self.model_end_systole
         early = phi <= systole
         width = np.where(early, systole, 1.0 - systole)
@@ -60,7 +60,7 @@ class RetimingCurve:
     Attributes:
         end_systole: share of the beat at which its systole ends.
         model_end_systole: model phase of end-systole.
-        slope_at_r, slope_at_end_systole: of the curve at its knots, model cycles a beat.
+        slope_at_r, slope_at_end_systole: slopes of the curve at its knots, model cycles a beat.
     """
 
     end_systole: float
@@ -82,15 +82,15 @@ class RetimingCurve:
 
     @classmethod
     def uniform(cls) -> "RetimingCurve":
-        """The model's cycle stretched evenly: model phase is phase (Ren 2008, Section VII)."""
+        """Stretch the model's cycle evenly: model phase is phase (Ren 2008, Section VII)."""
         return cls(0.5, 0.5, 1.0, 1.0)
 
     def at(self, phi: FloatArray | float) -> FloatArray:
-        """(...) model phase in [0, 1) at phase `phi`, taken modulo 1."""
+        """Compute (...) model phase in [0, 1) at phase `phi`, taken modulo 1."""
         return self._pieces().at(np.asarray(phi, dtype=np.float64) % 1.0)
 
     def slope(self, phi: FloatArray | float) -> FloatArray:
-        """(...) change of model phase with phase."""
+        """Compute the (...) derivative of model phase by phase."""
         return self._pieces().slope(np.asarray(phi, dtype=np.float64) % 1.0)
 
     def _pieces(self) -> CubicPieces:

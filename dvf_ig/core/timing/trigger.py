@@ -1,4 +1,4 @@
-"""Pulses of a hardware trigger (R-wave output of a monitor or scanner) in place of an ECG."""
+"""Pulses of a hardware trigger (R-wave output of a monitor or scanner) instead of an ECG."""
 
 from dataclasses import dataclass
 
@@ -13,11 +13,11 @@ LONGEST_DELAY_S = 0.5
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class TriggerTimes:
-    """When a trigger fired.
+    """Times at which a trigger fired.
 
     Attributes:
         t_s: (n,) times of the pulses, in order.
-        delay_s: how long after the R peak the device fires; measure it once, it does not change.
+        delay_s: time by which the device fires after the R peak; measure it once, it does not change.
     """
 
     t_s: FloatArray
@@ -46,7 +46,7 @@ class TriggerTimes:
 
 
 def check_trigger_delay(delay_s: float) -> None:
-    """Raise InvalidInputError for a delay that no trigger has."""
+    """Raise InvalidInputError for an implausible trigger delay."""
     if not 0.0 <= delay_s <= LONGEST_DELAY_S:
         raise InvalidInputError(
             f"the trigger's delay is {delay_s:g} s; needed 0 to {LONGEST_DELAY_S:g} s after R (is it in ms?)"

@@ -1,4 +1,4 @@
-"""Sums over square blocks of B-mode images: what is left of an image when its speckle is averaged out."""
+"""Sums over square blocks of B-mode images, which average out the speckle."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,7 @@ def block_sums(
         images: (n, rows, columns); mask: (rows, columns), pixels that count.
         lit_above: grey level above which a pixel is bright.
         sums: (n, block rows, block columns) out; blocks are rows // block rows high and columns // block
-            columns wide, from the first pixel on, and what is left over counts in none.
+            columns wide, from the first pixel on; the remainder counts in none.
         lit: (n,) out, bright pixels of the mask within the blocks.
     """
     high, wide = images.shape[1] // sums.shape[1], images.shape[2] // sums.shape[2]

@@ -14,14 +14,14 @@ Corner = tuple[int, int, int]
 
 @inlined
 def on_a_plane(i: int, j: int, k: int, every: int) -> bool:
-    """Whether a block lies on a plane that is looked at: the `every`-th along an axis, from half of it on."""
+    """Return whether a block is on a sampled plane: every `every`-th along an axis, from half of it on."""
     half = every // 2
     return i % every == half or j % every == half or k % every == half
 
 
 @inlined
 def _block_sum(grey: NDArray[np.uint8], mask: NDArray[np.uint8], low: Corner, step: int) -> np.float32:
-    """Σ `grey` over one block; NaN from the first voxel outside the mask on."""
+    """Sum `grey` over one block; NaN if a voxel is outside the mask."""
     total = np.float32(0.0)
     for a in range(low[0], low[0] + step):
         for b in range(low[1], low[1] + step):
@@ -40,7 +40,7 @@ def pool_blocks(
     every: int,
     out: NDArray[np.float32],
 ) -> None:
-    """Mean of `grey` over each block of step³ voxels; NaN where one of them lies outside the mask.
+    """Average `grey` over each block of step³ voxels; NaN if one of them is outside the mask.
 
     Args:
         grey, mask: (nx, ny, nz).
@@ -65,7 +65,7 @@ def pool_cubes(
     every: int,
     out: NDArray[np.float32],
 ) -> None:
-    """Mean of `grey` over boxes of any size, each voxel weighted by its share inside; NaN as above.
+    """Average `grey` over boxes of any size, each voxel weighted by its share inside; NaN as above.
 
     Args:
         grey, mask: (nx, ny, nz).
@@ -74,7 +74,7 @@ def pool_cubes(
         out: (mx, my, mz), with m·edge at most n along each axis. Box i lies between i·edge and (i + 1)·edge,
             voxel j between j and j + 1.
     """
-    least = 1e-6  # of a voxel: less of it is rounding
+    least = 1e-6  # of a voxel: a smaller share is rounding
     for i in range(out.shape[0]):
         x0, x1 = i * edge[0], (i + 1) * edge[0]
         for j in range(out.shape[1]):

@@ -14,12 +14,12 @@ def pool_insonified(
     mean: NDArray[np.float32],
     share: NDArray[np.float32],
 ) -> None:
-    """Mean of the insonified voxels of every block, and their share of it.
+    """Average the insonified voxels of every block, with their share of it.
 
     Args:
         values, insonified: (nx, ny, nz).
         step: (3,) voxels of a block along each axis.
-        mean: (nx // step[0], ny // step[1], nz // step[2]) out, 0 where nothing counts; share: the same.
+        mean: (nx // step[0], ny // step[1], nz // step[2]) out, 0 if none is insonified; share: same shape.
     """
     size = 1.0 / (step[0] * step[1] * step[2])
     for i in range(mean.shape[0]):

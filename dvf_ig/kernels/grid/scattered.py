@@ -10,7 +10,7 @@ from dvf_ig.kernels.compiled import kernel
 
 
 class AxisRows(NamedTuple):
-    """(s,) first coefficient and (s, 4) weights of each node along one axis."""
+    """First coefficient (s,) and weights (s, 4) of each node along one axis."""
 
     first: IntArray
     weights: FloatArray
@@ -20,7 +20,7 @@ class AxisRows(NamedTuple):
 def values_at_nodes(
     x: AxisRows, y: AxisRows, z: AxisRows, coefficients: FloatArray, nodes: IntArray, out: FloatArray
 ) -> None:
-    """Spline values at chosen nodes.
+    """Evaluate the spline at chosen nodes.
 
     Args:
         coefficients: (cx, cy, cz).
@@ -49,7 +49,7 @@ def values_at_nodes(
 def add_from_nodes(
     x: AxisRows, y: AxisRows, z: AxisRows, values: FloatArray, nodes: IntArray, out: FloatArray
 ) -> None:
-    """Adjoint of `values_at_nodes`: (n,) values added into (cx, cy, cz), node after node."""
+    """Apply the adjoint of `values_at_nodes`: add (n,) values into (cx, cy, cz), node after node."""
     for n in range(nodes.shape[1]):
         i, j, k = nodes[0, n], nodes[1, n], nodes[2, n]
         a, b, c = x.first[i], y.first[j], z.first[k]

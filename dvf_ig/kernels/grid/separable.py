@@ -1,6 +1,6 @@
-"""Banded matrices along one axis of an array: what a tensor product does, axis by axis.
+"""Banded matrices along one axis of an array: a tensor product, axis by axis.
 
-A row of a banded matrix is where its window of `weights` begins and the weights themselves, so that
+A row of a banded matrix is the start of its window of `weights` and the weights themselves, so that
 
     (A v)[r] = Σ_j weights[r, j] · v[first[r] + j].
 
@@ -14,7 +14,7 @@ from dvf_ig.kernels.compiled import kernel
 
 @kernel
 def multiply_axis(first: IntArray, weights: FloatArray, values: FloatArray, out: FloatArray) -> None:
-    """A v along the middle axis.
+    """Compute A v along the middle axis.
 
     Args:
         first: (s,) and weights: (s, k), the rows of A.
@@ -44,7 +44,7 @@ def multiply_axis(first: IntArray, weights: FloatArray, values: FloatArray, out:
 def multiply_axis_transposed(
     first: IntArray, weights: FloatArray, values: FloatArray, out: FloatArray
 ) -> None:
-    """Aᵀ v along the middle axis; (a, s, b) to (a, c, b), otherwise as `multiply_axis`."""
+    """Compute Aᵀ v along the middle axis: (a, s, b) to (a, c, b), otherwise as `multiply_axis`."""
     before, rows, after = values.shape
     window = weights.shape[1]
     out[:] = 0.0
@@ -60,10 +60,10 @@ def multiply_axis_transposed(
 
 @kernel
 def solve_axis(factor: FloatArray, values: FloatArray) -> None:
-    """(L Lᵀ)⁻¹ v along the middle axis, in place; fastest where the last axis is long.
+    """Compute (L Lᵀ)⁻¹ v along the middle axis, in place; fastest with a long last axis.
 
     Args:
-        factor: (k, c) lower banded Cholesky factor, `factor[d, i]` = L[i + d, i], but the diagonal inverted.
+        factor: (k, c) lower banded Cholesky factor, `factor[d, i]` = L[i + d, i], with the diagonal inverted.
         values: (a, c, b).
     """
     before, count, after = values.shape

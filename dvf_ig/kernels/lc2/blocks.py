@@ -1,8 +1,8 @@
 """LC2 of a 3-D image with cubic patches and any number of channels, and its exact gradient over the pose.
 
-In each patch the ultrasound u is fitted by Σ βᵢ·mᵢ + γ, where mᵢ are channels of the model at that place:
-grey levels and gradient magnitude of one or several images. The patch scores S = 1 − Var(residual)/Var(u),
-with a ridge on the channels' variances.
+In each patch the ultrasound u is fitted by Σ βᵢ·mᵢ + γ, where mᵢ are channels of the model at the same
+position: grey levels and gradient magnitude of one or several images. The patch scores S = 1 −
+Var(residual)/Var(u), with a ridge on the channels' variances.
 
 Voxels are sorted by blocks, cubes of a few voxels; a patch is eight blocks that meet in a corner. A block's
 sums are taken once and added to its patches: the cost depends on neither patch size nor empty space. With β
@@ -25,7 +25,7 @@ CORNERS = 8
 RIDGE = 1e-3
 """Added to the channels' variances; the channels are scaled to unit variance over the model's volume."""
 INVERSE_COUNT, MEAN_U, VAR_U = range(3)
-"""Columns of the moments of a patch that depend on the ultrasound alone."""
+"""Columns of a patch's moments that depend only on the ultrasound."""
 BLOCK_MOMENT, BLOCK_STIFFNESS = 3, 12
 """First columns of Σ y·fᵀ and of the upper triangle of Σ ∇m·B·∇mᵀ of a block; Σ f comes before."""
 BLOCK_COLUMNS = 18
@@ -37,7 +37,7 @@ class BlockedVoxels(NamedTuple):
     Attributes:
         place: (n, 3) float32 voxel index in the ultrasound's grid.
         u: (n,) float32.
-        first: (b + 1,) where each block's voxels begin.
+        first: (b + 1,) start of each block's voxels.
         block_of_patch: (p, 8) blocks of each patch, −1 for none.
         patch_of_block: (b, 8) patches of each block, −1 for none.
         moments: (p, 3) one over the voxel count, mean and variance of u.
@@ -52,13 +52,13 @@ class BlockedVoxels(NamedTuple):
 
 
 def sum_count(channels: int) -> int:
-    """Sums of a block: mᵢ, u·mᵢ, and mᵢ·mⱼ for j ≤ i; a patch hands as many coefficients to its blocks."""
+    """Count a block's sums: mᵢ, u·mᵢ, and mᵢ·mⱼ for j ≤ i; a patch returns as many coefficients to it."""
     return 2 * channels + channels * (channels + 1) // 2
 
 
 @inlined
 def _cell(x: float, last: int) -> tuple[int, float, bool]:
-    """Voxel below x along one axis, fraction beyond it, and whether x lies in [0, last]; see `slices`."""
+    """Find the voxel below x along one axis, the fraction beyond it, and whether x is in [0, last]."""
     inside = 0.0 <= x <= last
     x = min(max(x, 0.0), float(last))
     i = min(int(x), last - 1)
@@ -78,13 +78,13 @@ def sample_blocks(
     begin: int,
     end: int,
 ) -> None:
-    """Channels at the voxels of blocks `blocks[begin:end]`, and the blocks' sums.
+    """Sample channels at the voxels of blocks `blocks[begin:end]`, and the blocks' sums.
 
     Args:
         channels: (nx, ny, nz, c).
         matrix: (3, 4) voxel index in the model from one in the ultrasound.
-        blocks: (k,) which blocks count.
-        slopes: whether gradients are wanted.
+        blocks: (k,) indices of the blocks that count.
+        slopes: whether gradients are computed.
         values: (n, c) out; gradients: (n, c, 3) out, per voxel step of the model, 0 along an axis beyond it.
         sums: (b, sum_count(c) + 1) out; the last column counts voxels inside the model.
     """
@@ -162,7 +162,7 @@ def fit_patches(
     """Fit patches begin <= p < end.
 
     Args:
-        weights: (p,) of each patch; a patch of weight 0 is passed over.
+        weights: (p,) of each patch; a patch of weight 0 is skipped.
         sums: of `sample_blocks`.
         scores: (p,) out, S.
         coefficients: (p, sum_count(c)) out: k·βᵢ, k·βᵢ·(Σ βⱼ·mean mⱼ − mean u), k·βᵢ·βⱼ with k = w/(n·Var u).
@@ -221,13 +221,14 @@ def force_blocks(
     begin: int,
     end: int,
 ) -> None:
-    """How Σ w·S changes as the voxels of blocks `blocks[begin:end]` move through the model.
+    """Compute how Σ w·S changes as the voxels of blocks `blocks[begin:end]` move through the model.
 
     At a voxel f = Σᵢ (Σ_patches k·βᵢ·(u − mean u − Σⱼ βⱼ·(mⱼ − mean mⱼ)))·∇mᵢ, half the derivative.
 
     Args:
         matrix, blocks, values, gradients, coefficients: of `sample_blocks` and `fit_patches`.
-        out: (b, BLOCK_COLUMNS): Σ f, Σ y·fᵀ by rows with y the place in the model, Σ ∇m·B·∇mᵀ; voxel steps.
+        out: (b, BLOCK_COLUMNS): Σ f, Σ y·fᵀ by rows with y the position in the model, Σ ∇m·B·∇mᵀ; voxel
+            steps.
     """
     count = values.shape[1]
     fit, square = np.empty(coefficients.shape[1]), np.empty((count, count))

@@ -20,9 +20,9 @@ class SliceParts(NamedTuple):
     """Parts of slices.
 
     Attributes:
-        first_part: (s + 1,) where each slice's parts begin.
-        order: (p,) patch after patch of the parts, its place among the patches of its slice.
-        cut: the parts as slices: what of a slice's runs their patches cover, in the slices' own pixels.
+        first_part: (s + 1,) start of each slice's parts.
+        order: (p,) patch after patch of the parts, its index among the patches of its slice.
+        cut: the parts as slices: the runs that their patches cover, in the slices' own pixels.
     """
 
     first_part: Ints
@@ -41,7 +41,7 @@ def _add_parts(
     ordered: Floats,
     out: Floats,
 ) -> None:
-    """Σ h f, Σ w·S and Σ w of every part of slice `s`."""
+    """Add up Σ h f, Σ w·S and Σ w of every part of slice `s`."""
     cut, patch, pixel = parts.cut, slices.first_patch[s], slices.runs[slices.first_run[s], PIXEL]
     for p in range(patch, slices.first_patch[s + 1]):
         at, place = np.uintp(parts.order[p]), np.uintp(p - patch)
@@ -68,13 +68,13 @@ def lc2_step_parts(
     begin: int,
     end: int,
 ) -> None:
-    """Score and force of the parts of slices begin <= s < end at m poses. Several ranges may run at once.
+    """Score the parts of slices begin <= s < end at m poses, with their forces; ranges may run in parallel.
 
     Args:
         model: `index_from_pixel` is (m, s, 3, 3).
         ordered: (workers, most patches of a slice, SUMS) scratch: fits, part after part.
         out: (m, parts, MATRIX) filled with Σ h f, Σ w·S, Σ w.
-        worker: whose part of the scratch is used.
+        worker: index of the part of the scratch that is used.
     """
     samples, window = scratch.samples[worker], scratch.window[worker]
     columns, fits = scratch.columns[worker], scratch.fits[worker]

@@ -19,11 +19,11 @@ def window_moments(
     columns: Floats,
     out: Floats,
 ) -> None:
-    """Pixel count, mean and variance over the window about every centre.
+    """Compute pixel count, mean and variance over the window about every centre.
 
     Args:
         pixels, first_run, runs: as in `slices.PatchedSlices`.
-        first_center: (s + 1,) where each slice's centres begin; centers: (p, 2) row and column, by rows.
+        first_center: (s + 1,) start of each slice's centres; centers: (p, 2) row and column, by rows.
         columns: (columns + 2·radius, 3) scratch.
         out: (p, 3).
     """
@@ -52,7 +52,7 @@ def window_moments(
 
 @kernel
 def _add_run(pixels: NDArray[np.float32], run: Ints, radius: int, sign: float, columns: Floats) -> None:
-    """A run's pixels onto its columns, or off them."""
+    """Add a run's pixels to its columns, or subtract them."""
     for k in range(run[LAST] - run[FIRST]):
         u, column = float(pixels[run[PIXEL] + k]), run[FIRST] + k + radius
         columns[column, 0] += sign

@@ -1,12 +1,12 @@
 """LC2: local linear combination of two channels, evaluated on tracked slices (Fuerst 2014; Wein 2013).
 
 In each square patch of a slice the ultrasound u is fitted by α·a + β·b + γ, where a and b are two channels of
-the model at that place (MR intensity and gradient magnitude, or blood and wall maps). The patch scores
+the model at the same position (MR intensity and gradient magnitude, or blood and wall maps). The patch scores
 S = 1 − Var(residual)/Var(u), the slice the weighted mean of S.
 
 Only pixels of the sector are stored and visited, as runs along its rows. Sums over windows are running sums:
 each column holds those of the window's rows, and loses a row as it gains the next. The seven sums of a pixel
-lie side by side, as two rows of four (docs/decisions/0006). What depends on u alone is computed once per
+are adjacent, as two rows of four (docs/decisions/0006). Terms of u alone are computed once per
 slice set. Each slice writes its own results: they are the same at any thread count.
 """
 
@@ -39,15 +39,15 @@ ROW, FIRST, LAST, PIXEL = range(4)
 """Columns of a run: its row, first column, last column + 1, number of its first pixel in the slice set."""
 PATCH_ROW, PATCH_COLUMN = range(2)
 INVERSE_COUNT, MEAN_U, VAR_U, WEIGHT = range(4)
-"""Columns of the moments of a patch that depend on the ultrasound alone."""
+"""Columns of a patch's moments that depend only on the ultrasound."""
 SLICE_SCORE, SLICE_WEIGHT, SLICE_OVERLAP = range(3)
-"""Columns of what `lc2_slices` says of a slice: Σ w·S, Σ w, share of its pixels inside the volume."""
+"""Columns of a slice's result from `lc2_slices`: Σ w·S, Σ w, share of its pixels inside the volume."""
 RIDGE = 1e-4
 """Added to both channel variances; the channels are scaled to unit variance over the model's volume."""
 SUMS = 8
-"""Numbers kept of a pixel, of a column and of a patch; two rows of four."""
+"""Count of numbers for a pixel, a column and a patch; two rows of four."""
 CENTER_STEP = 2
-"""A patch is centred on every second pixel of every second row: neighbours share nearly all their pixels."""
+"""Pitch of the patches' centres in pixels and rows: neighbours share nearly all their pixels."""
 
 
 class PatchedSlices(NamedTuple):
@@ -55,8 +55,8 @@ class PatchedSlices(NamedTuple):
 
     Attributes:
         pixels: (n,) float32 ultrasound, run after run.
-        first_run: (s + 1,) where each slice's runs begin; runs: (k, 4), by rows.
-        first_patch: (s + 1,) where each slice's patches begin.
+        first_run: (s + 1,) start of each slice's runs; runs: (k, 4), by rows.
+        first_patch: (s + 1,) start of each slice's patches.
         centers: (p, 2) row and column, both even, by rows.
         moments: (p, 4) one over the pixel count, mean and variance of u, and weight.
         radius: of a patch of (2·radius + 1)² pixels.
@@ -72,11 +72,11 @@ class PatchedSlices(NamedTuple):
 
 
 class PlacedModel(NamedTuple):
-    """The model at a pose.
+    """Model at a pose.
 
     Attributes:
         channels: (n, nx, ny, 2·nz) float32, both channels of a voxel side by side; nx, ny, nz >= 2.
-        phases: (s,) which of the n volumes each slice is compared with.
+        phases: (s,) index of the volume with which each slice is compared.
         index_from_pixel: (s, 3, 3) voxel index from (column, row, 1).
     """
 
@@ -86,13 +86,13 @@ class PlacedModel(NamedTuple):
 
 
 class Scratch(NamedTuple):
-    """Memory of the caller, one part for each worker.
+    """Work space of the caller, one part for each worker.
 
     Attributes:
         samples: (workers, most pixels of a slice, SUMS): a, b, ∂x a, ∂x b, ∂y a, ∂y b, ∂z a, ∂z b per voxel.
         window: (workers, 2·radius + 1, columns + 2·radius, SUMS): products of the rows that a window covers.
         columns: (workers, columns + 2·radius, SUMS).
-        fits: (workers, most patches of a slice, SUMS): what the pixels of a patch need of its fit.
+        fits: (workers, most patches of a slice, SUMS): the terms of a patch's fit that its pixels need.
     """
 
     samples: Floats
@@ -103,9 +103,9 @@ class Scratch(NamedTuple):
 
 @inlined
 def _axis_cell(x: float, last: float) -> tuple[int, float, bool]:
-    """Voxel below x along one axis, the fraction beyond it, and whether x lies in [0, last].
+    """Find the voxel below x along one axis, the fraction beyond it, and whether x is in [0, last].
 
-    Beyond the volume its border value goes on; the far border belongs to the last cell; NaN is the near one.
+    Outside the volume its border value continues; the far border belongs to the last cell, NaN to the first.
     """
     inside = 0.0 <= x <= last
     x = x if x > 0.0 else 0.0
@@ -118,7 +118,7 @@ def _axis_cell(x: float, last: float) -> tuple[int, float, bool]:
 def volume_cell(
     shape: Any, matrix: Floats, row: int, column: int
 ) -> tuple[tuple[int, int, int], tuple[float, float, float], tuple[bool, bool, bool]]:
-    """Cell of a volume that a pixel falls into: lowest voxel, fractions beyond it, inside along each axis.
+    """Find the cell of a volume around a pixel: lowest voxel, fractions beyond it, inside along each axis.
 
     Args:
         shape: (nx, ny, 2·nz) of both channels.
@@ -134,7 +134,7 @@ def volume_cell(
 def edge_rows(
     channels: NDArray[np.float32], phase: int, cell: tuple[int, int, int]
 ) -> tuple[Float64x4, Float64x4, Float64x4, Float64x4]:
-    """(a, b) at the near and the far end of each edge along z of a cell: at (x, y) = 00, 01, 10, 11."""
+    """Load (a, b) at both ends of each edge along z of a cell: at (x, y) = 00, 01, 10, 11."""
     p, i, j, k = np.uintp(phase), np.uintp(cell[0]), np.uintp(cell[1]), np.uintp(2 * cell[2])
     return (
         load_row(channels, p, i, j, k),
@@ -145,12 +145,12 @@ def edge_rows(
 
 
 AHEAD = 6
-"""Pixels along a row between asking for a cell and reading it; 16 is slower."""
+"""Pixels along a row between prefetching a cell and reading it; 16 is slower."""
 
 
 @inlined
 def fetch_ahead(channels: NDArray[np.float32], phase: int, matrix: Floats, row: int, column: int) -> None:
-    """Ask for the cell of a pixel that is sampled soon: a volume is larger than the near caches."""
+    """Prefetch the cell of a pixel that is sampled soon: a volume is larger than the near caches."""
     cell, _, _ = volume_cell(channels.shape[1:], matrix, row, column)
     p, i, j, k = np.uintp(phase), np.uintp(cell[0]), np.uintp(cell[1]), np.uintp(2 * cell[2])
     prefetch_row(channels, p, i, j, k)
@@ -167,16 +167,16 @@ def sample_channels(
     runs: Ints,
     samples: Floats,
 ) -> int:
-    """Trilinear values of both channels at every pixel of one slice; the border value outside the volume.
+    """Interpolate both channels at every pixel of one slice; outside the volume the border value.
 
     Args:
         channels: (n, nx, ny, 2·nz) float32.
-        phase: which of the n volumes.
+        phase: index of the volume.
         matrix: (3, 3) voxel index from (column, row, 1).
-        runs: (k, 4) of the slice.
+        runs: (k, 4) runs of the slice.
         samples: (pixels, SUMS) out: a, b.
     Returns:
-        how many pixels lie inside the volume.
+        number of pixels inside the volume.
     """
     shape, first = channels.shape[1:], runs[0, PIXEL]
     inside = 0
@@ -199,34 +199,34 @@ def sample_channels(
 def _add_row(
     slices: PatchedSlices, run: int, first: int, samples: Floats, window: Floats, columns: Floats
 ) -> None:
-    """A run's products into its row of the window, and onto its columns."""
+    """Write a run's products to its row of the window, and add them to its columns."""
     pixels, radius, runs = slices.pixels, slices.radius, slices.runs
     row, begin, pixel = runs[run, ROW], runs[run, FIRST], runs[run, PIXEL]
-    kept = window[row % (2 * radius + 1)]
+    stored = window[row % (2 * radius + 1)]
     for column in range(begin, runs[run, LAST]):
         at, place = pixel + column - begin, np.uintp(column + radius)
         u, a, b = float(pixels[at]), samples[at - first, 0], samples[at - first, 1]
         low, high = pack(a, b, a * a, b * b), pack(a * b, u * a, u * b, 0.0)
-        store4(kept, place, np.uintp(0), low)
-        store4(kept, place, np.uintp(4), high)
+        store4(stored, place, np.uintp(0), low)
+        store4(stored, place, np.uintp(4), high)
         store4(columns, place, np.uintp(0), add(load4(columns, place, np.uintp(0)), low))
         store4(columns, place, np.uintp(4), add(load4(columns, place, np.uintp(4)), high))
 
 
 @inlined
 def _drop_row(slices: PatchedSlices, run: int, window: Floats, columns: Floats) -> None:
-    """A run's products off its columns."""
+    """Subtract a run's products from its columns."""
     radius, runs = slices.radius, slices.runs
-    kept = window[runs[run, ROW] % (2 * radius + 1)]
+    stored = window[runs[run, ROW] % (2 * radius + 1)]
     for column in range(runs[run, FIRST], runs[run, LAST]):
         place = np.uintp(column + radius)
         for q in (np.uintp(0), np.uintp(4)):
-            store4(columns, place, q, subtract(load4(columns, place, q), load4(kept, place, q)))
+            store4(columns, place, q, subtract(load4(columns, place, q), load4(stored, place, q)))
 
 
 @inlined
 def _fit_patch(slices: PatchedSlices, p: int, columns: Floats, fits: Floats, at: int) -> tuple[float, float]:
-    """Fit a patch whose rows the columns hold.
+    """Fit a patch from the sums of its rows in the columns.
 
     Args:
         fits: row `at` is filled with c·α², c·αβ, c·β², c·α, c·β, c·αγ, c·βγ, w·S; c = w/(n·Var u).
@@ -298,11 +298,11 @@ def lc2_slices(
     begin: int,
     end: int,
 ) -> None:
-    """Score slices begin <= s < end; see the module docstring. Several ranges may run at once.
+    """Score slices begin <= s < end; see the module docstring. Ranges may run in parallel.
 
     Args:
         out: (s, 3) filled with SLICE_SCORE, SLICE_WEIGHT and SLICE_OVERLAP.
-        worker: whose part of the scratch is used.
+        worker: index of the part of the scratch that is used.
     """
     samples, window = scratch.samples[worker], scratch.window[worker]
     columns, fits = scratch.columns[worker], scratch.fits[worker]

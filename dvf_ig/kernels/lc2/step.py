@@ -1,12 +1,12 @@
-"""Gradient and Gauss–Newton matrix of LC2: which small motion of the model explains the slices better.
+"""Gradient and Gauss–Newton matrix of LC2: the small motion of the model that explains the slices better.
 
 With the coefficients α, β, γ of every patch's fit fixed (see `slices`), 1 − S is a weighted sum of squared
 residuals u − α·a − β·b − γ, and a and b change with the pose by their gradients. Every pixel lies in many
-patches; what it needs of their coefficients are seven sums, running sums as those of windows are.
+patches; the seven sums of their coefficients that it needs are running sums, as those of windows are.
 
 A small motion moves a pixel by a linear function of h = (column, row, 1). So a slice needs no more than
 Σ h f of the force f = r_a ∇a + r_b ∇b that its residuals exert on the model, and for the matrix Σ h hᵀ G of
-G = Σ_patches c (α∇a + β∇b)(α∇a + β∇b)ᵀ; what they mean for the pose follows from the slice's place.
+G = Σ_patches c (α∇a + β∇b)(α∇a + β∇b)ᵀ; their effect on the pose follows from the slice's position.
 """
 
 import numpy as np
@@ -39,7 +39,7 @@ FORCE = 9
 STEP_SCORE, STEP_WEIGHT = FORCE, FORCE + 1
 """… then Σ w·S and Σ w …"""
 MATRIX = FORCE + 2
-"""… and where Σ h hᵀ G begins, (6, 6): lower triangles by rows, of h hᵀ along rows, of G along columns."""
+"""… and start of Σ h hᵀ G, (6, 6): lower triangles by rows, of h hᵀ along rows, of G along columns."""
 STEP_SUMS = MATRIX + 36
 
 
@@ -47,7 +47,7 @@ STEP_SUMS = MATRIX + 36
 def sample_gradients(
     channels: NDArray[np.float32], phase: int, matrix: Floats, runs: Ints, samples: Floats
 ) -> None:
-    """Trilinear values and gradients of both channels at every pixel of one slice.
+    """Interpolate values and gradients of both channels at every pixel of one slice.
 
     Args:
         channels, phase, matrix, runs: as in `sample_channels`.
@@ -66,7 +66,7 @@ def sample_gradients(
             along_x, along_y = subtract(far, near), fma(s0, fx, subtract(s1, s0))
             value = fma(near, fx, along_x)
             along_z = multiply(value, pack(-1.0, -1.0, 1.0, 1.0))
-            # where a coordinate is beyond the volume the border value goes on: no change along that axis
+            # outside the volume the border value continues: no change along that axis
             if not in_x:
                 along_x = scale(0.0, along_x)
             if not in_y:
@@ -81,7 +81,7 @@ def sample_gradients(
 
 @inlined
 def _add_fits(slices: PatchedSlices, patch: int, at: int, fits: Floats, columns: Floats, sign: float) -> None:
-    """A patch's coefficients onto its column."""
+    """Add a patch's coefficients to its column."""
     place = np.uintp((slices.centers[patch, PATCH_COLUMN] >> 1) + slices.radius)
     for q in (np.uintp(0), np.uintp(4)):
         total = fma(load4(columns, place, q), sign, load4(fits, np.uintp(at), q))
@@ -99,7 +99,7 @@ def _add_matrix(
     a: tuple[float, float, float],
     b: tuple[float, float, float],
 ) -> None:
-    """One pixel's part of Σ h hᵀ G."""
+    """Add one pixel's part of Σ h hᵀ G."""
     h = (float(column), float(row), 1.0)
     at = MATRIX
     for i in range(3):
@@ -116,7 +116,7 @@ def _add_matrix(
 def _add_forces(
     slices: PatchedSlices, run: int, first: int, samples: Floats, columns: Floats, out: Floats, matrix: bool
 ) -> None:
-    """What the pixels of one run add to a slice's sums."""
+    """Add the pixels of one run to a slice's sums."""
     runs, radius = slices.runs, slices.radius
     row, begin, pixel = runs[run, ROW], runs[run, FIRST], runs[run, PIXEL]
     x = y = z = cx = cy = cz = 0.0
@@ -150,11 +150,11 @@ def _add_forces(
 def add_forces(
     slices: PatchedSlices, s: int, samples: Floats, columns: Floats, fits: Floats, out: Floats, matrix: bool
 ) -> None:
-    """Σ h f of one slice, and with `matrix` Σ h hᵀ G.
+    """Add up Σ h f of one slice, and with `matrix` Σ h hᵀ G.
 
     Args:
         samples, columns, fits: one worker's part of `Scratch`, filled by `sample_gradients`, `fit_patches`.
-        out: (STEP_SUMS,) that is added to.
+        out: (STEP_SUMS,) added to in place.
     """
     runs, radius, centers = slices.runs, slices.radius, slices.centers
     first, end = slices.first_run[s], slices.first_run[s + 1]
@@ -183,12 +183,12 @@ def lc2_step_slices(
     begin: int,
     end: int,
 ) -> None:
-    """Score and force of slices begin <= s < end. Several ranges may run at once.
+    """Score slices begin <= s < end, with their forces; ranges may run in parallel.
 
     Args:
         matrix: whether Σ h hᵀ G is needed.
         out: (s, STEP_SUMS) filled with Σ h f, Σ w·S, Σ w, and Σ h hᵀ G or zeros.
-        worker: whose part of the scratch is used.
+        worker: index of the part of the scratch that is used.
     """
     samples, window = scratch.samples[worker], scratch.window[worker]
     columns, fits = scratch.columns[worker], scratch.fits[worker]

@@ -1,8 +1,8 @@
 """Exact distance from points to triangles through a tree of bounding boxes (Ericson 2005, Section 5.1.5).
 
-The tree is complete and implicit: node n has children 2n+1 and 2n+2, its last level are the leaves, and leaf
-l holds triangles `leaf_start[l]` to `leaf_start[l+1]` of the reordered list (`triangle_tree`). All triangles
-of a leaf are tested at once, each in its own frame, where it is a plane figure (Jones 1995): first corner at
+The tree is complete and implicit: node n has children 2n+1 and 2n+2, its last level holds the leaves, and
+leaf l holds triangles `leaf_start[l]` to `leaf_start[l+1]` of the reordered list (`triangle_tree`). All
+triangles of a leaf are tested at once, each in its own plane frame (Jones 1995): first corner at
 the origin, second at (length, 0), third at (x, y) with y >= 0.
 """
 
@@ -14,7 +14,7 @@ from dvf_ig.core import FloatArray, IntArray
 from dvf_ig.kernels.compiled import inlined, kernel
 
 DEPTH = 64
-"""Capacity for pending nodes: one for each level of the tree."""
+"""Capacity for pending nodes, one for each level of the tree."""
 LEAF_SIZE = 8
 """Most triangles in a leaf: eight of them fill one or two vector registers."""
 FRAME_ROWS = 17
@@ -22,7 +22,7 @@ FRAME_ROWS = 17
 that end in the third corner (0 for one without length)."""
 
 FLAT = 1e-12
-"""A triangle whose height is below this share of its side has no area."""
+"""Height over side below which a triangle counts as having no area."""
 
 
 @inlined
@@ -34,14 +34,14 @@ def _squared(x: float, y: float, z: float) -> float:
 def _squared_to_segment(
     along: float, length: float, x: float, y: float, z: float, ux: float, uy: float, uz: float
 ) -> float:
-    """Squared distance from (x, y, z) to the point `along / length` of u; to its start where u is null."""
+    """Compute the squared distance from (x, y, z) to `along / length` of u; to its start if u is null."""
     t = along / length if length > 0.0 else 0.0
     return _squared(x - t * ux, y - t * uy, z - t * uz)
 
 
 @inlined
 def triangle_squared_distance(corners: FloatArray, m: int, x: float, y: float, z: float) -> float:
-    """Squared distance to triangle `m` of (t, 9) corner coordinates a, b, c, by Voronoi regions.
+    """Compute the squared distance to triangle `m` of (t, 9) corner coordinates a, b, c, by Voronoi regions.
 
     A triangle without area is as far as its edges, which a closed surface's other triangles share.
     """
@@ -77,7 +77,7 @@ def triangle_squared_distance(corners: FloatArray, m: int, x: float, y: float, z
 
 @inlined
 def _box_squared_distance(boxes: FloatArray, node: int, x: float, y: float, z: float) -> float:
-    """Squared distance to box `node` of (b, 6) lower and upper corners; 0 inside."""
+    """Compute the squared distance to box `node` of (b, 6) lower and upper corners; 0 inside."""
     dx = max(boxes[node, 0] - x, 0.0, x - boxes[node, 3])
     dy = max(boxes[node, 1] - y, 0.0, y - boxes[node, 4])
     dz = max(boxes[node, 2] - z, 0.0, z - boxes[node, 5])
@@ -86,7 +86,7 @@ def _box_squared_distance(boxes: FloatArray, node: int, x: float, y: float, z: f
 
 @inlined
 def _clipped(value: float, upper: float) -> float:
-    """Into [0, upper]; written so that the compiler makes it one vector instruction."""
+    """Clip to [0, upper]; written so that the compiler makes it one vector instruction."""
     value = value if value > 0.0 else 0.0
     return value if value < upper else upper
 
@@ -98,7 +98,7 @@ def _smaller(a: float, b: float) -> float:
 
 @kernel
 def fill_leaf_frames(corners: FloatArray, leaf_start: IntArray, frames: FloatArray) -> None:
-    """The triangles of each leaf in their own frames; a leaf's last triangle is repeated to fill it.
+    """Fill the frames of each leaf's triangles; a leaf's last triangle is repeated to fill it.
 
     A triangle without area gets any frame that holds it: none of its points counts as inside.
 
@@ -152,7 +152,7 @@ def _fill_frame(corners: FloatArray, t: int, frames: FloatArray, leaf: int, m: i
 def _leaf_squared_distances(
     frames: FloatArray, leaf: int, x: float, y: float, z: float, out: FloatArray
 ) -> None:
-    """Squared distances to all triangles of a leaf: of the plane, and in the plane of the nearest edge."""
+    """Compute squared distances to a leaf's triangles: from the plane, and in it from the nearest edge."""
     for m in range(frames.shape[2]):
         dx, dy, dz = x - frames[leaf, 0, m], y - frames[leaf, 1, m], z - frames[leaf, 2, m]
         u = dx * frames[leaf, 3, m] + dy * frames[leaf, 4, m] + dz * frames[leaf, 5, m]
@@ -184,7 +184,7 @@ def closest_batch(
     distance_mm: FloatArray,
     triangle: IntArray,
 ) -> None:
-    """Unsigned distance from each point to the nearest triangle, into the caller's buffer.
+    """Compute unsigned distances from each point to the nearest triangle, into the caller's buffer.
 
     Consecutive points should be neighbours: the leaf of the triangle found for one bounds the search of the
     next.
@@ -197,7 +197,7 @@ def closest_batch(
         pending, bound: (DEPTH,) work space: nodes still to visit, and the squared distance to each of them.
         squared: (LEAF_SIZE,) work space.
         distance_mm: (n,) output.
-        triangle: (n,) output, the nearest triangle's place in leaf order.
+        triangle: (n,) output, the nearest triangle's index in leaf order.
     """
     leaves = len(leaf_start) - 1
     start, nearest = 0, 0

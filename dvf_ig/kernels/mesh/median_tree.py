@@ -6,7 +6,7 @@ from dvf_ig.kernels.compiled import inlined, kernel
 
 @inlined
 def _longest_axis(centers: FloatArray, order: IntArray, first: int, last: int) -> int:
-    """Axis along which the centres of a range of the order extend farthest."""
+    """Find the axis along which the centres of a range of the order extend farthest."""
     longest, axis = -1.0, 0
     for a in range(3):
         low = high = centers[order[first], a]
@@ -21,7 +21,7 @@ def _longest_axis(centers: FloatArray, order: IntArray, first: int, last: int) -
 
 @inlined
 def _select(keys: FloatArray, order: IntArray, first: int, last: int, middle: int) -> None:
-    """Both reordered so that no key of [first, middle) exceeds one of [middle, last): Hoare 1961."""
+    """Reorder both so that no key of [first, middle) exceeds one of [middle, last): Hoare 1961."""
     low, high = first, last - 1
     while low < high:
         pivot = keys[(low + high) // 2]
@@ -46,7 +46,7 @@ def _select(keys: FloatArray, order: IntArray, first: int, last: int, middle: in
 
 @kernel
 def split_at_medians(centers: FloatArray, levels: int, order: IntArray, keys: FloatArray) -> None:
-    """Order in which every node of a complete tree holds one contiguous range: its children split it in two.
+    """Order items so that each node of a complete tree holds a contiguous range, split by its children.
 
     Node k of the 2^l nodes of level l holds items k·t // 2^l to (k + 1)·t // 2^l; they are split at the
     median along the axis on which their centres extend farthest.
@@ -72,7 +72,7 @@ def split_at_medians(centers: FloatArray, levels: int, order: IntArray, keys: Fl
 
 @kernel
 def fill_boxes(corners: FloatArray, leaf_start: IntArray, boxes: FloatArray) -> None:
-    """(2l − 1, 6) lower and upper corners of the nodes, from (t, 9) triangle corners in leaf order."""
+    """Fill (2l − 1, 6) lower and upper corners of the nodes from (t, 9) triangle corners in leaf order."""
     leaves = len(leaf_start) - 1
     for leaf in range(leaves):
         node = leaves - 1 + leaf

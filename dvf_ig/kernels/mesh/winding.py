@@ -1,6 +1,6 @@
 """Winding number of a closed surface at each node of a grid, by scanning the columns along the third axis.
 
-A node is inside where the winding number is not zero. Overlapping components are therefore united, and a fold
+A node is inside if its winding number is not zero. Overlapping components are therefore united, and a fold
 or a self-intersecting cap has only a local effect.
 """
 
@@ -15,9 +15,9 @@ from dvf_ig.kernels.compiled import inlined, kernel
 
 @inlined
 def _left_of(ax: float, ay: float, bx: float, by: float, x: float, y: float) -> bool:
-    """Whether (x, y) lies left of a→b, the same answer (negated) from the two triangles that share the edge.
+    """Return whether (x, y) is left of a→b; both triangles that share the edge get the same answer (negated).
 
-    Evaluated in one order of the end points whatever the direction; a point exactly on the line is moved by
+    Evaluated in one order of the end points for either direction; a point exactly on the line is moved by
     (ε, ε²), so that every column belongs to exactly one of the triangles around an edge or a vertex.
     """
     swapped = bx < ax or (bx == ax and by < ay)
@@ -32,7 +32,7 @@ def _left_of(ax: float, ay: float, bx: float, by: float, x: float, y: float) -> 
 
 @kernel
 def winding_numbers(vertices: FloatArray, triangles: IntArray, winding: NDArray[np.int16]) -> None:
-    """Winding number at the integer nodes of a grid, into the caller's buffer.
+    """Compute winding numbers at the integer nodes of a grid, into the caller's buffer.
 
     Args:
         vertices: (v, 3) in index coordinates of the grid.

@@ -1,19 +1,19 @@
-"""Times of samples that come in batches: by the time that comes with them, else by counting.
+"""Times of samples that arrive in batches: from their time stamp, else by counting.
 
 Sample k was taken at start + k/rate, and no batch arrives before its last sample: the smallest
-arrival − k/rate so far gives the start. It creeps up by LARGEST_RATE, so that a slow clock is followed.
-Where samples were lost, or a source stopped, the count is begun anew.
+arrival − k/rate up to now gives the start. It grows by LARGEST_RATE, so that a slow clock is followed.
+If samples were lost, or a source stopped, the count starts again.
 """
 
 from math import inf
 
 LARGEST_RATE = 500e-6
 LOST_S = 0.15
-"""A batch that comes this late compared with the fastest so far has lost others before it."""
+"""Delay of a batch, compared with the fastest before it, from which others before it were lost."""
 
 
 class BatchClock:
-    """When the first sample of each batch was taken.
+    """Clock that estimates when the first sample of each batch was taken.
 
     Args:
         rate_hz: samples a second.
@@ -24,7 +24,7 @@ class BatchClock:
         self._count, self._start_s, self._last_s = 0, inf, 0.0
 
     def first_s(self, samples: int, seen_s: float) -> float:
-        """Time of the first of `samples`, which had all been taken at `seen_s`."""
+        """Estimate the time of the first of `samples`, which had all been taken at `seen_s`."""
         self._count += samples
         start_s = seen_s - (self._count - 1) / self._rate_hz
         if start_s - self._start_s > LOST_S:

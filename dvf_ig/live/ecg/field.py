@@ -1,7 +1,7 @@
-"""An ECG among what PLUS sends: a STRING, or a field beside an image or a transform, with numbers in it.
+"""ECG in PLUS messages: a STRING, or a field of an image or a transform, that holds numbers.
 
-With it may stand `<Name>Timestamp` (time of its first sample) and `<Name>Leads` (their names; samples then
-alternate between leads), as in a recorded sequence (`dvf_ig.io.plus.ecg_field`).
+It may be accompanied by `<Name>Timestamp` (time of its first sample) and `<Name>Leads` (their names; samples
+then alternate between leads), as in a recorded sequence (`dvf_ig.io.plus.ecg_field`).
 """
 
 import numpy as np
@@ -15,16 +15,16 @@ from .batches import BatchClock
 from .values import plausible
 
 LONGEST = 100_000
-"""Values in one batch."""
+"""Largest number of values in one batch."""
 LONGEST_S = 5.0
-"""A batch is sent as it is taken: one this long is none."""
+"""Largest duration of a batch, which is sent as it is acquired."""
 
 
 class EcgField:
-    """Takes messages and gives the samples in them.
+    """Reader of the ECG samples in messages.
 
     Args:
-        name: of the field or of the STRING's device.
+        name: name of the field or of the STRING's device.
         rate_hz: samples a second.
     """
 
@@ -34,23 +34,23 @@ class EcgField:
         self._last: tuple[str, str | None] | None = None
 
     def samples(self, message: Message, seen_s: float, offset_s: float) -> EcgSamples | None:
-        """The samples of a message; None where it has none, or those of the message before.
+        """Return the samples of a message; None if it has none, or repeats the previous ones.
 
         Args:
             seen_s: the message's stamp by the session's clock.
-            offset_s: the peer's clock less the session's.
+            offset_s: the peer's clock minus the session's.
         Raises:
-            InvalidInputError: a value or a time that is no number.
+            InvalidInputError: a value or a time that is not a number.
         """
         text = message.fields.get(self._name)
         if text is None and isinstance(message.content, Text) and message.device == self._name[:20]:
             text = message.content.text
         if not text:
             return None
-        given = message.fields.get(f"{self._name}Timestamp")
-        if (text, given) == self._last and given is not None:
+        stamp = message.fields.get(f"{self._name}Timestamp")
+        if (text, stamp) == self._last and stamp is not None:
             return None
-        self._last = (text, given)
+        self._last = (text, stamp)
         leads = len((message.fields.get(f"{self._name}Leads") or "one").split())
         values = _numbers(text, leads)
         if len(values) > self._longest:
@@ -59,10 +59,10 @@ class EcgField:
                 "check its rate"
             )
         first_s = self._clock.first_s(len(values), seen_s)
-        if given is not None:
-            first_s = _number(given) - offset_s
+        if stamp is not None:
+            first_s = _number(stamp) - offset_s
         if not abs(first_s) <= limits.TIME_S:
-            raise InvalidInputError(f"{self._name}Timestamp is '{given}'; needed seconds")
+            raise InvalidInputError(f"{self._name}Timestamp is '{stamp}'; needed seconds")
         return EcgSamples(first_s, values)
 
 

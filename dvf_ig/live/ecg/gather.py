@@ -1,4 +1,4 @@
-"""An ECG that a thread of its own gathers; the session's thread takes what is there and never waits."""
+"""ECG gathered by its own thread; the session's thread takes the available samples without waiting."""
 
 import threading
 import time
@@ -15,10 +15,10 @@ EVERY_S = 0.01
 
 
 class EcgReader(Protocol):
-    """Something that has new samples now and then."""
+    """Reader that has new samples from time to time."""
 
     def read(self) -> list[EcgSamples]:
-        """Those since the last call, stamped by this machine's monotonic clock; may wait a while."""
+        """Return samples since the last call, stamped by this machine's monotonic clock; may wait."""
         ...
 
 
@@ -26,7 +26,7 @@ class EcgReader(Protocol):
 def gathered(
     reader: EcgReader, clock: Callable[[], float] = time.monotonic
 ) -> Iterator[Callable[[], list[LiveEvent]]]:
-    """Read in a thread; yields what gives the events since its last call, or raises what ended the thread."""
+    """Read in a thread; yield a function that returns new events or raises the thread's error."""
     waiting: deque[LiveEvent] = deque(maxlen=MOST_BATCHES)
     stop = threading.Event()
     failed: list[BaseException] = []

@@ -1,4 +1,4 @@
-"""An ECG of the Lab Streaming Layer (pylsl, optional); its stamps are put to this machine's clock."""
+"""An ECG of the Lab Streaming Layer (pylsl, optional); its stamps are converted to this machine's clock."""
 
 import importlib
 import time
@@ -17,17 +17,17 @@ FIND_WITHIN_S = 5.0
 CORRECT_EVERY_S = 5.0
 MOST_SAMPLES = 1 << 16
 GAP_SAMPLES = 1.5
-"""Stamps that lie further apart than so many samples are a gap; what follows is a batch of its own."""
+"""Distance of stamps, in samples, from which they are a gap that starts a new batch."""
 
 
 class LslEcg:
-    """Samples of a stream, found by its name and looked for again when it is lost.
+    """Reader of a stream, found by its name and searched again when it is lost.
 
     Args:
-        name: of the stream.
+        name: name of the stream.
         rate_hz: samples a second.
-        channels: that are leads; empty takes all.
-        tell: is told what is wrong.
+        channels: channels that are leads; empty takes all.
+        tell: called with messages about problems.
     Raises:
         MissingDependencyError: pylsl, or the library that it needs, is absent.
     """
@@ -47,7 +47,7 @@ class LslEcg:
         self._correction_s, self._corrected_s = 0.0, float("-inf")
 
     def read(self) -> list[EcgSamples]:
-        """Samples since the last call; none while there is no such stream."""
+        """Return samples since the last call; none while there is no such stream."""
         if self._inlet is None:
             self._find()
             return []
@@ -56,7 +56,7 @@ class LslEcg:
                 self._correction_s, self._corrected_s = self._inlet.time_correction(2.0), self._clock()
             rows, stamps = self._inlet.pull_chunk(timeout=0.0, max_samples=MOST_SAMPLES)
         except (self._lsl.util.LostError, self._lsl.util.TimeoutError):
-            self._tell(f"the LSL stream '{self._name}' is lost; it is looked for again")
+            self._tell(f"the LSL stream '{self._name}' is lost; searching for it again")
             self._inlet = None
             return []
         if not stamps:
@@ -68,11 +68,11 @@ class LslEcg:
         return batches(np.array(stamps) + offset_s, values, self._rate_hz)
 
     def _find(self) -> None:
-        found = self._lsl.resolve_byprop("name", self._name, 1, FIND_WITHIN_S)
-        if not found:
+        streams = self._lsl.resolve_byprop("name", self._name, 1, FIND_WITHIN_S)
+        if not streams:
             self._tell(f"no LSL stream is named '{self._name}' yet")
             return
-        info = found[0]
+        info = streams[0]
         if max(self._channels, default=0) >= info.channel_count():
             self._tell(f"the LSL stream '{self._name}' has {info.channel_count()} channels")
             return
@@ -80,7 +80,7 @@ class LslEcg:
 
 
 def batches(t_s: Any, values: Any, rate_hz: float) -> list[EcgSamples]:
-    """Runs of even samples.
+    """Split samples into evenly sampled batches.
 
     Args:
         t_s: (n,) stamps; values: (n, leads).

@@ -1,4 +1,4 @@
-"""The ECG that a configuration names, where no peer sends it."""
+"""ECG source named in the configuration, if no peer sends the ECG."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -16,11 +16,11 @@ from .tail import CsvTail, EdfTail
 def ecg_events(
     config: LiveConfig, folder: Path, tell: Callable[[str], None]
 ) -> Iterator[Callable[[], list[LiveEvent]]]:
-    """What gives the ECG's events since its last call; none where the peers send it.
+    """Yield the function that returns the ECG's new events; it returns none if the peers send it.
 
     Args:
-        folder: where names of files begin.
-        tell: is told what is wrong.
+        folder: folder to which file names are relative.
+        tell: called with messages about problems.
     Raises:
         MissingDependencyError: pylsl is absent.
     """

@@ -1,7 +1,7 @@
-"""An ECG in a file that another program is still writing: CSV, a line a sample, or EDF, a record at a time.
+"""ECG from a file that another program is writing: CSV, a line a sample, or EDF, a record at a time.
 
-What a file says of time is not used: a sample was taken just before it appeared (`batches`). The file may
-appear later, and begins anew where it becomes shorter; what stands in it at first is passed over.
+Times in the file are not used: a sample was taken just before it appeared (`batches`). The file may appear
+later, and is read from its start again when it becomes shorter; its first content is skipped.
 """
 
 import math
@@ -21,18 +21,18 @@ from .values import plausible
 PIECE_BYTES = 1 << 20
 LONGEST_LINE = 1 << 16
 _TIMES = ("t", "t_s", "time", "time_s", "timestamp", "seconds")
-"""Headings of a column that is no lead."""
+"""Headings of columns that are not leads."""
 _EDF_HEADER, _EDF_SIGNAL = 256, 256
 
 
 @dataclass(slots=True)
 class _GrowingFile:
-    """A file that another program is still writing, and the clock of its samples.
+    """File that another program is still writing, with the clock of its samples.
 
     Args:
-        path: of the file; need not be there yet.
+        path: path of the file, which need not exist yet.
         rate_hz: samples a second.
-        tell: is told what cannot be used.
+        tell: called with messages about unusable content.
         clock: this machine's monotonic clock.
     """
 
@@ -46,27 +46,27 @@ class _GrowingFile:
         self._times = BatchClock(self.rate_hz)
 
     def _just_read(self, values: FloatArray) -> list[EcgSamples]:
-        """(n, leads) samples, the last of which was taken before now."""
+        """Stamp (n, leads) samples, the last of which was taken just before now."""
         return [EcgSamples(self._times.first_s(len(values), self.clock()), plausible(values))]
 
 
 @dataclass(slots=True)
 class CsvTail(_GrowingFile):
-    """New lines of a growing CSV; every column that is a number in each is a lead, but for one named time."""
+    """Reader of new lines of a growing CSV; every numeric column is a lead, except one named time."""
 
     _at: int | None = field(default=None, init=False)
     _rest: bytes = field(default=b"", init=False)
     _columns: list[int] | None = field(default=None, init=False)
 
     def read(self) -> list[EcgSamples]:
-        """Samples of the lines that were completed since the last call."""
+        """Return samples of the lines completed since the last call."""
         try:
             data = self._new_bytes()
         except OSError:
             return []
         *lines, self._rest = (self._rest + data).split(b"\n")
         if len(self._rest) > LONGEST_LINE:
-            self.tell(f"{self.path} has a line of more than {LONGEST_LINE} characters; it is passed over")
+            self.tell(f"{self.path} has a line of more than {LONGEST_LINE} characters; it is skipped")
             self._rest = b""
         values = self._values(lines)
         return [] if values is None else self._just_read(values)
@@ -85,7 +85,7 @@ class CsvTail(_GrowingFile):
         return data
 
     def _values(self, lines: list[bytes]) -> FloatArray | None:
-        """(n, leads); NaN where a line is no sample, as a gap keeps its time."""
+        """Parse (n, leads) values; NaN for an invalid line, as a gap keeps its time."""
         rows = [_numbers(line, self._columns) for line in lines if line.strip()]
         leads = max((len(row) for row in rows), default=0)
         if not leads:
@@ -99,13 +99,13 @@ class CsvTail(_GrowingFile):
 
 @dataclass(slots=True)
 class EdfTail(_GrowingFile):
-    """New records of a growing EDF whose signals all have one rate; of another file it tells why not."""
+    """Reader of new records of a growing EDF with one rate; it reports why another file cannot be read."""
 
     _layout: "_EdfLayout | None" = field(default=None, init=False)
     _at: int = field(default=0, init=False)
 
     def read(self) -> list[EcgSamples]:
-        """Samples of the records that were completed since the last call."""
+        """Return samples of the records completed since the last call."""
         try:
             size = self.path.stat().st_size
             with self.path.open("rb") as file:
@@ -129,23 +129,23 @@ class EdfTail(_GrowingFile):
 
 
 class _EdfLayout:
-    """Where samples lie in a record, and what they mean."""
+    """Positions of samples in a record, and their scale."""
 
     def __init__(self, begin: int, leads: int, samples: int, gain: FloatArray, offset: FloatArray) -> None:
         self.begin, self.bytes = begin, 2 * leads * samples
         self._leads, self._samples, self._gain, self._offset = leads, samples, gain, offset
 
     def values(self, data: bytes) -> FloatArray:
-        """(n, leads) in the file's unit."""
+        """Convert a record to (n, leads) in the file's unit."""
         raw = np.frombuffer(data, dtype="<i2").reshape(-1, self._leads, self._samples)
         return np.asarray(raw.transpose(0, 2, 1).reshape(-1, self._leads) * self._gain + self._offset)
 
 
 def _edf_layout(head: bytes, rate_hz: float) -> _EdfLayout:
-    """From the header of an EDF.
+    """Read the layout from the header of an EDF.
 
     Raises:
-        InvalidInputError: none, signals of several rates, or another rate than was stated.
+        InvalidInputError: not an EDF, signals of several rates, or another rate than was stated.
     """
     try:
         begin, seconds = int(head[184:192]), float(head[244:252])
@@ -159,7 +159,7 @@ def _edf_layout(head: bytes, rate_hz: float) -> _EdfLayout:
         least, most = numbers(120, 8), numbers(128, 8)
         samples = numbers(216, 8)
     except ValueError as exc:
-        raise InvalidInputError(f"it is no EDF ({exc}); the file may be a CSV: name it .csv") from exc
+        raise InvalidInputError(f"it is not an EDF ({exc}); the file may be a CSV: name it .csv") from exc
     ok = 1 <= leads <= 64 and seconds > 0 and len(set(samples.tolist())) == 1 and (most > least).all()
     if not ok or not math.isclose(samples[0] / seconds, rate_hz, rel_tol=1e-3):
         raise InvalidInputError(
@@ -171,7 +171,7 @@ def _edf_layout(head: bytes, rate_hz: float) -> _EdfLayout:
 
 
 def _columns(first_line: bytes) -> list[int] | None:
-    """Columns that are leads by a table's heading; None where there is no heading: all of them."""
+    """Find the columns that are leads by a table's heading; None without a heading: all of them."""
     cells = first_line.decode("utf-8", "replace").replace(";", ",").strip().split(",")
     if all(_is_number(cell) for cell in cells):
         return None

@@ -1,4 +1,4 @@
-"""Values that an ECG can have."""
+"""Check of ECG values."""
 
 import numpy as np
 
@@ -7,5 +7,5 @@ from dvf_ig.core.plausible import ECG_VALUE
 
 
 def plausible(values: FloatArray) -> FloatArray:
-    """Put NaN, a missing sample, in place of what is not finite or beyond ECG_VALUE."""
+    """Replace values that are not finite or beyond ECG_VALUE by NaN, a missing sample."""
     return np.where(np.abs(values) <= ECG_VALUE, values, np.nan)

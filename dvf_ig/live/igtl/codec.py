@@ -1,4 +1,4 @@
-"""OpenIGTLink bodies to messages and back: pure functions, no socket."""
+"""Conversion between OpenIGTLink bodies and messages: pure functions, no socket."""
 
 from collections.abc import Callable
 from typing import Any
@@ -38,16 +38,16 @@ _ENCODE: dict[type, tuple[str, Callable[[Any], bytes]]] = {
 
 
 def decode(header: bytes, body: bytes) -> Message:
-    """One message from the bytes of its header and of its body.
+    """Decode a message from the bytes of its header and of its body.
 
     Raises:
-        WireError: anything that the protocol, or a limit, does not allow.
+        WireError: bytes that the protocol or a limit does not allow.
     """
     return decode_body(decode_header(header), body)
 
 
 def decode_body(header: Header, body: bytes) -> Message:
-    """The message of a body.
+    """Decode the message of a body.
 
     Raises:
         WireError: with type, device and stamp of the header.
@@ -68,10 +68,10 @@ def decode_body(header: Header, body: bytes) -> Message:
 
 
 def encode(message: Message) -> bytes:
-    """The bytes of a message: version 2 where it has fields, else version 1, which everybody reads.
+    """Encode a message: version 2 if it has fields, else version 1, which all programs read.
 
     Raises:
-        WireError: a value that the protocol cannot hold; TypeError of `Ignored`, which is not sent.
+        WireError: a value that the protocol cannot hold; TypeError for `Ignored`, which is not sent.
     """
     if type(message.content) not in _ENCODE:
         raise WireError(WireProblem.VALUE, type(message.content).__name__, message.device)

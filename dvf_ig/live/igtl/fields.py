@@ -1,4 +1,4 @@
-"""Extended header and meta data of version 2 messages: named texts beside the content."""
+"""Extended header and meta data of version 2 messages: named texts in addition to the content."""
 
 import struct
 from collections.abc import Mapping
@@ -16,10 +16,10 @@ _UTF8, _ASCII = 106, 3
 
 
 def split_body(body: memoryview) -> tuple[memoryview, MappingProxyType[str, str]]:
-    """The content of a version 2 body, and its fields.
+    """Split a version 2 body into its content and its fields.
 
     Raises:
-        WireError: sizes that do not fit the body, or texts that are none.
+        WireError: sizes that do not fit the body, or invalid texts.
     """
     if len(body) < _EXTENDED.size:
         raise WireError(WireProblem.SIZE)
@@ -51,25 +51,25 @@ def _fields(index: memoryview, texts: memoryview) -> MappingProxyType[str, str]:
     (count,) = _COUNT.unpack_from(index)
     if len(index) != _COUNT.size + count * _ENTRY.size:
         raise WireError(WireProblem.SIZE)
-    found, at = {}, 0
+    fields, at = {}, 0
     for i in range(count):
         key_bytes, encoding, value_bytes = _ENTRY.unpack_from(index, _COUNT.size + i * _ENTRY.size)
         if at + key_bytes + value_bytes > len(texts):
             raise WireError(WireProblem.SIZE)
         key = _text(texts[at : at + key_bytes], _UTF8)
         at += key_bytes
-        found[key] = _text(texts[at : at + value_bytes], encoding)
+        fields[key] = _text(texts[at : at + value_bytes], encoding)
         at += value_bytes
     if at != len(texts):
         raise WireError(WireProblem.SIZE)
-    return MappingProxyType(found)
+    return MappingProxyType(fields)
 
 
 def _text(raw: memoryview, encoding: int) -> str:
-    """A text by its MIB number.
+    """Decode a text by its MIB number.
 
     Raises:
-        WireError: another encoding than ASCII and UTF-8, or bytes that are none.
+        WireError: another encoding than ASCII and UTF-8, or invalid bytes.
     """
     if encoding not in (_ASCII, _UTF8):
         raise WireError(WireProblem.VALUE)

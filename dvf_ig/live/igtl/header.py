@@ -1,4 +1,4 @@
-"""The 58 bytes that every OpenIGTLink message begins with, and the most that may follow them."""
+"""OpenIGTLink message header of 58 bytes, and the size limits of the body."""
 
 import math
 import struct
@@ -27,18 +27,18 @@ _LARGEST = {
     "STRING": 4 + limits.WIRE_TEXT_BYTES,
     "IMAGE": 72 + limits.WIRE_IMAGE_BYTES,
 }
-"""Content that is read, without extended header and meta data, bytes at most."""
+"""Largest content that is read, without extended header and meta data, bytes."""
 
 
 @dataclass(frozen=True, slots=True)
 class Header:
-    """A message's header.
+    """Header of a message.
 
     Attributes:
-        version: of the header; from 2 on an extended header and meta data stand in the body.
+        version: version of the header; from 2 on the body has an extended header and meta data.
         kind: type of the message, for example "TRANSFORM".
-        stamp_s: None where the sender gave no time.
-        body_bytes, crc: of what follows.
+        stamp_s: None if the sender gave no time.
+        body_bytes, crc: size and CRC of the body.
     """
 
     version: int
@@ -50,12 +50,12 @@ class Header:
 
     @property
     def is_read(self) -> bool:
-        """Whether the body is looked at; of other types it is passed over."""
+        """Whether the body is read; bodies of other types are skipped."""
         return self.kind in _LARGEST
 
 
 def decode_header(data: bytes | bytearray | memoryview) -> Header:
-    """Read a header; nothing is reserved for its body before this has returned.
+    """Decode a header; no memory is reserved for its body before this returns.
 
     Args:
         data: HEADER_BYTES.
@@ -78,10 +78,10 @@ def decode_header(data: bytes | bytearray | memoryview) -> Header:
 
 
 def encode_header(kind: str, device: str, stamp_s: float | None, body: bytes, version: int) -> bytes:
-    """The header of a body.
+    """Encode the header of a body.
 
     Raises:
-        WireError: a name that is too long or no ASCII, or a time that is negative or not finite.
+        WireError: a name that is too long or not ASCII, or a time that is negative or not finite.
     """
     names = []
     for name, size in ((kind, KIND_BYTES), (device, DEVICE_BYTES)):
@@ -96,12 +96,12 @@ def encode_header(kind: str, device: str, stamp_s: float | None, body: bytes, ve
 
 
 def checksum(body: bytes) -> int:
-    """CRC-64 of a body."""
+    """Compute the CRC-64 of a body."""
     return int(crc64_of(np.frombuffer(body, dtype=np.uint8), TABLES)) if body else 0
 
 
 def _name(raw: bytes) -> str:
-    """Up to the first NUL.
+    """Decode a name up to the first NUL.
 
     Raises:
         WireError: not printable ASCII.

@@ -1,6 +1,6 @@
-"""IMAGE: pixels with their place in space.
+"""IMAGE messages: pixels with their pose.
 
-The wire gives the place of the image's centre; here the matrix takes indices (column, row, slice) to mm.
+The wire gives the position of the image's centre; here the matrix takes indices (column, row, slice) to mm.
 """
 
 import struct
@@ -21,7 +21,7 @@ _VERSIONS = (1, 2)
 
 
 def decode_image(content: memoryview) -> Image:
-    """A whole image.
+    """Decode a whole image.
 
     Raises:
         WireError: sizes that do not fit each other, an unknown type, a part of an image, or a matrix that is
@@ -31,8 +31,8 @@ def decode_image(content: memoryview) -> Image:
         raise WireError(WireProblem.SIZE)
     version, components, scalar, endian, axes, *rest = _LAYOUT.unpack_from(content)
     size, numbers, offset, part = rest[:3], rest[3:15], rest[15:18], rest[18:21]
-    known = scalar in _TYPES and endian in (1, _LITTLE) and axes in (_RAS, _LPS) and version in _VERSIONS
-    if not known or not 1 <= components <= 4:
+    supported = scalar in _TYPES and endian in (1, _LITTLE) and axes in (_RAS, _LPS) and version in _VERSIONS
+    if not supported or not 1 <= components <= 4:
         raise WireError(WireProblem.VALUE)
     if min(size) == 0 or offset != [0, 0, 0] or part != size:
         raise WireError(WireProblem.SIZE)
@@ -47,10 +47,10 @@ def decode_image(content: memoryview) -> Image:
 
 
 def encode_image(image: Image) -> bytes:
-    """Little-endian pixels, whole.
+    """Encode a whole image with little-endian pixels.
 
     Raises:
-        WireError: pixels of a type or a size that the protocol has not.
+        WireError: pixels of a type or a size that the protocol does not support.
     """
     pixels = image.pixels
     scalar = next((code for code, name in _TYPES.items() if np.dtype(name) == pixels.dtype), None)

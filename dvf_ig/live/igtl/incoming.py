@@ -1,4 +1,4 @@
-"""A stream of bytes taken apart into messages, however it is cut into pieces; no socket."""
+"""Splitting of a byte stream, cut in any pieces, into messages; no socket."""
 
 from .codec import decode_body
 from .header import HEADER_BYTES, Header, decode_header
@@ -9,7 +9,7 @@ Taken = Message | WireError
 
 
 class Incoming:
-    """Takes bytes as they come. What it holds never exceeds one message that is read and one piece."""
+    """Incremental decoder of a byte stream; it never holds more than one message and one piece."""
 
     def __init__(self) -> None:
         self._buffer = bytearray()
@@ -18,16 +18,16 @@ class Incoming:
 
     @property
     def within_message(self) -> bool:
-        """Whether a message has begun and not ended."""
+        """True if a message has begun and not ended."""
         return self._header is not None or self._skip > 0 or len(self._buffer) > 0
 
     def feed(self, data: bytes) -> list[Taken]:
-        """Messages that these bytes complete; an error in place of one that is refused.
+        """Return the messages that these bytes complete; an error replaces a refused one.
 
         Raises:
-            WireError: where the next message begins is lost.
+            WireError: the start of the next message is lost.
         """
-        found: list[Taken] = []
+        messages: list[Taken] = []
         self._buffer += data
         while True:
             if self._skip:
@@ -35,23 +35,23 @@ class Incoming:
                 del self._buffer[:passed]
                 self._skip -= passed
                 if self._skip:
-                    return found
+                    return messages
             if self._header is None:
                 if len(self._buffer) < HEADER_BYTES:
-                    return found
+                    return messages
                 self._header = self._begin()
             if not self._header.is_read:
-                found.append(self._passed_over(self._header))
+                messages.append(self._passed_over(self._header))
                 continue
             if len(self._buffer) < self._header.body_bytes:
-                return found
-            found.append(self._taken(self._header))
+                return messages
+            messages.append(self._taken(self._header))
 
     def close(self) -> None:
-        """The peer has closed the connection.
+        """Handle the peer's closing of the connection.
 
         Raises:
-            WireError: within a message.
+            WireError: it was closed within a message.
         """
         if self.within_message:
             raise WireError(WireProblem.CLOSED)

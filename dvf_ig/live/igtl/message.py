@@ -1,6 +1,6 @@
-"""What OpenIGTLink messages say, as values: device, time stamp, content, and named fields beside it.
+"""OpenIGTLink messages as values: device, time stamp, content, and named fields.
 
-Matrices are (4, 4), mm, and take points of what is tracked to the frame that it is tracked in, axes as the
+Matrices are (4, 4), mm, and map points of the tracked object to the frame it is tracked in, axes as the
 sender has them; the wire holds them as float32.
 Source: OpenIGTLink protocol, versions 1 to 3 (openigtlink.org).
 """
@@ -17,7 +17,7 @@ from dvf_ig.core.arrays import FloatArray, read_only_arrays
 
 
 class StatusCode(IntEnum):
-    """Codes of a STATUS message that we send."""
+    """Codes of STATUS messages that are sent."""
 
     OK = 1
     NOT_READY = 13
@@ -27,7 +27,7 @@ class StatusCode(IntEnum):
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class Transform:
-    """A pose: (4, 4). TRANSFORM; POSITION and QTRANS are read as this, too."""
+    """Pose (4, 4) of TRANSFORM, POSITION or QTRANS messages."""
 
     matrix: FloatArray
 
@@ -35,10 +35,10 @@ class Transform:
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class Image:
-    """An image.
+    """Image of an IMAGE message.
 
     Attributes:
-        pixels: (slices, rows, columns) or, of several components, (slices, rows, columns, components).
+        pixels: (slices, rows, columns) or, with several components, (slices, rows, columns, components).
         matrix: (4, 4) from voxel index (column, row, slice) to mm; the spacing is the length of its columns.
         lps: its axes are LPS, else RAS.
     """
@@ -51,7 +51,7 @@ class Image:
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class TrackedTool:
-    """One tool of a TDATA or QTDATA message."""
+    """Tool of a TDATA or QTDATA message."""
 
     name: str
     matrix: FloatArray
@@ -66,7 +66,7 @@ class TrackingData:
 
 @dataclass(frozen=True, slots=True)
 class Status:
-    """STATUS: a code of the protocol, the sender's own code and name of an error, and a sentence."""
+    """Content of STATUS: the protocol's code, the sender's own code and name of an error, and a sentence."""
 
     code: int
     subcode: int = 0
@@ -83,7 +83,7 @@ class Text:
 
 @dataclass(frozen=True, slots=True)
 class Ignored:
-    """A message that nothing here uses, queries (GET_, STT_, STP_) among them."""
+    """Content of a message that is not used, such as queries (GET_, STT_, STP_)."""
 
     kind: str
 
@@ -95,11 +95,11 @@ NO_FIELDS: MappingProxyType[str, str] = MappingProxyType({})
 
 @dataclass(frozen=True, slots=True)
 class Message:
-    """One message.
+    """OpenIGTLink message.
 
     Attributes:
-        device: name.
-        stamp_s: time stamp; None where the sender gave none.
+        device: device name.
+        stamp_s: time stamp; None if the sender gave none.
         fields: meta data of a version 2 header, by key.
     """
 

@@ -15,27 +15,27 @@ TRANSFORM_BYTES = 48
 _TOOL, _QUATERNION_TOOL = 70, 50
 _NAME_BYTES = 20
 _OTHER_TOOL = 3
-"""Type of a tool: with 6 degrees of freedom."""
+"""Type of a tool with 6 degrees of freedom."""
 _POSITION_BYTES = {12: 0, 24: 3, 28: 4}
-"""Numbers of a quaternion in a POSITION of so many bytes; of three, the last follows from the norm."""
+"""Numbers of a quaternion by size of the POSITION in bytes; the last of three follows from the norm."""
 _UNIT = 1e-2
-"""A quaternion's norm may be off 1 by so much."""
+"""Largest deviation of a quaternion's norm from 1."""
 
 
 def decode_transform(content: memoryview) -> Transform:
-    """Raises WireError unless it is one rigid matrix."""
+    """Decode one rigid matrix, or raise WireError."""
     if len(content) != TRANSFORM_BYTES:
         raise WireError(WireProblem.SIZE)
     return Transform(_matrix(content))
 
 
 def encode_transform(transform: Transform) -> bytes:
-    """The matrix in columns, the translation last."""
+    """Encode the matrix by columns, the translation last."""
     return np.asarray(transform.matrix[:3].T, dtype=">f4").tobytes()
 
 
 def decode_tracking(content: memoryview) -> TrackingData:
-    """Raises WireError unless all of its tools are named and rigid."""
+    """Decode tools with names and rigid poses, or raise WireError."""
     if len(content) % _TOOL:
         raise WireError(WireProblem.SIZE)
     return TrackingData(
@@ -47,7 +47,7 @@ def decode_tracking(content: memoryview) -> TrackingData:
 
 
 def encode_tracking(data: TrackingData) -> bytes:
-    """Raises WireError where a name is too long or no ASCII."""
+    """Encode tools, or raise WireError if a name is too long or not ASCII."""
     out = []
     for tool in data.tools:
         if len(tool.name) > _NAME_BYTES or not tool.name.isascii():
@@ -58,7 +58,7 @@ def encode_tracking(data: TrackingData) -> bytes:
 
 
 def decode_position(content: memoryview) -> Transform:
-    """POSITION and QTRANS: a translation, and a quaternion, whole, without its last number, or not at all."""
+    """Decode POSITION and QTRANS: a translation, and a quaternion that may lack its last number or all."""
     if len(content) not in _POSITION_BYTES:
         raise WireError(WireProblem.SIZE)
     return Transform(_posed(np.frombuffer(content, dtype=">f4").astype(np.float64)))
@@ -80,7 +80,7 @@ def _matrix(raw: memoryview) -> FloatArray:
 
 
 def _posed(numbers: FloatArray) -> FloatArray:
-    """(3,), (6,) or (7,): translation and quaternion x y z w."""
+    """Build a matrix from (3,), (6,) or (7,): translation and quaternion x y z w."""
     if not np.isfinite(numbers).all():
         raise WireError(WireProblem.NOT_FINITE)
     quaternion = np.array([0.0, 0.0, 0.0, 1.0])
@@ -94,7 +94,7 @@ def _posed(numbers: FloatArray) -> FloatArray:
 
 
 def _rotation(quaternion: FloatArray) -> FloatArray:
-    """(3, 3) of a unit quaternion x y z w."""
+    """Convert a unit quaternion x y z w to (3, 3)."""
     x, y, z, w = quaternion
     return np.array(
         [

@@ -1,4 +1,4 @@
-"""What can be wrong with an OpenIGTLink message, and the error that says so."""
+"""Problems of OpenIGTLink messages, and the error that reports them."""
 
 from enum import Enum
 
@@ -6,7 +6,7 @@ from dvf_ig.core.errors import InvalidInputError
 
 
 class WireProblem(Enum):
-    """Why a message is refused; each value is the sentence a user reads."""
+    """Reason for refusing a message; the value is the sentence that a user reads."""
 
     VERSION = "the header's version is none of 1, 2 and 3"
     NAME = "type or device name is no text"
@@ -21,7 +21,7 @@ class WireProblem(Enum):
 
     @property
     def ends_connection(self) -> bool:
-        """Where the next message begins is not known any more."""
+        """True if the start of the next message is lost."""
         return self in _FRAMING
 
 
@@ -31,11 +31,11 @@ _FRAMING = frozenset(
 
 
 class WireError(InvalidInputError):
-    """A message that is refused.
+    """Refused message.
 
     Attributes:
-        problem: why.
-        kind, device, stamp_s: type, device name and time stamp of the message where its header was read.
+        problem: the reason.
+        kind, device, stamp_s: type, device name and time stamp of the message if its header was read.
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""STATUS and STRING."""
+"""STATUS and STRING messages."""
 
 import struct
 
@@ -14,7 +14,7 @@ _UTF8, _ASCII = 106, 3
 
 
 def decode_status(content: memoryview) -> Status:
-    """Raises WireError where it is too short or its texts are none."""
+    """Decode a STATUS, or raise WireError if it is too short or its texts are invalid."""
     if len(content) < _STATUS.size:
         raise WireError(WireProblem.SIZE)
     code, subcode, name = _STATUS.unpack_from(content)
@@ -24,7 +24,7 @@ def decode_status(content: memoryview) -> Status:
 
 
 def encode_status(status: Status) -> bytes:
-    """Raises WireError where a text is too long."""
+    """Encode a STATUS, or raise WireError if a text is too long."""
     name, text = status.name.encode(), status.text.encode()
     if len(name) > 20 or len(text) >= limits.WIRE_TEXT_BYTES:
         raise WireError(WireProblem.TOO_LARGE, "STATUS")
@@ -32,7 +32,7 @@ def encode_status(status: Status) -> bytes:
 
 
 def decode_string(content: memoryview) -> Text:
-    """Raises WireError where the stated length is another, or the bytes are no text."""
+    """Decode a STRING, or raise WireError if its length is wrong or its bytes are not text."""
     if len(content) < _STRING.size:
         raise WireError(WireProblem.SIZE)
     encoding, length = _STRING.unpack_from(content)
@@ -42,7 +42,7 @@ def decode_string(content: memoryview) -> Text:
 
 
 def encode_string(text: Text) -> bytes:
-    """Raises WireError where the text is too long."""
+    """Encode a STRING, or raise WireError if the text is too long."""
     raw = text.text.encode()
     if len(raw) > limits.WIRE_TEXT_BYTES:
         raise WireError(WireProblem.TOO_LARGE, "STRING")

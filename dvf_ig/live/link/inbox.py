@@ -1,4 +1,4 @@
-"""What has arrived and was not yet looked at: bounded, the newest refused where it is full."""
+"""Queue of arrived messages not yet processed: bounded, refusing the newest when full."""
 
 import threading
 from collections import deque
@@ -8,12 +8,13 @@ from dvf_ig.live.igtl import Image, Message
 from dvf_ig.live.igtl.incoming import Taken
 
 MOST = 4096
-"""Messages: ten seconds of a tracker at 100 Hz with three tools, or forty of two minutes' images."""
+"""Largest number of messages and bytes: ten seconds of a tracker at 100 Hz with three tools, or forty of two
+minutes' images."""
 MOST_BYTES = 128 << 20
 
 
 class Arrival(NamedTuple):
-    """A message, or why it was refused; when its last byte came, and from whom."""
+    """Message, or why it was refused, with the time of its last byte and its sender."""
 
     arrived_s: float
     peer: str
@@ -21,17 +22,17 @@ class Arrival(NamedTuple):
 
 
 class Inbox:
-    """Filled by the threads that receive, emptied by the one that runs the session."""
+    """Queue that receiving threads fill and the session's thread empties."""
 
     def __init__(self) -> None:
         self._waiting: deque[Arrival] = deque()
         self._bytes = 0
         self._changed = threading.Condition()
         self.dropped = 0
-        """Arrivals for which there was no room."""
+        """Number of arrivals refused because the queue was full."""
 
     def put(self, arrival: Arrival) -> None:
-        """Add one; never waits."""
+        """Add an arrival without waiting."""
         size = _bytes_of(arrival)
         with self._changed:
             if len(self._waiting) >= MOST or self._bytes + size > MOST_BYTES:
@@ -42,17 +43,17 @@ class Inbox:
             self._changed.notify()
 
     def take(self, wait_s: float, most: int = MOST) -> list[Arrival]:
-        """The first `most` that are there, after waiting for one no longer than `wait_s`."""
+        """Remove up to `most` arrivals, waiting at most `wait_s` for the first."""
         with self._changed:
             if not self._waiting:
                 self._changed.wait(wait_s)
-            taken = [self._waiting.popleft() for _ in range(min(most, len(self._waiting)))]
-            self._bytes -= sum(map(_bytes_of, taken))
-        return taken
+            arrivals = [self._waiting.popleft() for _ in range(min(most, len(self._waiting)))]
+            self._bytes -= sum(map(_bytes_of, arrivals))
+        return arrivals
 
 
 def _bytes_of(arrival: Arrival) -> int:
-    taken = arrival.taken
-    if isinstance(taken, Message) and isinstance(taken.content, Image):
-        return int(taken.content.pixels.nbytes)
+    message = arrival.taken
+    if isinstance(message, Message) and isinstance(message.content, Image):
+        return int(message.content.pixels.nbytes)
     return 256

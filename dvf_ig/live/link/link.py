@@ -1,4 +1,4 @@
-"""Peers over time: a client that connects again and again, or a server that takes those who are allowed."""
+"""Peers over time: a client that reconnects, or a server that accepts allowed peers."""
 
 import socket
 import threading
@@ -17,11 +17,11 @@ LAST_WITHIN_S = 0.1
 MOST_PEERS = 8
 LOOPBACK = "127.0.0.1"
 DEFAULT_PORT = 18944
-"""Where PLUS listens, and 3D Slicer by default."""
+"""Default port of PLUS and 3D Slicer."""
 
 
 class Link:
-    """The peers of a session, however often they come and go; a context manager that ends with its threads.
+    """Peers of a session, which may reconnect at any time; a context manager that ends its threads.
 
     Made by `connect` or `listen`.
     """
@@ -29,14 +29,14 @@ class Link:
     def __init__(self, inbox: Inbox | None, run: Callable[["Link"], None]) -> None:
         self.inbox = inbox
         self.port = 0
-        """That a server listens at."""
+        """Port at which a server listens."""
         self.connections = self.turned_away = 0
         self.last_end: str | None = None
-        """Why the last connection ended."""
+        """Reason for which the last connection ended."""
         self.unreachable: str | None = None
-        """Why a client could not connect when it last tried and failed."""
+        """Reason for a client's last failure to connect."""
         self.farewell = b""
-        """Whole messages for a peer that is cut off because of what it sent."""
+        """Whole messages for a peer that is cut off because of invalid bytes."""
         self.stop = threading.Event()
         self._peers: list[Peer] = []
         self._changed = threading.Lock()
@@ -55,7 +55,7 @@ class Link:
 
     @property
     def peers(self) -> tuple[Peer, ...]:
-        """Those who are connected."""
+        """Connected peers."""
         with self._changed:
             for gone in [peer for peer in self._peers if not peer.connected]:
                 self._peers.remove(gone)
@@ -65,7 +65,7 @@ class Link:
 
     @property
     def dropped(self) -> int:
-        """Messages that were not sent to peers that did not read."""
+        """Number of messages not sent because peers did not read."""
         peers = self.peers
         return self._dropped + sum(peer.dropped for peer in peers)
 
@@ -77,7 +77,7 @@ class Link:
             self._peers.append(peer)
 
     def send(self, messages: Sequence[Message]) -> None:
-        """Offer messages to every peer; never waits."""
+        """Offer messages to every peer without waiting."""
         if not messages:
             return
         data = b"".join(encode(message) for message in messages)
@@ -85,14 +85,14 @@ class Link:
             peer.offer(data)
 
     def send_last(self, messages: Sequence[Message]) -> None:
-        """Send the session's last messages; waits LAST_WITHIN_S at most for a peer that does not read."""
+        """Send the session's last messages, waiting at most LAST_WITHIN_S for a peer that does not read."""
         data = b"".join(encode(message) for message in messages)
         for peer in self.peers:
             peer.offer_last(data, LAST_WITHIN_S)
 
 
 def connect(host: str, port: int, inbox: Inbox | None) -> Link:
-    """A client of one server, connected again whenever the connection ends."""
+    """Connect to one server as a client, again whenever the connection ends."""
 
     def run(link: Link) -> None:
         while not link.stop.is_set():
@@ -109,14 +109,14 @@ def connect(host: str, port: int, inbox: Inbox | None) -> Link:
 
 
 def listen(host: str, port: int, inbox: Inbox | None, allowed: Sequence[str] = (LOOPBACK,)) -> Link:
-    """A server for the peers that are allowed, up to MOST_PEERS of them.
+    """Serve the allowed peers, up to MOST_PEERS of them.
 
     Args:
         host: address to listen at.
-        port: 0 lets the system choose; `Link.port` says which.
-        allowed: addresses; others are turned away before a byte of theirs is read.
+        port: 0 lets the system choose; `Link.port` holds it.
+        allowed: addresses; others are refused before any of their bytes is read.
     Raises:
-        InvalidInputError: the address cannot be listened at, or an allowed one is none.
+        InvalidInputError: the address is unusable, or an allowed one is not an address.
     """
     welcome = _addresses(allowed)
     try:
@@ -147,7 +147,7 @@ def listen(host: str, port: int, inbox: Inbox | None, allowed: Sequence[str] = (
 
 
 def is_loopback(host: str) -> bool:
-    """Whether an address or name is this machine's own and reached by no other."""
+    """Return whether an address or name can be reached only from this machine."""
     try:
         return host == "localhost" or ip_address(host).is_loopback
     except ValueError:
@@ -155,7 +155,7 @@ def is_loopback(host: str) -> bool:
 
 
 def _addresses(names: Sequence[str]) -> set[IPv4Address | IPv6Address]:
-    """Raises InvalidInputError where one is no address."""
+    """Parse addresses, or raise InvalidInputError if one is invalid."""
     try:
         return {ip_address(name) for name in names}
     except ValueError as exc:

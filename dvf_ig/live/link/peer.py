@@ -1,4 +1,4 @@
-"""One connected peer: a thread that receives, and sending that never waits."""
+"""Connected peer: a thread that receives, and sending that never waits."""
 
 import select
 import socket
@@ -13,20 +13,20 @@ from .inbox import Arrival, Inbox
 
 PIECE_BYTES = 1 << 18
 MESSAGE_S = 0.5
-"""A message that has begun ends within this, or the connection does: an image takes some 10 ms."""
+"""Time within which a message must end before the connection is closed: an image takes some 10 ms."""
 LAST_LOOK_S = 0.01
 LOOK_EVERY_S = 0.1
-"""A thread that waits for bytes looks so often whether it is to end."""
+"""Interval at which a thread that waits for bytes checks whether it must end."""
 
 
 class Peer:
-    """A connection that lasts until the peer closes it, breaks the protocol, or `close`.
+    """Connection that lasts until the peer closes it, breaks the protocol, or `close`.
 
     Args:
         connection: connected; the peer owns it.
-        name: of the peer, for messages.
-        inbox: takes what arrives; None receives and forgets, as of a peer that is only told.
-        farewell: gives whole messages for a peer whose connection is ended here.
+        name: name of the peer, for messages.
+        inbox: queue for arrivals; None discards them, for a peer that only receives.
+        farewell: returns whole messages for a peer whose connection is ended here.
         clock: seconds, monotonic.
         message_s: time for a message that has begun.
     """
@@ -42,9 +42,9 @@ class Peer:
     ) -> None:
         self.name = name
         self.ended: WireError | OSError | None = None
-        """Why the connection ended, where it was not closed between two messages."""
+        """Reason for which the connection ended, unless it was closed between two messages."""
         self.dropped = 0
-        """Messages that were not sent because the peer did not read those before."""
+        """Number of messages not sent because the peer did not read earlier ones."""
         self.received = self.refused = 0
         self._connection, self._inbox, self._clock, self._message_s = connection, inbox, clock, message_s
         self._farewell = farewell
@@ -61,7 +61,7 @@ class Peer:
         return self._thread.is_alive()
 
     def close(self) -> None:
-        """End the connection; a second time does nothing."""
+        """End the connection; a second call has no effect."""
         self._stop.set()
         if threading.current_thread() is not self._thread:
             self._thread.join()
@@ -76,7 +76,7 @@ class Peer:
             self._flushed()
 
     def offer_last(self, data: bytes, within_s: float) -> None:
-        """Send whole messages after what is left of those before, as far as the peer takes them in time."""
+        """Send whole messages after the rest of earlier ones, as far as the peer reads them in time."""
         end_s = self._clock() + within_s
         poll = select.poll()
         with self._sending:
@@ -88,7 +88,7 @@ class Peer:
                 poll.poll(1e3 * LAST_LOOK_S)
 
     def _flushed(self) -> bool:
-        """Whether nothing is left of what was offered before."""
+        """Send the rest of earlier offers; return whether nothing is left."""
         while self._unsent:
             try:
                 sent = self._connection.send(self._unsent)
@@ -129,13 +129,13 @@ class Peer:
             if not data:
                 incoming.close()
                 return
-            found = incoming.feed(data)
-            for taken in found:
+            messages = incoming.feed(data)
+            for message in messages:
                 self.received += 1
-                self.refused += isinstance(taken, WireError)
+                self.refused += isinstance(message, WireError)
                 if self._inbox is not None:
-                    self._inbox.put(Arrival(arrived_s, self.name, taken))
+                    self._inbox.put(Arrival(arrived_s, self.name, message))
             if not incoming.within_message:
                 begun_s = None
-            elif found or begun_s is None:
+            elif messages or begun_s is None:
                 begun_s = arrived_s

@@ -1,4 +1,4 @@
-"""A web page on this machine that shows the session as it runs."""
+"""Web page on this machine that shows the running session."""
 
 from .feed import PageFeed as PageFeed
 from .server import PageServer as PageServer

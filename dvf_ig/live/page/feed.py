@@ -1,7 +1,7 @@
-"""What a running session tells its page: the scene, and an event up to 30 times a second.
+"""Data that a running session sends to its page: the scene, and an event up to 30 times a second.
 
-The session's thread only leaves references here, without a lock; a thread of the page makes JSON of them,
-and of a picture what the page needs, and only while somebody looks. The scene is made before the session
+The session's thread only stores references here, without a lock; a thread of the page converts them and the
+picture to JSON, and only while the page is watched. The scene is made before the session
 runs: JSON of a whole heart holds the interpreter for longer than a session may wait.
 """
 
@@ -30,20 +30,20 @@ from dvf_ig.session.pose.confirmation import MAX_AGE_S
 T = TypeVar("T")
 FRAMES_HZ = 10.0
 ECG_HZ = 250.0
-"""The ECG is thinned to this."""
+"""Rate to which the ECG is thinned."""
 JUDGED_AFTER_S = 5.0
-"""A registration that heart beats are still to confirm is told as refused when this has passed."""
+"""Time after which a registration that heart beats have not confirmed is reported as refused."""
 KEPT = 512
-"""ECG batches, or marks, that wait for the page."""
+"""Largest number of ECG batches, or marks, that wait for the page."""
 
 
 class PageFeed:
-    """Between a session and its page.
+    """Data exchange between a session and its page.
 
     Args:
-        setup: of the session.
+        setup: setup of the session.
         ecg_hz: rate of the ECG.
-        history: of the session.
+        history: history of the session.
     """
 
     def __init__(self, setup: SessionSetup, ecg_hz: float, history: SessionHistory) -> None:
@@ -64,7 +64,7 @@ class PageFeed:
         )
         rest = {key: value for key, value in scene.items() if key != "image"}
         self._scene = json.dumps(rest, allow_nan=False)[:-1].encode()
-        """But for its image and the closing brace."""
+        """Scene as JSON, without its image and the closing brace."""
         self._answer: Answer | None = None
         self._ecg: deque[EcgSamples] = deque(maxlen=KEPT)
         self._frame: TrackedFrame | None = None
@@ -76,19 +76,19 @@ class PageFeed:
     # ------------------------------------------------------------------ by the session's thread
 
     def observe(self, answer: Answer) -> None:
-        """An answer was sent."""
+        """Store an answer that was sent."""
         self._note_history(answer.state.now_s)
         self._answer = answer
 
     def event(self, event: Event) -> None:
-        """An event was pushed."""
+        """Store an event that was pushed."""
         if isinstance(event, EcgSamples):
             self._ecg.append(event)
         elif isinstance(event, TrackedFrame) and event.image is not None:
             self._frame = event
 
     def _note_history(self, now_s: float) -> None:
-        """Peaks and registrations that are new; both only grow at their ends."""
+        """Store new peaks and registrations; both only grow at their ends."""
         peaks = self._history.peaks
         fresh = []
         for peak in reversed(peaks):
@@ -111,13 +111,13 @@ class PageFeed:
     # ------------------------------------------------------------------ by the page's thread
 
     def scene(self) -> tuple[bytes, bytes]:
-        """scene.json in two parts; the image's size is known with the first frame."""
+        """Return scene.json in two parts; the image's size is known with the first frame."""
         shape = self._shape_of(self._frame)
         image = json.dumps(None if shape is None else image_payload(shape), allow_nan=False)
         return self._scene, f', "image": {image}}}'.encode()
 
     def next_event(self) -> str | None:
-        """What is new since the last call, as JSON; None where nothing is."""
+        """Return what is new since the last call as JSON, or None."""
         answer = self._answer
         if answer is None or answer.state.now_s <= self._told_s:
             return None
@@ -142,10 +142,10 @@ class PageFeed:
     def _thinned(self, batches: list[EcgSamples]) -> dict[str, list[float | None]]:
         t_s = np.concatenate([b.start_s + np.arange(len(b.samples)) / self._ecg_hz for b in batches])
         values = np.concatenate([b.samples[:, 0] for b in batches])
-        kept = slice(None, None, self._every)
+        thinned = slice(None, None, self._every)
         return {
-            "t_s": [round(t, 4) for t in t_s[kept].tolist()],
-            "values": [float(f"{v:.5g}") if np.isfinite(v) else None for v in values[kept].tolist()],
+            "t_s": [round(t, 4) for t in t_s[thinned].tolist()],
+            "values": [float(f"{v:.5g}") if np.isfinite(v) else None for v in values[thinned].tolist()],
         }
 
     def _shape_of(self, frame: TrackedFrame | None) -> ImageShape | None:
@@ -165,7 +165,7 @@ class PageFeed:
         return frame_event(frame.image, shape, event_s, phase, self._mr_from_pixel(frame, state))
 
     def _mr_from_pixel(self, frame: TrackedFrame, state: GuidanceState) -> FloatArray | None:
-        """(3, 3) by the pose in use and the probe's pose recorded with the frame."""
+        """Compute (3, 3) from the pose in use and the probe's pose recorded with the frame."""
         pose = state.transform.pose
         if pose is None or frame.tracker_from_probe is None or state.now_s >= state.transform.pose_until_s:
             return None
@@ -175,12 +175,12 @@ class PageFeed:
 
 
 def _taken(waiting: deque[T]) -> list[T]:
-    """What the session's thread has left by now."""
+    """Remove the entries that the session's thread has stored."""
     return [waiting.popleft() for _ in range(len(waiting))]
 
 
 def _as_sent(answer: Answer) -> GuidanceState:
-    """The session's state with the force that the servo sent, and what it found."""
+    """Combine the session's state with the servo's force and findings."""
     supervised = answer.state.supervised
     sent = replace(
         supervised,

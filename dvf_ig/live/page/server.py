@@ -1,9 +1,9 @@
-"""The page's server: three fixed addresses, GET alone, this machine alone.
+"""Server of the page: three fixed addresses, only GET, only from this machine.
 
-Nothing that a browser sends is used beyond which of the three it wants, and who asks: a page of another
+Nothing that a browser sends is used except which of the three it requests and its origin: a page of another
 origin is refused (Host, Origin, Sec-Fetch-Site), whether or not it could read the answers. Requests are
-served at REQUESTS_HZ together, so that a flood takes little of the interpreter from the session. Threads
-here have no lower priority than others: one that is put off while it holds the interpreter puts off the
+served at REQUESTS_HZ in total, so that a flood takes little of the interpreter from the session. Threads
+here have no lower priority than others: a thread suspended while it holds the interpreter suspends the
 session.
 """
 
@@ -21,14 +21,14 @@ from .watchers import Watcher, Watchers
 
 EVENTS_HZ = 30.0
 SILENT_S = 1.0
-"""After so long without news a comment is sent, which tells whether anybody still listens."""
+"""Time without news after which a comment is sent, to detect whether the browser still listens."""
 REQUEST_S, READ_S = 2.0, 5.0
-"""A browser that takes longer to ask, or to read, is cut off."""
+"""Time after which a browser that neither requests nor reads is cut off."""
 REQUESTS_HZ, MOST_AT_ONCE = 20.0, 10
-"""Connections that are accepted, on average and at once; a page needs three."""
+"""Accepted connections, per second on average and at once; a page needs three."""
 _HOSTS = ("127.0.0.1", "localhost")
 _SAME_SITE = (None, "same-origin", "none")
-"""What a browser says of a request by its user or by a page of this server; other programs say nothing."""
+"""Values that a browser sends for requests by its user or a page of this server; other programs send none."""
 
 
 class _Handler(BaseHTTPRequestHandler):
@@ -37,7 +37,7 @@ class _Handler(BaseHTTPRequestHandler):
     timeout = READ_S
 
     def do_GET(self) -> None:
-        """One of the three."""
+        """Serve one of the three addresses."""
         self.server.asked(self.connection)
         if not self._of_this_site():
             self.send_error(403)
@@ -51,10 +51,10 @@ class _Handler(BaseHTTPRequestHandler):
             self.send_error(404)
 
     def log_message(self, *_: object) -> None:
-        """Nothing is logged."""
+        """Suppress logging."""
 
     def _of_this_site(self) -> bool:
-        """Whether the user, a page of this server, or a program on this machine asks."""
+        """Return whether the user, a page of this server, or a program on this machine sends the request."""
         host = self.headers.get("Host", "")
         return (
             host.rpartition(":")[0] in _HOSTS
@@ -111,13 +111,13 @@ class _Server(ThreadingHTTPServer):
         self._changed = threading.Condition()
         self._number, self._line = 0, b""
         self._asking: dict[Any, float] = {}
-        """Connections that have not asked yet, and since when."""
+        """Connections without a request yet, and their start."""
         self._allowed, self._allowed_s = float(MOST_AT_ONCE), time.monotonic()
 
     # ------------------------------------------------------------------ connections
 
     def get_request(self) -> tuple[socket.socket, Any]:
-        """Accept a connection, when its turn has come."""
+        """Accept a connection when its turn has come."""
         now_s = time.monotonic()
         earned = (now_s - self._allowed_s) * REQUESTS_HZ
         self._allowed, self._allowed_s = min(MOST_AT_ONCE, self._allowed + earned), now_s
@@ -129,7 +129,7 @@ class _Server(ThreadingHTTPServer):
         return connection, address
 
     def asked(self, connection: socket.socket) -> None:
-        """A connection's request has been read."""
+        """Note that a connection's request has been read."""
         self._asking.pop(connection, None)
 
     def shutdown_request(self, request: Any) -> None:
@@ -137,17 +137,17 @@ class _Server(ThreadingHTTPServer):
         super().shutdown_request(request)
 
     def service_actions(self) -> None:
-        """Cut off those that do not ask in time, however slowly they go on."""
+        """Cut off connections that do not complete a request in time."""
         late_s = time.monotonic() - REQUEST_S
         for connection, since_s in list(self._asking.items()):
             if since_s < late_s and self._asking.pop(connection, None) is not None:
                 try:
                     connection.shutdown(socket.SHUT_RDWR)
-                except OSError:  # it has gone by itself
+                except OSError:  # it has closed already
                     continue
 
     def handle_error(self, *_: object) -> None:
-        """A browser that went away is no error."""
+        """Ignore errors of a browser that has disconnected."""
 
     # ------------------------------------------------------------------ events
 
@@ -158,13 +158,13 @@ class _Server(ThreadingHTTPServer):
             return self._number
 
     def wait_newer(self, seen: int, wait_s: float) -> tuple[int, bytes]:
-        """The newest event, once it is newer, or after `wait_s`; a slow browser skips some."""
+        """Return the newest event once it is newer, or after `wait_s`; a slow browser skips some."""
         with self._changed:
             self._changed.wait_for(lambda: self._number != seen or self.stopped.is_set(), wait_s)
             return self._number, self._line
 
     def publish(self) -> None:
-        """Make an event of what is new, if somebody looks."""
+        """Publish what is new as an event, if somebody watches."""
         event = self.feed.next_event() if self.watchers else None
         if event is not None:
             with self._changed:
@@ -172,17 +172,17 @@ class _Server(ThreadingHTTPServer):
                 self._changed.notify_all()
 
     def wake(self) -> None:
-        """Let everybody see that it is over."""
+        """Wake all waiting threads at the end."""
         self.stopped.set()
         with self._changed:
             self._changed.notify_all()
 
 
 class PageServer:
-    """A context manager: while it lasts, http://127.0.0.1:port shows the session.
+    """Context manager that shows the session at http://127.0.0.1:port.
 
     Args:
-        feed: of the session.
+        feed: feed of the session.
         port: 0 lets the system choose.
     Raises:
         InvalidInputError: the port is taken.

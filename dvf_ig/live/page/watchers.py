@@ -1,22 +1,22 @@
-"""Who watches a session: a few at once, and a page of this server always finds a place."""
+"""Watchers of a session: a few at once, with one slot reserved for a page of this server."""
 
 import threading
 from dataclasses import dataclass, field
 
 MOST_WATCHERS = 4
-"""One of them is kept for a page that this server gave: other programs get no more than the rest."""
+"""Largest number of watchers; one slot is reserved for a page of this server."""
 
 
 @dataclass(slots=True, eq=False)
 class Watcher:
-    """One that is sent events until `gone` is set."""
+    """Watcher that receives events until `gone` is set."""
 
     own_page: bool
     gone: threading.Event = field(default_factory=threading.Event)
 
 
 class Watchers:
-    """Takes and turns away watchers; from any thread."""
+    """Registry that accepts and refuses watchers, from any thread."""
 
     def __init__(self) -> None:
         self._watching: list[Watcher] = []
@@ -26,10 +26,11 @@ class Watchers:
         return bool(self._watching)
 
     def begin(self, *, own_page: bool) -> Watcher | None:
-        """A new watcher, or None where there is no place for it.
+        """Register a new watcher, or return None if no slot is free.
 
         Args:
-            own_page: a browser says that a page of this server asks; the oldest other program makes place.
+            own_page: the request comes from a page of this server; the oldest other program is dropped for
+                it.
         """
         with self._changed:
             others = [one for one in self._watching if not one.own_page]
@@ -45,7 +46,7 @@ class Watchers:
             return watcher
 
     def end(self, watcher: Watcher) -> None:
-        """A watcher has gone; a second time does nothing."""
+        """Remove a watcher; a second call has no effect."""
         with self._changed:
             if watcher in self._watching:
                 self._watching.remove(watcher)

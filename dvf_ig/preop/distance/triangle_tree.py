@@ -29,18 +29,18 @@ class TriangleTree:
     order: IntArray
 
     def distance_mm(self, xyz_mm: FloatArray) -> FloatArray:
-        """(n,) unsigned exact distance; fastest when consecutive points are neighbours."""
+        """Compute (n,) unsigned exact distances; fastest when consecutive points are neighbours."""
         return self._search(xyz_mm)[0]
 
     def nearest(self, xyz_mm: FloatArray) -> "Nearest":
-        """The nearest point of the surface to each of (n, 3) points."""
+        """Find the point of the surface nearest to each of (n, 3) points."""
         distance_mm, place = self._search(xyz_mm)
         weights = nearest_weights(self.corners[place].reshape(-1, 3, 3), np.asarray(xyz_mm))
         points = np.einsum("nk,nkx->nx", weights, self.corners[place].reshape(-1, 3, 3))
         return Nearest(distance_mm, points, self.order[place], weights)
 
     def _search(self, xyz_mm: FloatArray) -> tuple[FloatArray, IntArray]:
-        """Distances, and the index of the nearest triangle in leaf order."""
+        """Find distances, and the index of the nearest triangle in leaf order."""
         points = np.array(xyz_mm, dtype=np.float64, order="C")
         distance_mm, place = np.empty(len(points)), np.empty(len(points), dtype=np.int64)
         work = (np.empty(DEPTH, dtype=np.int64), np.empty(DEPTH), np.empty(LEAF_SIZE))
@@ -67,9 +67,9 @@ class Nearest:
 
 
 def nearest_weights(corners: FloatArray, xyz_mm: FloatArray) -> FloatArray:
-    """(n, 3) barycentric weights of the point of each triangle that is nearest to each point.
+    """Compute (n, 3) barycentric weights of the point of each triangle nearest to its point.
 
-    The foot of the perpendicular where it falls into the triangle, else the best of the three edges.
+    The foot of the perpendicular if it falls into the triangle, else the best of the three edges.
 
     Args:
         corners: (n, 3, 3) corner k of triangle n; xyz_mm: (n, 3).
@@ -92,7 +92,7 @@ def nearest_weights(corners: FloatArray, xyz_mm: FloatArray) -> FloatArray:
 
 
 def _perpendicular_weights(corners: FloatArray, xyz_mm: FloatArray) -> FloatArray:
-    """(n, 3) barycentric coordinates of the feet in the triangles' planes; NaN for triangles without area."""
+    """Compute (n, 3) barycentric coordinates of the feet in the triangles' planes; NaN without area."""
     b, c = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     q = xyz_mm - corners[:, 0]
     bb, bc, cc = (np.einsum("nx,nx->n", u, v) for u, v in ((b, b), (b, c), (c, c)))
@@ -105,7 +105,7 @@ def _perpendicular_weights(corners: FloatArray, xyz_mm: FloatArray) -> FloatArra
 
 
 def build_triangle_tree(vertices_mm: FloatArray, triangles: IntArray) -> TriangleTree:
-    """Tree over (t, 3) triangles: every node is split at the median along its longest side."""
+    """Build a tree over (t, 3) triangles: every node is split at the median along its longest side."""
     corners = vertices_mm[triangles].reshape(-1, 9)
     count = len(triangles)
     levels = max(0, int(np.ceil(np.log2(count / LEAF_SIZE))))

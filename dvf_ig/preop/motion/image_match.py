@@ -14,7 +14,7 @@ from .slice_stack import observable_axes
 
 MIN_VOXELS = 100
 MIN_VOLUME_RATIO = 0.02
-"""A deformation that compresses a voxel below this share of its volume is sought again, stiffer."""
+"""Smallest accepted share of its volume to which a voxel is compressed; below, the search is repeated."""
 STIFFER_ATTEMPTS, STIFFER_FACTOR = 4, 3.0
 INNER_TOLERANCE = 1e-2
 """Share of the first residual that ends the conjugate gradients within a Gauss–Newton step."""
@@ -22,7 +22,7 @@ INNER_TOLERANCE = 1e-2
 
 @dataclass(frozen=True, slots=True)
 class FreeFormOptions:
-    """How a free-form deformation is fitted; grey levels are in units of the image's own standard deviation.
+    """Options of the free-form fit; grey levels are in units of the image's own standard deviation.
 
     Attributes:
         pitch_mm: knot pitch.
@@ -59,11 +59,11 @@ class _Level:
     Attributes:
         lattice: control points, evaluated on every few voxels.
         where: index arrays of the n voxels compared, in the lattice's grid.
-        index: (3, n) where they lie, in voxels of the moving image.
+        index: (3, n) their positions, in voxels of the moving image.
         fixed: (n,) grey levels, mean 0 and standard deviation 1.
         moving, gradient: grey levels of the moving image and their derivative per mm along each axis.
         spacing_mm: (3,) voxel pitch of the moving image.
-        voxel_mm3: volume that each of the voxels stands for.
+        voxel_mm3: volume represented by each of the voxels.
     """
 
     lattice: Lattice
@@ -85,17 +85,16 @@ def match_images(
     *,
     observable: BoolArray | None = None,
 ) -> FreeForm:
-    """Deformation x ↦ x + u(x) that makes moving(x + u(x)) similar to fixed(x).
+    """Find the deformation x ↦ x + u(x) that makes moving(x + u(x)) similar to fixed(x).
 
     Minimises the mean squared residual left by the best gain and offset (which is one minus the squared
-    correlation) plus the bending energy. Where the result compresses a voxel to almost nothing, the search is
-    repeated from the start, three times as stiff, up to four times; the caller judges any folding that is
-    left.
+    correlation) plus the bending energy. If the result compresses a voxel to almost nothing, the search is
+    repeated from the start, three times as stiff, up to four times; the caller judges any remaining folding.
 
     Args:
         fixed, moving: (nx, ny, nz) grey levels on the grid of the start's lattice.
         mask: (nx, ny, nz) voxels of the fixed image that are compared.
-        start: initial deformation; near enough that the finest structure overlaps at the coarsest blur.
+        start: initial deformation; close enough for the finest structure to overlap at the coarsest blur.
         observable: (3,) axes along which motion is estimated; None decides by the voxel size.
     Raises:
         InvalidInputError: fewer than 100 voxels to compare, or images without any contrast there.
@@ -110,22 +109,22 @@ def match_images(
         coefficients = start.coefficients
         for level in levels:
             coefficients = _minimise(level, bending, coefficients, stiffer)
-        found = FreeForm(start.lattice, coefficients)
-        if volume_ratio(found.on_voxels(), found.grid.spacing_mm, mask).min() > MIN_VOLUME_RATIO:
+        fitted = FreeForm(start.lattice, coefficients)
+        if volume_ratio(fitted.on_voxels(), fitted.grid.spacing_mm, mask).min() > MIN_VOLUME_RATIO:
             break
-    return found
+    return fitted
 
 
 @lru_cache(maxsize=4)
 def _bending(lattice: Lattice, least_pitch_mm: tuple[float, ...]) -> Bending:
-    """The energy on a lattice, which all phases of a cycle share."""
+    """Build the energy on a lattice, which all phases of a cycle share."""
     return Bending.of(lattice, np.array(least_pitch_mm))
 
 
 def blurred(
     values: AnyArray, spacing_mm: FloatArray, blur_mm: float, observable: BoolArray | None = None
 ) -> FloatArray:
-    """Grey levels after a Gaussian; an axis whose voxels are wider than the blur is left alone."""
+    """Blur grey levels by a Gaussian, except along an axis whose voxels are wider than the blur."""
     wide = spacing_mm > 3.0 * blur_mm
     sigma = np.where(wide if observable is None else wide | ~observable, 0.0, blur_mm / spacing_mm)
     return np.asarray(ndimage.gaussian_filter(values.astype(np.float64), sigma, mode="nearest"))
@@ -146,12 +145,14 @@ def _level(
     if len(where[0]) < MIN_VOXELS:
         raise InvalidInputError(
             f"{len(where[0])} voxels to compare at a blur of {blur_mm:g} mm; needed at least {MIN_VOXELS}: "
-            "is the labelled organ inside the image?"
+            "check that the labelled organ is inside the image"
         )
     grey = blurred(fixed, spacing, blur_mm, observable)[::sx, ::sy, ::sz][where]
     other = blurred(moving, spacing, blur_mm, observable)
     if not grey.std() > 0.0 or not other.std() > 0.0:
-        raise InvalidInputError("an image has no contrast around the organ; is it the right 4-D image?")
+        raise InvalidInputError(
+            "an image has no contrast around the organ; check that it is the right 4-D image"
+        )
     lattice = whole.thinned((sx, sy, sz))
     observable = observable & (np.array(other.shape) > 1)
     gradient = tuple(
@@ -171,7 +172,7 @@ def _level(
 
 
 def _minimise(level: _Level, bending: Bending, start: FloatArray, options: FreeFormOptions) -> FloatArray:
-    """Coefficients of the lowest cost that Gauss–Newton steps from `start` reach."""
+    """Minimise the cost by Gauss–Newton steps from `start`; return the coefficients of the lowest."""
     best, lowest = start, np.inf
     trial = start
     for _ in range(options.steps):
@@ -189,7 +190,7 @@ def _minimise(level: _Level, bending: Bending, start: FloatArray, options: FreeF
 
 
 def _residual(level: _Level, coefficients: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(n,) residual after the best gain and offset, and (n, 3) its change per mm of displacement."""
+    """Compute the (n,) residual after the best gain and offset, and (n, 3) its change per mm moved."""
     moved_mm = level.lattice.on_voxels(coefficients)[level.where]
     at = level.index + (moved_mm / level.spacing_mm).T
     grey = ndimage.map_coordinates(level.moving, at, order=1, mode="nearest")
@@ -210,7 +211,7 @@ def _step(
     bend: FloatArray,
     options: FreeFormOptions,
 ) -> FloatArray:
-    """Gauss–Newton step δ: (JᵀJ + λH) δ = −Jᵀr − λHc, J = slope · B; `bend` is λHc."""
+    """Solve for the Gauss–Newton step δ: (JᵀJ + λH) δ = −Jᵀr − λHc, J = slope · B; `bend` is λHc."""
     everywhere = np.zeros((*level.lattice.grid.shape, 3))
     everywhere[level.where] = slope
     weighted = level.voxel_mm3 * everywhere

@@ -21,13 +21,13 @@ class MotionQuality:
             after the motion is applied.
         residual: (n,) RMS residual, as a share of the standard deviation of the grey levels.
         min_jacobian: (n,) smallest Jacobian determinant around the organ; at or below 0 the motion folds.
-        folded_share: (n,) share of voxels where it folds.
+        folded_share: (n,) share of voxels in which it folds.
         dice_before, dice: (n,) overlap of the organ with the labels of that phase; None without labels.
         mean_motion_mm, max_motion_mm: (n,) length of the displacement within the organ.
-        meeting_phase: the phase at which both chains of registrations meet.
+        meeting_phase: phase at which both chains of registrations meet.
         closure_mean_mm, closure_p95_mm: distance, over the organ, between the displacements of both chains
             there.
-        slice_pitch_mm: distance between slices where the image is a stack of distant ones, else None.
+        slice_pitch_mm: distance between slices if the image is a stack of distant ones, else None.
     """
 
     correlation_before: FloatArray
@@ -93,7 +93,7 @@ def assess_motion(
 def _phase_row(
     motion: CycleMotion, image: VolumeSeries, inside: BoolArray, phase: int, truth: BoolArray | None
 ) -> tuple[float, ...]:
-    """One phase's entries of MotionQuality, from correlation_before to max_motion_mm; NaN without truth."""
+    """Compute a phase's entries of MotionQuality, correlation_before to max_motion_mm; NaN without truth."""
     spacing = motion.grid.spacing_mm
     reference = motion.cropped(image.values[motion.ed_phase])[motion.mask].astype(np.float64)
     grey = motion.cropped(image.values[phase]).astype(np.float64)
@@ -121,7 +121,7 @@ def _phase_row(
 
 
 def dice(a: BoolArray, b: BoolArray) -> float:
-    """Dice coefficient 2|A∩B| / (|A| + |B|); 1 where both are empty."""
+    """Compute the Dice coefficient 2|A∩B| / (|A| + |B|); 1 if both are empty."""
     total = int(np.count_nonzero(a)) + int(np.count_nonzero(b))
     return 2.0 * int(np.count_nonzero(a & b)) / total if total else 1.0
 

@@ -1,22 +1,21 @@
-"""Stacks of distant slices: along which axes of an image motion can be observed."""
+"""Stacks of distant slices: the axes of an image along which motion can be observed."""
 
 import numpy as np
 
 from dvf_ig.core import AnyArray, BoolArray, FloatArray
 
 SLICE_RATIO = 2.0
-"""Voxels this many times longer than wide form a stack of slices: between them motion cannot be observed."""
+"""Elongation of voxels from which they form a stack of slices, between which motion is not observed."""
 
 LOST_SPACING_RATIO = 2.5
-"""Neighbours along an axis that differ as voxels this many times further apart than the header says: the
-header has lost the slice pitch. Short-axis cines of 10 mm slices written as 1 mm give 4.2 to 4.7 (ACDC 002,
-003), isotropic MR 1.3."""
+"""Apparent over stated distance of neighbours along an axis from which the header has lost the slice pitch.
+Short-axis cines of 10 mm slices written as 1 mm give 4.2 to 4.7, isotropic MR 1.3."""
 
 MAX_LAG = 15
 
 
 def observable_axes(spacing_mm: FloatArray) -> BoolArray:
-    """(3,) False along the normal of a stack of slices: motion is estimated within slices only.
+    """Return (3,) axes of observable motion: all except the normal of a stack of distant slices.
 
     Between distant slices any displacement fits the interpolated grey levels, and the result folds.
     """
@@ -24,7 +23,7 @@ def observable_axes(spacing_mm: FloatArray) -> BoolArray:
 
 
 def axis_of_lost_spacing(grey: AnyArray, spacing_mm: FloatArray) -> int | None:
-    """The axis whose voxels lie further apart than the header says, or None.
+    """Find the axis whose voxels are further apart than the header says, or None.
 
     Compares how much grey levels differ between neighbours along each axis with how much they differ, along
     the two others, over increasing distances (the variogram of geostatistics). Noise is in both.
@@ -47,6 +46,6 @@ def axis_of_lost_spacing(grey: AnyArray, spacing_mm: FloatArray) -> int | None:
 
 
 def _half_variance(values: FloatArray, axis: int, lag: int) -> float:
-    """Half the mean squared difference of voxels `lag` apart along an axis."""
+    """Compute half the mean squared difference of voxels `lag` apart along an axis."""
     rows = np.moveaxis(values, axis, 0)
     return 0.5 * float(np.mean((rows[lag:] - rows[:-lag]) ** 2))

@@ -7,7 +7,7 @@ from dvf_ig.core import BoolArray
 
 
 def largest_component(mask: BoolArray) -> BoolArray:
-    """The largest connected component of a mask (voxels that share faces), with its holes filled."""
+    """Return the largest connected component of a mask (voxels that share faces), with its holes filled."""
     components, count = ndimage.label(mask)
     if count > 1:
         mask = np.asarray(components == 1 + int(np.argmax(np.bincount(components.ravel())[1:])))

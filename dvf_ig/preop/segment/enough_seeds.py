@@ -1,7 +1,7 @@
-"""Whether seeds were enough, judged by what grew from them and by what grows when some are left out.
+"""Check of whether seeds were enough, by what grows from all of them and from a part of them.
 
-Too few seeds give a smooth outline all the same: that of the slices seeded, of the blood, of one ventricle,
-or one that has leaked into what lies beside the heart.
+Too few seeds also give a smooth outline: that of the slices seeded, of the blood, of one ventricle, or one
+that has leaked into what lies next to the heart.
 """
 
 from dataclasses import dataclass
@@ -16,34 +16,36 @@ from dvf_ig.preop.motion.quality import dice
 from .seeded import BACKGROUND, CAVITY, segment_from_seeds
 
 CUT_SHARE = 0.3
-"""Of its largest section, the section in which an outline ends within the image: it was cut, not closed."""
+"""Share of the largest section from which an outline's last section counts as cut, not closed."""
 
 THIN_WALL_MM, BARE_SHARE = 2.0, 0.6
-"""Blood within so many mm of the background has no wall. A right ventricle's wall is that thin: in ACDC 002
-and 003 a share of 0.25 was passed by 18 of 47 outlines whose Dice was 0.85 or more; blood alone has 1."""
+"""Blood within this distance of the background has no wall; share of such blood in a slice from which it
+lacks one. A right ventricle's wall is that thin: 18 of 47 good outlines in ACDC exceed a share of 0.25; blood
+alone has 1."""
 
 BESIDE_MM, CORE_MM, LEFT_OUT_SHARE = 15.0, 4.5, 0.045
 """Blood left out: as bright as the cavity's seeds, wider than twice `CORE_MM`, within `BESIDE_MM` of the
-outline; its core's share of the organ. ACDC 002 and 003: up to 0.044 (fat) where Dice is 0.85 or more, from
-0.06 where the right ventricle was missed."""
+outline; its core's share of the organ is up to 0.044 (fat) in good outlines, from 0.06 if the right ventricle
+is missed."""
 
 PARTS, UNSTABLE_DICE, UNSTABLE_SHARE = 4, 0.82, 0.4
-"""Seeds are left out in turn, a quarter at a time. Dice with the outline of all below the first, or more than
-the second of the background's seeds within the heart when left out: the outline hangs on single seeds."""
+"""Seeds are left out in turn, a quarter at a time. A Dice with the full outline below the first value, or a
+share of left-out background seeds within the heart above the second, shows an outline that depends on single
+seeds."""
 
 ENOUGH = {"heart": 4, "cavity": 2, "background": 6}
-"""Seeds in a slice that were enough in ACDC 002 and 003 wherever they lay (Dice 0.86 to 0.93)."""
+"""Seeds in a slice that suffice wherever they lie (Dice 0.86 to 0.93 on ACDC cines)."""
 
 
 @dataclass(frozen=True, slots=True)
 class SeedShortage:
-    """What a segmentation from seeds lacks.
+    """Shortcomings of a segmentation from seeds.
 
     Attributes:
-        axis: along which its slices are counted: that of the largest voxels.
+        axis: axis along which its slices are counted: that of the largest voxel size.
         unseeded: slices next to the outline that show its section nearly unchanged, and have no seed.
         without_wall: slices in which blood borders on the background over most of its outline.
-        blood_left_out: slices with blood beside the outline.
+        blood_left_out: slices with blood next to the outline.
         unstable: slices in which the outline moves when a quarter of the seeds is left out.
         more: (slice, seeds missing there as words) for each slice named above.
     """
@@ -57,26 +59,29 @@ class SeedShortage:
 
     @property
     def told(self) -> tuple[str, ...]:
-        """A sentence for each want, then how many seeds to add where; none where the seeds were enough."""
+        """Sentences for each shortcoming, then the seeds to add; empty if the seeds were enough."""
         wants = (
             (self.unseeded, "the outline ends where the seeds do, not at the organ's end, before slice {}"),
             (self.without_wall, "the outline runs around the blood, not around the wall, in slice {}"),
-            (self.blood_left_out, "blood lies beside the outline (a ventricle without seeds?) in slice {}"),
+            (
+                self.blood_left_out,
+                "blood lies next to the outline (perhaps a ventricle without seeds) in slice {}",
+            ),
             (self.unstable, "the outline changes when a quarter of the seeds is left out, most in slice {}"),
         )
-        found = [text.format(_listed(slices)) for slices, text in wants if slices]
-        if found:
+        sentences = [text.format(_listed(slices)) for slices, text in wants if slices]
+        if sentences:
             listed = "; ".join(f"slice {k}: {words}" for k, words in self.more)
             on = ", and on until the organ's last slice" if self.unseeded else ""
-            found.append(
+            sentences.append(
                 f"add seeds, spread around the heart and in each ventricle, background ones close outside "
                 f"it (slices across axis {'ijk'[self.axis]}): {listed}{on}"
             )
-        return tuple(found)
+        return tuple(sentences)
 
 
 def seed_shortage(image: Volume, labels: Volume, seeds: Seeds) -> SeedShortage:
-    """What labels grown from seeds lack; see `SeedShortage`.
+    """Find the shortcomings of labels grown from seeds.
 
     Args:
         image: the grey levels in which they grew.
@@ -119,14 +124,14 @@ def _without_wall(labels: Volume, axis: int) -> tuple[int, ...]:
 
 
 def _bare_share(organ: BoolArray, blood: BoolArray, spacing_mm: FloatArray) -> float:
-    """Of the blood's outline in a slice, the share within THIN_WALL_MM of the background."""
+    """Compute the share of the blood's outline in a slice that is within THIN_WALL_MM of the background."""
     outline = blood & ~ndimage.binary_erosion(blood)
     to_background_mm = ndimage.distance_transform_edt(organ, sampling=spacing_mm)
     return float((to_background_mm[outline] <= THIN_WALL_MM).mean())
 
 
 def _blood_left_out(image: Volume, labels: Volume, seeds: Seeds, axis: int) -> tuple[int, ...]:
-    """Slices with more than the allowed share, where the organ as a whole has more than that."""
+    """Find slices with more than the allowed share, if the organ as a whole exceeds it."""
     organ = np.moveaxis(labels.values != BACKGROUND, axis, 0)
     if len(seeds.cavity) == 0 or not organ.any():
         return ()
@@ -145,7 +150,7 @@ def _blood_left_out(image: Volume, labels: Volume, seeds: Seeds, axis: int) -> t
 
 
 def _unstable(image: Volume, labels: Volume, seeds: Seeds, axis: int) -> tuple[int, ...]:
-    """Slices whose outline changes most as quarters of the seeds are left out, where that is too much."""
+    """Find slices whose outline changes most when quarters of the seeds are left out, if too much."""
     organ = np.moveaxis(labels.values != BACKGROUND, axis, 0)
     alike, within, overlaps = np.ones(len(organ)), 0, []
     for part in range(PARTS):
@@ -164,7 +169,7 @@ def _unstable(image: Volume, labels: Volume, seeds: Seeds, axis: int) -> tuple[i
 
 
 def _without(seeds: Seeds, part: int) -> Seeds:
-    """All but every fourth seed of each name; a name with one seed keeps it."""
+    """Leave out every fourth seed of each name; a name with one seed keeps it."""
 
     def kept(points: Points) -> Points:
         keep = np.arange(len(points)) % PARTS != part
@@ -174,26 +179,26 @@ def _without(seeds: Seeds, part: int) -> Seeds:
 
 
 def _missing(seeds: Seeds, grid: Grid, axis: int, k: int) -> str:
-    """How many seeds of each name to add in slice k: up to ENOUGH, and at least one."""
-    given = {
+    """Describe the seeds of each name to add in slice k: up to ENOUGH, and at least one."""
+    seeded = {
         "heart": seeds.heart,
         "cavity": seeds.cavity,
         "background": seeds.background,
     }
     counts = {
         name: max(1, ENOUGH[name] - int(np.count_nonzero(_slices(points, grid, axis) == k)))
-        for name, points in given.items()
+        for name, points in seeded.items()
     }
     return ", ".join(f"{count} {name}" for name, count in counts.items())
 
 
 def _slices(points: Points, grid: Grid, axis: int) -> FloatArray:
-    """(n,) slice of each seed."""
+    """Compute the (n,) slice of each seed."""
     return np.rint(grid.to_index(points.xyz_mm)[:, axis]) if len(points) else np.zeros(0)
 
 
 def _at(points: Points, grid: Grid, values: FloatArray) -> FloatArray:
-    """(n,) values of the voxels in which points lie."""
+    """Look up the (n,) values of the voxels in which points lie."""
     if len(points) == 0:
         return np.zeros(0)
     return np.asarray(values[tuple(np.rint(grid.to_index(points.xyz_mm)).astype(np.int64).T)])

@@ -29,11 +29,11 @@ LABEL_NAMES = ((WALL, "wall"), (CAVITY, "cavity"))
 
 @dataclass(frozen=True, slots=True)
 class SegmentOptions:
-    """How the segmentation grows from its seeds.
+    """Options of the segmentation.
 
     Attributes:
         seed_radius_mm: a seed is a ball of this radius.
-        beyond_mm: image kept beyond the outermost seed; everything further out is background.
+        beyond_mm: image kept beyond the outermost seed; everything beyond is background.
         edge_mm: standard deviation of the Gaussian in the gradient that the watershed floods.
         band_mm: half-width of the band about the watershed's outline in which the random walker decides.
         beta: how strongly an edge in grey level stops the walker (Grady 2006).
@@ -57,7 +57,7 @@ class SegmentOptions:
 
 
 def segment_from_seeds(image: Volume, seeds: Seeds, options: SegmentOptions = SegmentOptions()) -> Volume:
-    """Labels 0 background, 1 wall, 2 cavity, grown from seeds.
+    """Grow labels 0 background, 1 wall, 2 cavity from seeds.
 
     The result is a first segmentation: inspect it, correct it by hand, and pass it on as a label image.
 
@@ -91,7 +91,7 @@ def _refined_outline(
     spacing_mm: FloatArray,
     options: SegmentOptions,
 ) -> BoolArray:
-    """The organ; within a band about the watershed's outline the random walker decides."""
+    """Refine the organ: within a band about the watershed's outline the random walker decides."""
     outside = basins == BACKGROUND_MARKER
     inwards_mm, outwards_mm = (
         ndimage.distance_transform_edt(part, sampling=spacing_mm) for part in (~outside, outside)
@@ -107,14 +107,14 @@ def _refined_outline(
 def random_walker_probability(
     grey: FloatArray, labels: NDArray[np.int32], spacing_mm: FloatArray, beta: float
 ) -> FloatArray:
-    """(nx, ny, nz) probability that a random walker from a voxel reaches the heart before the background.
+    """Compute (nx, ny, nz) probabilities to reach the heart before the background from a voxel.
 
     Steps go to the six neighbours with weights exp(−β (Δgrey/σ)²)/Δx², σ the standard deviation of the grey
     levels. The weights have a lower bound: without it a voxel behind edges on all sides is isolated and its
     probability undefined.
 
     Args:
-        labels: BACKGROUND_MARKER, HEART_MARKER, or 0 where the probability is wanted.
+        labels: BACKGROUND_MARKER, HEART_MARKER, or 0 in voxels whose probability is computed.
     Source: Grady 2006, eqs 2 and 10.
     """
     probability = (labels == HEART_MARKER).astype(np.float64)
@@ -153,7 +153,7 @@ def random_walker_probability(
 
 
 def _markers(grid: Grid, seeds: Seeds, radius_mm: float) -> NDArray[np.int32]:
-    """(nx, ny, nz) 0 unknown, 1 background, 2 heart, 3 cavity."""
+    """Mark (nx, ny, nz) voxels: 0 unknown, 1 background, 2 heart, 3 cavity."""
     markers = np.zeros(grid.shape, dtype=np.int32)
     for value, (name, points) in enumerate(
         (("background", seeds.background), ("heart", seeds.heart), ("cavity", seeds.cavity)), start=1
@@ -161,7 +161,7 @@ def _markers(grid: Grid, seeds: Seeds, radius_mm: float) -> NDArray[np.int32]:
         center = np.rint(grid.to_index(points.xyz_mm)).astype(np.int64)
         if len(points) and ((center < 0) | (center >= grid.shape)).any():
             raise InvalidInputError(
-                f"a seed named {name} lies outside the image; are the seeds in the image's LPS coordinates?"
+                f"a seed named {name} lies outside the image; give seeds in the image's LPS coordinates"
             )
         ball = _ball(grid, radius_mm)
         at = (center[:, None] + ball).reshape(-1, 3)
@@ -176,7 +176,7 @@ def _markers(grid: Grid, seeds: Seeds, radius_mm: float) -> NDArray[np.int32]:
 
 
 def _ball(grid: Grid, radius_mm: float) -> IntArray:
-    """(n, 3) voxel offsets within a radius; at least the centre."""
+    """List (n, 3) voxel offsets within a radius; at least the centre."""
     reach = np.floor(radius_mm / grid.spacing_mm).astype(int)
     offsets = np.stack(np.meshgrid(*(np.arange(-r, r + 1) for r in reach), indexing="ij"), axis=-1)
     offsets = offsets.reshape(-1, 3)
@@ -184,11 +184,11 @@ def _ball(grid: Grid, radius_mm: float) -> IntArray:
 
 
 def _box(markers: NDArray[np.int32], grid: Grid, beyond_mm: float) -> tuple[slice, slice, slice]:
-    """Bounding box of the markers, widened by `beyond_mm` within the image."""
-    found = ndimage.find_objects((markers > 0).view(np.int8))[0]
+    """Find the bounding box of the markers, widened by `beyond_mm` within the image."""
+    bounds = ndimage.find_objects((markers > 0).view(np.int8))[0]
     beyond = np.ceil(beyond_mm / grid.spacing_mm).astype(int)
     x, y, z = (
         slice(max(part.start - int(b), 0), min(part.stop + int(b), n))
-        for part, b, n in zip(found, beyond, grid.shape, strict=True)
+        for part, b, n in zip(bounds, beyond, grid.shape, strict=True)
     )
     return x, y, z

@@ -13,7 +13,7 @@ from dvf_ig.kernels.spline import spline_batch
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class SplineField:
-    """Signed distance of one phase.
+    """Signed distance of one phase of a model.
 
     Attributes:
         coefficients: (n, cx, cy, cz) of all phases, kept as float32.
@@ -31,7 +31,7 @@ class SplineField:
         return cls(model.coefficients, model.origin_mm, model.knot_spacing_mm, phase)
 
     def at(self, xyz_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(n,) distance in mm and (n, 3) gradient at (n, 3) points.
+        """Evaluate (n,) distance in mm and (n, 3) gradient at (n, 3) points.
 
         Raises:
             InvalidInputError: a point outside the spline's box.
@@ -57,6 +57,6 @@ class SplineField:
         return distance, gradient
 
     def off_surface_mm(self, xyz_mm: FloatArray) -> FloatArray:
-        """(n,) distance |d|/|∇d| from points to the zero level nearby, to first order."""
+        """Compute the (n,) distance |d|/|∇d| from points to the zero level nearby, to first order."""
         distance, gradient = self.at(xyz_mm)
         return np.asarray(np.abs(distance) / np.maximum(np.linalg.norm(gradient, axis=1), 1e-9))

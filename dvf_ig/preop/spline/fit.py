@@ -22,20 +22,20 @@ from dvf_ig.preop.conjugate_gradients import conjugate_gradients
 SAMPLES_PER_KNOT = 2
 
 SIGMA_KNOTS = 0.3
-"""Width of the band that `surface_weights` emphasises, in knots; tuned on two phases of phantom 101."""
+"""Width of the band that `surface_weights` emphasises, in knots."""
 
 FAR_WEIGHT = 0.01
-"""Weight far from the surface: it keeps the field defined there and bounds the number of iterations."""
+"""Weight far from the surface, which keeps the field defined there and bounds the number of iterations."""
 
 WEIGHTED_KNOTS = SIGMA_KNOTS * float(np.sqrt(-2.0 * np.log(FAR_WEIGHT)))
-"""Samples farther from the surface than this many knots (0.91) all have FAR_WEIGHT."""
+"""Distance from the surface in knots (0.91) beyond which all samples have FAR_WEIGHT."""
 
 TOLERANCE = 0.05
 MAX_ITERATIONS = 40
 
 
 def cubic_basis(cells: int, samples_per_knot: int = SAMPLES_PER_KNOT) -> BandedRows:
-    """(cells·s + 1, cells + 3) values of the cubic B-splines at u = 0, 1/s, …, cells."""
+    """Build the (cells·s + 1, cells + 3) values of the cubic B-splines at u = 0, 1/s, …, cells."""
     u = np.arange(cells * samples_per_knot + 1) / samples_per_knot
     cell = np.minimum(u.astype(np.int64), cells - 1)
     t = u - cell
@@ -70,7 +70,7 @@ class AxisSolver:
         return cls(basis, _banded_rows(normal, 7), factor)
 
     def solve_normal(self, axis: int, right: FloatArray) -> None:
-        """(AᵀA)⁻¹ along one axis of a contiguous array, in place."""
+        """Apply (AᵀA)⁻¹ along one axis of a contiguous array, in place."""
         flat, _ = by_axis(right, axis)
         if flat.shape[2] > 1:
             solve_axis(self.factor.copy(), flat)
@@ -84,17 +84,17 @@ AxisSolvers = tuple[AxisSolver, AxisSolver, AxisSolver]
 
 
 def fit_coefficients(samples: FloatArray, solvers: AxisSolvers) -> FloatArray:
-    """(sx, sy, sz) samples to (cx, cy, cz) coefficients that minimise the sum of squared residuals."""
+    """Fit (cx, cy, cz) coefficients to (sx, sy, sz) samples with the least sum of squared residuals."""
     for axis, solver in enumerate(solvers):
         samples = solver.basis.transposed_along(axis, samples)
     return _solved(samples, solvers)
 
 
 def surface_weights(distance_mm: FloatArray, knot_spacing_mm: float) -> FloatArray:
-    """max(exp(−d²/2σ²), 0.01), σ = 0.3 knots: what cannot be fitted everywhere is fitted here.
+    """Compute weights max(exp(−d²/2σ²), 0.01), σ = 0.3 knots, which favour the fit at the surface.
 
-    What pulls an unweighted fit off the surface are the creases of the distance map: its medial axis, and the
-    grooves of the surface, where that axis touches it.
+    Creases of the distance map pull an unweighted fit off the surface: its medial axis, and the grooves of
+    the surface, where that axis touches it.
     """
     weights = np.full(distance_mm.shape, FAR_WEIGHT)
     near = np.abs(distance_mm) < WEIGHTED_KNOTS * knot_spacing_mm
@@ -103,7 +103,7 @@ def surface_weights(distance_mm: FloatArray, knot_spacing_mm: float) -> FloatArr
 
 
 def fit_weighted(samples: FloatArray, weights: FloatArray, solvers: AxisSolvers) -> FloatArray:
-    """(cx, cy, cz) coefficients c that minimise Σ w (d − A c)², from samples d (sx, sy, sz) on a full grid.
+    """Fit (cx, cy, cz) coefficients c that minimise Σ w (d − A c)² to samples d (sx, sy, sz) on a grid.
 
     Conjugate gradients on AᵀWA c = AᵀW d, preconditioned with (AᵀA)⁻¹ and started from the unweighted fit;
     the eigenvalues lie between the smallest and the largest weight. Ends when the preconditioned residual has
@@ -138,7 +138,7 @@ def fit_weighted(samples: FloatArray, weights: FloatArray, solvers: AxisSolvers)
 
 
 class _NearSamples:
-    """The rows of A that belong to some of the samples: values of the spline there, and the adjoint."""
+    """Rows of A that belong to some of the samples: values of the spline there, and the adjoint."""
 
     def __init__(self, solvers: AxisSolvers, nodes: IntArray, shape: tuple[int, ...]) -> None:
         x, y, z = (AxisRows(s.basis.first.copy(), s.basis.weights.copy()) for s in solvers)
@@ -163,14 +163,14 @@ def _normal(coefficients: FloatArray, solvers: AxisSolvers) -> FloatArray:
 
 
 def _solved(right: FloatArray, solvers: AxisSolvers) -> FloatArray:
-    """(AᵀA)⁻¹ of an array that is overwritten."""
+    """Apply (AᵀA)⁻¹ to an array in place."""
     for axis, solver in enumerate(solvers):
         solver.solve_normal(axis, right)
     return right
 
 
 def _banded_rows(matrix: FloatArray, window: int) -> BandedRows:
-    """A square banded matrix by its rows, each with the `window` entries about the diagonal."""
+    """Convert a square banded matrix to rows, each with the `window` entries about the diagonal."""
     count = len(matrix)
     width = min(window, count)
     first = np.clip(np.arange(count) - window // 2, 0, count - width)

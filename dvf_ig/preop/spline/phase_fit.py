@@ -11,7 +11,7 @@ from .fit import SAMPLES_PER_KNOT, AxisSolver, AxisSolvers, fit_weighted, surfac
 
 
 def sample_grid(reference: Sequence[Mesh], frame: str, knot_spacing_mm: float, margin_mm: float) -> Grid:
-    """Samples at half the knot pitch over everything the surfaces sweep, plus the margin."""
+    """Lay samples at half the knot pitch over everything the surfaces sweep, plus the margin."""
     lower = np.min([mesh.vertices_mm.min(axis=0) for mesh in reference], axis=0) - margin_mm
     upper = np.max([mesh.vertices_mm.max(axis=0) for mesh in reference], axis=0) + margin_mm
     cells = 2 * np.ceil((upper - lower) / (2.0 * knot_spacing_mm)).astype(int)
@@ -23,13 +23,13 @@ def sample_grid(reference: Sequence[Mesh], frame: str, knot_spacing_mm: float, m
 
 
 def axis_solvers(grid: Grid) -> AxisSolvers:
-    """Least squares along each axis of a sample grid."""
+    """Prepare least squares along each axis of a sample grid."""
     x, y, z = (AxisSolver.of((n - 1) // SAMPLES_PER_KNOT) for n in grid.shape)
     return x, y, z
 
 
 def fit_phase(mesh: Mesh, grid: Grid, solvers: AxisSolvers, band_mm: float) -> FloatArray:
-    """(cx, cy, cz) coefficients in mm of the spline fitted to the signed distance, best at the surface."""
+    """Fit (cx, cy, cz) spline coefficients in mm to the signed distance, best at the surface."""
     samples = signed_distance_mm(mesh, grid, band_mm)
     knot_spacing_mm = SAMPLES_PER_KNOT * float(grid.spacing_mm[0])
     return fit_weighted(samples, surface_weights(samples, knot_spacing_mm), solvers)

@@ -1,4 +1,4 @@
-"""Signed distance of one phase as an image, for programs that know images but no splines."""
+"""Signed distance of one phase as an image, for programs that read images but not splines."""
 
 import numpy as np
 
@@ -7,11 +7,11 @@ from dvf_ig.core import DvfModel, Grid, Volume
 from .field import SplineField
 
 EDGE_MM = 1e-9
-"""Voxels on the border of the box are evaluated so much within it: a rounding must not put one outside."""
+"""Distance within the box at which its border voxels are evaluated, so that rounding puts none outside."""
 
 
 def distance_volume(model: DvfModel, phase: int) -> Volume:
-    """Signed distance in mm, float32, positive inside, on every half knot of the model's box.
+    """Sample signed distance in mm, float32, positive inside, on every half knot of the model's box.
 
     Between voxels, linear interpolation differs from the model by the field's curvature alone: h²/(4R) at a
     surface of radius R, 0.03 mm at half a knot h = 1.5 mm and R = 20 mm.

@@ -14,13 +14,13 @@ _OFFSETS = np.array([[0.0, 0.0, 0.0], [0.5, 0.25, 0.0], [0.25, 0.5, 0.75], [0.75
 
 @dataclass(frozen=True, slots=True)
 class SurfaceBudget:
-    """Errors that the way from mask to surface causes even for a perfect mask.
+    """Errors of the conversion from mask to surface, which a perfect mask has as well.
 
     Attributes:
         radius_mm: of the ball.
         voxel_mm: standard deviation of the surface about the ball, from voxels and triangles.
         shrinkage_mm: shrinkage that the Gaussian alone would cause: σ²/R.
-        residual_offset_mm: mean offset that remains once the shrinkage is compensated; positive outwards.
+        residual_offset_mm: mean offset left after compensation of the shrinkage; positive outwards.
         chord_mm: depth of the middle of a triangle's edge below the ball.
     """
 
@@ -32,7 +32,7 @@ class SurfaceBudget:
 
 
 def surface_budget(spacing_mm: FloatArray, volume_mm3: float) -> SurfaceBudget:
-    """Measure the errors of the way from mask to surface on a ball.
+    """Measure the errors of the conversion from mask to surface on a ball.
 
     Args:
         spacing_mm: (3,) voxel pitch.

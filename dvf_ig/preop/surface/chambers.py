@@ -12,11 +12,11 @@ from .from_labels import surface_of_mask
 log = logging.getLogger(__name__)
 
 CHAMBER_SURFACES = ("LV_ENDOCARDIAL", "RV_ENDOCARDIAL")
-"""Names of the surfaces within which there is blood."""
+"""Names of surfaces that enclose blood."""
 
 
 def chambers_from_surfaces(surfaces: Iterable[SurfaceSeries]) -> tuple[Chamber, ...]:
-    """The surfaces whose name is one of CHAMBER_SURFACES, closed; any other is left out.
+    """Close the surfaces whose name is one of CHAMBER_SURFACES; skip all others.
 
     Raises:
         InvalidInputError: a surface that cannot be closed.
@@ -25,23 +25,23 @@ def chambers_from_surfaces(surfaces: Iterable[SurfaceSeries]) -> tuple[Chamber, 
 
 
 def chamber_of(series: SurfaceSeries) -> Chamber:
-    """A chamber of closed surfaces."""
+    """Close a surface series and make it a chamber."""
     return Chamber(series.name, tuple(series.phase(i) for i in range(len(series.timing))))
 
 
 def chambers_from_labels(
     labels: VolumeSeries, values: Sequence[int], names: dict[int, str], *, threads: int = 2
 ) -> tuple[Chamber, ...]:
-    """The surface of each label of blood, phase by phase.
+    """Extract the surface of each label of blood, phase by phase.
 
     A label that is missing in a phase gives no chamber; a warning is logged.
 
     Args:
         values: labels of blood.
-        names: of labels; without one, label 3 is called "label 3".
+        names: names of labels; without one, label 3 is called "label 3".
         threads: phases at a time; has no influence on the result.
     """
-    found = []
+    chambers = []
     with ThreadPoolExecutor(threads) as pool:
         for value in values:
             name = label_name(value, names)
@@ -50,12 +50,12 @@ def chambers_from_labels(
             except InvalidInputError as error:
                 log.warning("%s is left out of the blood chambers: %s", name, error)
             else:
-                found.append(Chamber(name, meshes))
-    return tuple(found)
+                chambers.append(Chamber(name, meshes))
+    return tuple(chambers)
 
 
 def label_name(value: int, names: dict[int, str]) -> str:
-    """Name of a label value, or its number in words."""
+    """Return the name of a label value, or "label N"."""
     return names.get(value, f"label {value}")
 
 

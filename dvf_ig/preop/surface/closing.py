@@ -25,25 +25,25 @@ log = logging.getLogger(__name__)
 
 WELD_MM = 1e-6
 MAX_CAP_SHARE = 0.3
-"""Area of all caps of a shell by its measured area. The valves of a real heart have 0.11 of its epicardium
-and 0.16 of its left ventricle at end-systole, those of a ventricle of 30 ml 0.25; half of a ball has 0.5."""
+"""Largest accepted area of all caps of a shell over its measured area. Valves take 0.11 of a real heart's
+epicardium and up to 0.25 of a ventricle; half of a ball has 0.5."""
 MAX_BEYOND_MM = 12.0
-"""Depth that may be missing beyond a cap (see `Cap`). It is 7 mm at the valves of a real heart, and would be
-11 mm at those of a ventricle of 30 ml; it is 32 mm if half of a heart is missing."""
+"""Largest accepted depth missing beyond a cap (see `Cap`): 7 to 11 mm at valves, 32 mm if half of a heart is
+missing."""
 TINY_MM2 = 1e-12
 FLAT = 1e-6
-"""Volume by area^1.5, below which a surface encloses nothing; a ball has 0.09, a coin 0.03."""
+"""Volume over area^1.5 below which a surface encloses nothing; a ball has 0.09, a coin 0.03."""
 
 
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class Cap:
-    """One opening that was closed.
+    """Opening of a surface that was closed.
 
     Attributes:
-        area_mm2: of its triangles.
+        area_mm2: area of its triangles.
         share: area of all caps of the same shell, by its measured area.
-        beyond_mm: depth of what may be missing: with area C and measured area A, C/sqrt(pi (A - C)). It is
+        beyond_mm: depth that may be missing: with area C and measured area A, C/sqrt(pi (A - C)). It is
             exact for a ball of which a slice was cut off.
         middle_mm: (3,) mean of the middles of its triangles.
     """
@@ -55,7 +55,7 @@ class Cap:
 
 
 def close_surface(series: SurfaceSeries) -> SurfaceSeries:
-    """Weld, orient, cap and turn outwards.
+    """Weld a surface, orient it, cap its openings and turn it outwards.
 
     Vertices that coincide within 1e-6 mm in every phase become one; each opening gets a fan of triangles to
     its centroid (one vertex more, flagged in `caps`); each connected component encloses a positive volume.
@@ -85,7 +85,7 @@ def close_surface(series: SurfaceSeries) -> SurfaceSeries:
 
 
 def _welded(series: SurfaceSeries) -> tuple[FloatArray, IntArray, BoolArray]:
-    """Coinciding vertices merged, unused vertices and collapsed triangles dropped."""
+    """Merge coinciding vertices; drop unused vertices and collapsed triangles."""
     pairs = cKDTree(series.vertices_mm[0]).query_pairs(2 * WELD_MM, output_type="ndarray")
     apart = np.abs(series.vertices_mm[:, pairs[:, 0]] - series.vertices_mm[:, pairs[:, 1]]).max(axis=(0, 2))
     pairs = pairs[apart <= WELD_MM]
@@ -94,17 +94,17 @@ def _welded(series: SurfaceSeries) -> tuple[FloatArray, IntArray, BoolArray]:
     _, group = connected_components(graph, directed=False)
     _, first = np.unique(group, return_index=True)
     triangles = first[group][series.triangles]
-    kept = (triangles != np.roll(triangles, 1, axis=1)).all(axis=1)
-    used, compact = np.unique(triangles[kept], return_inverse=True)
+    sound = (triangles != np.roll(triangles, 1, axis=1)).all(axis=1)
+    used, compact = np.unique(triangles[sound], return_inverse=True)
     if len(used) < count:
         log.info("surface %s: %d vertices welded or unused", series.name, count - len(used))
-    return series.vertices_mm[:, used], compact.reshape(-1, 3).astype(np.int64), series.caps[kept]
+    return series.vertices_mm[:, used], compact.reshape(-1, 3).astype(np.int64), series.caps[sound]
 
 
 def _capped(
     vertices: FloatArray, triangles: IntArray, caps: BoolArray, name: str
 ) -> tuple[FloatArray, IntArray, BoolArray]:
-    """A fan of triangles from each opening to its centroid."""
+    """Close each opening by a fan of triangles to its centroid."""
     fans: list[IntArray] = []
     centroids: list[FloatArray] = []
     count = vertices.shape[1]
@@ -124,7 +124,7 @@ def _capped(
 
 
 def caps_of(vertices_mm: FloatArray, triangles: IntArray, caps: BoolArray) -> tuple[Cap, ...]:
-    """Caps of a closed surface, the largest first; triangles of `caps` that share vertices are one cap."""
+    """List the caps of a closed surface, the largest first; triangles that share vertices are one cap."""
     if not caps.any():
         return ()
     area = triangle_areas_mm2(vertices_mm, triangles)
@@ -146,7 +146,7 @@ def caps_of(vertices_mm: FloatArray, triangles: IntArray, caps: BoolArray) -> tu
 
 
 def describe_caps(caps: Sequence[Cap]) -> str:
-    """Number, size and place of caps in words."""
+    """Describe number, size and position of caps in words."""
     x, y, z = caps[0].middle_mm
     return (
         f"{len(caps)} cap{'s' * (len(caps) > 1)}, not measured, of {max(cap.share for cap in caps):.0%} of "
@@ -169,7 +169,7 @@ def _refuse_wide_caps(vertices: FloatArray, triangles: IntArray, flags: BoolArra
 
 
 def _outward(vertices: FloatArray, triangles: IntArray) -> IntArray:
-    """Each component flipped where needed so that its enclosed volume, summed over the cycle, is positive."""
+    """Flip components as needed so that each encloses a positive volume, summed over the cycle."""
     component = connected_components_of(triangles)
     out = triangles.copy()
     for number in range(int(component.max()) + 1):

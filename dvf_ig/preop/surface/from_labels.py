@@ -24,10 +24,10 @@ SMOOTHING_VOXELS = 1.0
 """Standard deviation of the Gaussian, in voxels of the geometric-mean size."""
 
 FINEST_VOXEL_MM = 1.25
-"""Finer voxels are averaged in blocks of at most this size: a spline with 3 mm knots resolves no more."""
+"""Largest block in which finer voxels are averaged: a spline with 3 mm knots resolves no more."""
 
 PADDING = 4
-"""Voxels of background around the organ."""
+"""Width of the background around the organ, voxels."""
 
 
 def surfaces_from_labels(
@@ -37,9 +37,9 @@ def surfaces_from_labels(
     smoothing_voxels: float = SMOOTHING_VOXELS,
     threads: int = 2,
 ) -> tuple[Mesh, ...]:
-    """Outer surface of the union of some labels, one mesh a phase, in mm, outward orientation.
+    """Extract the outer surface of the union of some labels: one mesh a phase, mm, outward orientation.
 
-    The largest connected component is kept and its holes are filled. Where the organ leaves the image, the
+    The largest connected component is kept and its holes are filled. If the organ leaves the image, the
     surface is closed along the border (see border_caps).
 
     Args:
@@ -58,7 +58,7 @@ def surfaces_from_labels(
 
 
 def surface_of_mask(mask: BoolArray, grid: Grid, *, smoothing_voxels: float = SMOOTHING_VOXELS) -> Mesh:
-    """Surface of all components of one mask, smoothed as `surfaces_from_labels` smooths.
+    """Extract the surface of all components of one mask, smoothed as `surfaces_from_labels` smooths.
 
     Raises:
         InvalidInputError: an empty mask, or one of a few voxels, which the smoothing removes.
@@ -71,7 +71,7 @@ def surface_of_mask(mask: BoolArray, grid: Grid, *, smoothing_voxels: float = SM
 
 
 def border_caps(mesh: Mesh, grid: Grid) -> BoolArray:
-    """(t,) True for triangles within one voxel of the image border: there the surface was cut, not imaged."""
+    """Flag (t,) triangles within one voxel of the image border, where the surface was cut, not imaged."""
     index = grid.to_index(mesh.vertices_mm[mesh.triangles].mean(axis=1))
     return np.asarray(((index < 1.0) | (index > np.array(grid.shape) - 2.0)).any(axis=1))
 
@@ -79,14 +79,14 @@ def border_caps(mesh: Mesh, grid: Grid) -> BoolArray:
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class _Crop:
-    """The part of a phase that holds the organ, without a border, and the index at which it starts."""
+    """Part of a phase that holds the organ, without a border, and the index at which it starts."""
 
     mask: BoolArray
     start: IntArray
 
 
 def _organ_mask(labels: VolumeSeries, phase: int, organ_labels: Sequence[int]) -> _Crop:
-    """Largest connected component of the organ, holes filled, cropped."""
+    """Crop to the largest connected component of the organ, holes filled."""
     values = labels.values[phase]
     everywhere = np.isin(values, organ_labels)
     box = ndimage.find_objects(everywhere.view(np.int8))
@@ -110,7 +110,8 @@ def _surface(organ: _Crop, grid: Grid, smoothing_voxels: float) -> Mesh:
     field = _shrinkage_compensated(_block_means(solid, block), smoothing_voxels * mean_mm / spacing_mm)
     if field.max() <= 0.5:
         raise InvalidInputError(
-            f"the labelled region has {np.count_nonzero(organ.mask)} voxels, too few for a surface"
+            f"the labelled region has {np.count_nonzero(organ.mask)} voxels, fewer than a surface needs; "
+            "check the label values"
         )
     vertices, triangles, _, _ = marching_cubes(field, 0.5, allow_degenerate=False)
     center_of_block = 0.5 * (block - 1)
@@ -123,7 +124,7 @@ def _surface(organ: _Crop, grid: Grid, smoothing_voxels: float) -> Mesh:
 
 
 def _block_means(mask: BoolArray, block: IntArray) -> FloatArray:
-    """Share of the organ in blocks of voxels; the far end is padded with background to whole blocks."""
+    """Compute the organ's share in blocks of voxels, padded at the far end with background."""
     if (block == 1).all():
         return mask.astype(np.float64)
     whole = np.pad(mask, [(0, int(-n % b)) for n, b in zip(mask.shape, block, strict=True)])
@@ -132,7 +133,7 @@ def _block_means(mask: BoolArray, block: IntArray) -> FloatArray:
 
 
 def _shrinkage_compensated(solid: FloatArray, sigma_voxels: FloatArray) -> FloatArray:
-    """2 G_σ − G_2σ applied to the organ's share of each voxel; its half level does not shrink with curvature.
+    """Apply 2 G_σ − G_2σ to the organ's share of each voxel: its half level does not shrink with curvature.
 
     A kernel k moves the half level of a sphere of radius R inwards by ∫ρ² k(ρ, 0)/2R over the tangent plane,
     divided by the slope of the blurred edge. A Gaussian alone gives σ²/R; σ² G_σ(0) is proportional to σ, so

@@ -7,13 +7,13 @@ from dvf_ig.preop.distance.triangle_tree import Nearest
 
 
 def facet_normals(mesh: Mesh) -> FloatArray:
-    """(t, 3) unit normals, outward; zero for a triangle without area."""
+    """Compute (t, 3) outward unit normals; zero for a triangle without area."""
     a, b, c = (mesh.vertices_mm[mesh.triangles[:, k]] for k in range(3))
     return _unit(np.cross(b - a, c - a))
 
 
 def vertex_normals(mesh: Mesh) -> FloatArray:
-    """(v, 3) unit normals, outward: facets averaged by the angle they subtend (Thürmer and Wüthrich 1998)."""
+    """Compute (v, 3) outward unit normals: facets averaged by their angle (Thürmer and Wüthrich 1998)."""
     facets = facet_normals(mesh)
     corners = mesh.vertices_mm[mesh.triangles]
     out = np.zeros_like(mesh.vertices_mm)
@@ -28,7 +28,7 @@ def vertex_normals(mesh: Mesh) -> FloatArray:
 
 
 def smooth_normals(mesh: Mesh, of_vertices: FloatArray, nearest: Nearest) -> FloatArray:
-    """(n, 3) unit normals at surface points: those of the triangle's corners, interpolated.
+    """Interpolate (n, 3) unit normals at surface points from those of the triangle's corners.
 
     Args:
         mesh: the surface; of_vertices: its `vertex_normals`.
@@ -38,7 +38,7 @@ def smooth_normals(mesh: Mesh, of_vertices: FloatArray, nearest: Nearest) -> Flo
 
 
 def angle_deg(one: FloatArray, other: FloatArray) -> FloatArray:
-    """(n,) angle between vectors; accurate for small angles, 0 where either vector is zero."""
+    """Compute (n,) angles between vectors; accurate for small angles, 0 if either vector is zero."""
     across = np.linalg.norm(np.cross(one, other), axis=1)
     return np.asarray(np.degrees(np.arctan2(across, np.einsum("nx,nx->n", one, other))))
 

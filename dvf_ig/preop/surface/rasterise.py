@@ -29,10 +29,10 @@ def rasterise(
     *,
     progress: Callable[[float], None] | None = None,
 ) -> VolumeSeries:
-    """uint8 labels at the voxel centres: 0 background, 1 wall, 2 blood.
+    """Label voxel centres (uint8): 0 background, 1 wall, 2 blood.
 
-    Blood is what lies inside LV_ENDOCARDIAL or RV_ENDOCARDIAL, wall what is left inside EPICARDIAL. Openings
-    are capped first.
+    Blood is inside LV_ENDOCARDIAL or RV_ENDOCARDIAL; the rest inside EPICARDIAL is wall. Openings are capped
+    first.
 
     Raises:
         InvalidInputError: EPICARDIAL or both cavities missing, timings that differ, or a surface that cannot
@@ -61,7 +61,7 @@ def rasterise_meshes(
     timing: CycleTiming,
     progress: Callable[[float], None] | None = None,
 ) -> VolumeSeries:
-    """The same labels from closed surfaces, one a phase: of the organ, and of each chamber of blood.
+    """Label voxel centres by closed surfaces, one a phase, of the organ and of each chamber of blood.
 
     Raises:
         FrameMismatchError: a surface in another frame than the grid.

@@ -11,10 +11,10 @@ from dvf_ig.core import BoolArray, IntArray, InvalidInputError
 
 @dataclass(frozen=True, slots=True)
 class EdgeCensus:
-    """Numbers of edges that are wrong in a closed surface.
+    """Numbers of edges that a closed surface must not have.
 
     Attributes:
-        open_edges: edges of one triangle only.
+        open_edges: edges of only one triangle.
         non_manifold_edges: edges of more than two triangles.
         inconsistent_edges: edges that run the same way in both of their triangles.
     """
@@ -35,12 +35,12 @@ class EdgeCensus:
 
 
 def directed_edges(triangles: IntArray) -> IntArray:
-    """(3t, 2) edges in triangle order: all first edges, then all second, then all third."""
+    """List (3t, 2) edges in triangle order: all first edges, then all second, then all third."""
     return np.vstack([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
 
 
 def count_edges(triangles: IntArray) -> EdgeCensus:
-    """Numbers of wrong edges: one sort of numbers that hold smaller vertex, larger vertex and direction."""
+    """Count wrong edges by one sort of numbers that hold smaller vertex, larger vertex and direction."""
     edges = directed_edges(triangles)
     forward = edges[:, 0] < edges[:, 1]
     vertices = int(triangles.max()) + 1
@@ -56,7 +56,7 @@ def count_edges(triangles: IntArray) -> EdgeCensus:
 
 
 def connected_components_of(triangles: IntArray) -> IntArray:
-    """(t,) index of the connected component (sharing vertices) that each triangle belongs to."""
+    """Find the (t,) connected component (sharing vertices) of each triangle."""
     vertices = int(triangles.max()) + 1
     edges = directed_edges(triangles)
     graph = coo_array((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(vertices, vertices))
@@ -64,7 +64,7 @@ def connected_components_of(triangles: IntArray) -> IntArray:
 
 
 def consistently_oriented(triangles: IntArray, name: str) -> IntArray:
-    """The same triangles, flipped where needed so that shared edges run in opposite directions.
+    """Flip triangles as needed so that shared edges run in opposite directions.
 
     Raises:
         InvalidInputError: the surface is one-sided, or an edge has more than two triangles.
@@ -92,7 +92,7 @@ def consistently_oriented(triangles: IntArray, name: str) -> IntArray:
 
 
 def _propagated_flips(graph: csr_array, count: int) -> BoolArray:
-    """(t,) triangles to flip, breadth first from each component's first triangle; weight 2 is a flip."""
+    """Find (t,) triangles to flip, breadth first from each component's first triangle; weight 2 is a flip."""
     flipped = np.zeros(count, dtype=np.bool_)
     _, label = connected_components(graph, directed=False)
     _, roots = np.unique(label, return_index=True)
@@ -107,7 +107,7 @@ def _propagated_flips(graph: csr_array, count: int) -> BoolArray:
 
 
 def boundary_loops(triangles: IntArray, name: str) -> list[IntArray]:
-    """Openings as vertex cycles, each in the direction of the triangles beside it.
+    """List openings as vertex cycles, each in the direction of the adjacent triangles.
 
     Raises:
         InvalidInputError: two openings touch in a vertex.

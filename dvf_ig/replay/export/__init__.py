@@ -1,1 +1,1 @@
-"""A run for other programs: 3D Slicer, ROS 2 (MCAP), Rerun."""
+"""Export of a run for other programs: 3D Slicer, ROS 2 (MCAP), Rerun."""

@@ -1,4 +1,4 @@
-"""What `replay` or `register` left in a folder, with the recording that it was made from: for exports."""
+"""Folder that `replay` or `register` wrote, with its recording, as exports need it."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -27,16 +27,16 @@ from dvf_ig.session import UltrasoundCalibration
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ExportedRun:
-    """A run, or a registration, of a recorded intervention.
+    """Run or registration of a recorded intervention.
 
     Attributes:
-        scenario: what was recorded.
-        ultrasound: calibration in use.
-        tip: tool tip in frame "tool"; None where it is not known.
+        scenario: the recording.
+        ultrasound: ultrasound calibration in use.
+        tip: tool tip in frame "tool"; None if not known.
         poses: (time from which it was in use, mr_from_tracker); a registration has one, from minus infinity.
         suspended_s: spans in which no pose was in use.
-        bound_mm: below which the last usable registration's error lies over the heart, with 95 %
-            probability; None where none was stated.
+        bound_mm: bound of the last usable registration's error over the heart with 95 % probability; None if
+            none was stated.
         result: the content of result.json.
     """
 
@@ -49,12 +49,12 @@ class ExportedRun:
     result: dict[str, Any]
 
     def pose_numbers(self, t_s: FloatArray) -> IntArray:
-        """(n,) which of `poses` places what happened at `t_s`; before the first it is the first."""
+        """Find (n,) the index in `poses` of the pose in use at `t_s`; before the first it is the first."""
         begin = np.array([from_s for from_s, _ in self.poses])
         return np.maximum(np.searchsorted(begin, t_s, side="right") - 1, 0).astype(np.int64)
 
     def suspended(self, t_s: FloatArray) -> BoolArray:
-        """(n,) whether the pose was suspended at `t_s`."""
+        """Return (n,) whether the pose was suspended at `t_s`."""
         inside = np.zeros(len(t_s), dtype=np.bool_)
         for begin_s, end_s in self.suspended_s:
             inside |= (t_s >= begin_s) & (t_s < end_s)
@@ -65,8 +65,8 @@ def read_exported_run(folder: Path, scenario: Scenario) -> ExportedRun:
     """Read the folder that `dvf-ig replay` or `dvf-ig register` wrote, and its recording.
 
     Args:
-        scenario: the recording that the folder was made from; where a record of inputs is open, the files
-            that were read for it are compared with those that the result lists.
+        scenario: the recording that the folder was made from; if a record of inputs is open, the files read
+            for it are compared with those that the result lists.
     Raises:
         UnreadableFileError: no such folder, or a damaged one.
         InvalidInputError: no usable pose, a registration of a pair of images, or another recording.
@@ -79,7 +79,7 @@ def read_exported_run(folder: Path, scenario: Scenario) -> ExportedRun:
     result = read_json(path, "a result")
     if not isinstance(result, dict) or "moving_from_fixed" in result:
         raise InvalidInputError(
-            f"{folder} is no run or registration of a recorded intervention; a pair of images needs no "
+            f"{folder} is not a run or registration of a recorded intervention; a pair of images needs no "
             "scene: load both and the .tfm (guide, 3D Slicer)"
         )
     require_same_recording(result, folder, provenance_fields().get("inputs", []))
@@ -92,14 +92,14 @@ def read_exported_run(folder: Path, scenario: Scenario) -> ExportedRun:
 
 
 def _replayed(folder: Path, result: dict[str, Any], scenario: Scenario) -> ExportedRun:
-    found, usable = result["estimates"], [one for one in result["registrations"] if one["usable"]]
+    estimates, usable = result["estimates"], [one for one in result["registrations"] if one["usable"]]
     if not usable:
-        raise InvalidInputError(f"{folder} holds no usable registration, so that nothing can be placed")
-    image = ImageMap.from_matrix(found["probe_from_image"], "probe")
+        raise InvalidInputError(f"{folder} holds no usable registration, so nothing can be placed")
+    image = ImageMap.from_matrix(estimates["probe_from_image"], "probe")
     return ExportedRun(
         scenario,
-        UltrasoundCalibration(image, float(found["lag_s"])),
-        Points("tool", np.array([found["tip_mm"]])),
+        UltrasoundCalibration(image, float(estimates["lag_s"])),
+        Points("tool", np.array([estimates["tip_mm"]])),
         _poses(folder / POSES),
         tuple((float(begin), float(end)) for begin, end in result["doubts_s"]),
         usable[-1]["tre_bound_mm"],
@@ -110,14 +110,14 @@ def _replayed(folder: Path, result: dict[str, Any], scenario: Scenario) -> Expor
 def _registration(folder: Path, result: dict[str, Any], scenario: Scenario) -> ExportedRun:
     if not result["stop"] == "CONVERGED":
         raise InvalidInputError(f"{folder}: the registration must not be used: {result['reason']}")
-    found = calibrate(replace(scenario, tip=None), int(result["seed"]))
+    calibrations = calibrate(replace(scenario, tip=None), int(result["seed"]))
     pose = Rigid.from_matrix(np.array(result["mr_from_tracker"]), "mr", "tracker")
     bound = result["tre_bound_mm"]
-    return ExportedRun(scenario, found.ultrasound, None, ((-np.inf, pose),), (), bound, result)
+    return ExportedRun(scenario, calibrations.ultrasound, None, ((-np.inf, pose),), (), bound, result)
 
 
 def _poses(path: Path) -> tuple[tuple[float, Rigid], ...]:
-    """(time, mr_from_tracker) of `poses.seq.mha`; whatever PLUS calls the tracker there."""
+    """Read (time, mr_from_tracker) from `poses.seq.mha`, with any PLUS name for the tracker."""
     streams = list(read_sequence(path).poses.values())
     if len(streams) != 1 or streams[0].target != "ras":
         raise UnreadableFileError(f"{path} is not the pose sequence of a replay; replay again")

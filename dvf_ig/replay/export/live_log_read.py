@@ -1,4 +1,4 @@
-"""A live session's log back: its events with their arrivals, in order, and what of them is a recording."""
+"""Reading of a live session's log: its events with their arrivals, in order, and its recording."""
 
 from collections import deque
 from collections.abc import Sequence
@@ -23,15 +23,15 @@ from dvf_ig.session import EcgSamples, Landmark, Rearm, ToolPose, TrackedFrame
 Stamped = TypeVar("Stamped", TrackedFrame, ToolPose)
 UNIT = "as sent"
 LONGEST_ECG_S = 24 * 3600.0
-"""ECG samples that are stamped further from the first are no part of the recording."""
+"""Largest distance from the first ECG sample, in stamps, of a sample that belongs to the recording."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LiveStreams:
-    """What a live session was sent, as a recording has it, and in its order.
+    """Streams sent to a live session, in the form and order of a recording.
 
     Attributes:
-        ecg: on one clock; NaN where samples are missing.
+        ecg: ECG on one clock; NaN if samples are missing.
         ultrasound: frames in order of their stamps; tool: its poses.
     """
 
@@ -43,7 +43,7 @@ class LiveStreams:
 
 @dataclass(slots=True)
 class _Reading:
-    """The log up to a message; an event's parts wait until the next event is announced."""
+    """Log up to a message; an event's parts wait until the next event is announced."""
 
     landmarks: deque[Landmark]
     images: bool
@@ -74,7 +74,7 @@ class _Reading:
             self.refused[int(values[0])] = int(values[1])
 
     def end_event(self) -> None:
-        """The event that was announced is whole; one whose parts are missing is left out."""
+        """Finish the announced event; one with missing parts is left out."""
         if self.announced is None:
             return
         kind, t_s, arrived_s = self.announced
@@ -105,19 +105,19 @@ class _Reading:
 def read_live_streams(
     log: LogReader, document: SessionDocument, live: LiveDocument, path: Path, *, images: bool
 ) -> LiveStreams:
-    """Events, states and recordings of a live session's log.
+    """Read events, states and recordings of a live session's log.
 
     Args:
-        images: without them frames have none, and a repetition registers nothing.
+        images: whether to read images; without them a repetition registers nothing.
     Raises:
-        UnreadableFileError: the session never began, for no tool was seen, or had no ultrasound.
+        UnreadableFileError: the session never began, as no tool was seen, or had no ultrasound.
     """
     reading = _Reading(_landmarks(document), images)
-    wanted = {**STREAMS, **LIVE_STREAMS}
-    wanted = {
-        topic: kind for topic, kind in wanted.items() if topic != TRIGGER and (images or topic != IMAGE)
+    topics = {**STREAMS, **LIVE_STREAMS}
+    topics = {
+        topic: kind for topic, kind in topics.items() if topic != TRIGGER and (images or topic != IMAGE)
     }
-    for topic, message in log.messages(wanted):
+    for topic, message in log.messages(topics):
         reading.take(topic, message)
     reading.end_event()
     steps = tuple(reading.steps)
@@ -145,16 +145,16 @@ def read_live_streams(
 
 def _findings(log: LogReader, states: FloatArray) -> tuple[Finding, ...]:
     lost = max(int(states[-1, -1]), log.number(LOST) or 0)
-    found = []
+    findings = []
     if not log.whole:
-        found.append(finding(Disagreement.RECORD_ENDS_EARLY, "record", "replay", s=float(states[-1, 0])))
+        findings.append(finding(Disagreement.RECORD_ENDS_EARLY, "record", "replay", s=float(states[-1, 0])))
     if lost:
-        found.append(finding(Disagreement.RECORD_LACKS_MESSAGES, "record", "replay", count=float(lost)))
-    return tuple(found)
+        findings.append(finding(Disagreement.RECORD_LACKS_MESSAGES, "record", "replay", count=float(lost)))
+    return tuple(findings)
 
 
 def _landmarks(document: SessionDocument) -> deque[Landmark]:
-    """In the order in which a session is told them."""
+    """List landmarks in the order in which a session receives them."""
     if document.landmarks_mr is None or document.landmarks_tracker is None:
         return deque()
     names, marked, touched = document.landmarks_mr.landmarks().paired_with(
@@ -167,7 +167,7 @@ def _landmarks(document: SessionDocument) -> deque[Landmark]:
 
 
 def _matrix(row: FloatArray) -> FloatArray | None:
-    """(4, 4) of a row of stamp, validity, rotation and translation; None where it was not tracked."""
+    """Build (4, 4) from a row of stamp, validity, rotation and translation; None if not tracked."""
     if row[1] != 1.0:
         return None
     matrix = np.eye(4)
@@ -176,14 +176,14 @@ def _matrix(row: FloatArray) -> FloatArray | None:
 
 
 def _in_order(events: Sequence[Stamped]) -> list[Stamped]:
-    """Those stamped later than all before, as a session takes them, at a time that a clock can show."""
-    found: list[Stamped] = []
+    """Select events stamped later than all before, as a session does, at a valid time."""
+    ordered: list[Stamped] = []
     for event in events:
         if not abs(event.t_s) <= limits.TIME_S:
             continue
-        if not found or event.t_s > found[-1].t_s:
-            found.append(event)
-    return found
+        if not ordered or event.t_s > ordered[-1].t_s:
+            ordered.append(event)
+    return ordered
 
 
 def _sequence(frames: Sequence[TrackedFrame], orientation: str) -> TrackedSequence:
@@ -205,7 +205,7 @@ def _sequence(frames: Sequence[TrackedFrame], orientation: str) -> TrackedSequen
 
 
 def _stream(source: str, poses: Sequence[tuple[float, FloatArray | None]]) -> PoseStream:
-    """What is not rigid, or out of any tracker's reach, counts as not tracked, as in a session."""
+    """Build a pose stream; a pose not rigid or beyond any tracker's reach counts as not tracked."""
     t_s = np.array([one for one, _ in poses])
     near = [
         None if matrix is None or not (np.abs(matrix[:3, 3]) <= limits.LENGTH_MM).all() else matrix
@@ -215,9 +215,9 @@ def _stream(source: str, poses: Sequence[tuple[float, FloatArray | None]]) -> Po
 
 
 def _signal(batches: Sequence[EcgSamples], rate_hz: float, begin_s: float) -> Signal:
-    """Batches at their places on one clock; without any, unknown samples from `begin_s` on.
+    """Place batches on one clock; without any, unknown samples from `begin_s` on.
 
-    What is no voltage, as a session may have been sent, is not known either.
+    Implausible values, which a session may have been sent, also become unknown.
     """
     if not batches:
         return Signal(np.full((2, 1), np.nan), rate_hz, begin_s, ("ECG",), UNIT)

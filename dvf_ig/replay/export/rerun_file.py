@@ -1,6 +1,6 @@
 """A run as a recording of the Rerun viewer (`.rrd`): the scene in space, and its numbers over time.
 
-Entities hang on each other as frames do: `mr` (LPS, mm) / `tracker` / `probe`, `tool`. Time is in seconds on
+Entities are nested as frames are: `mr` (LPS, mm) / `tracker` / `probe`, `tool`. Time is in seconds on
 the tracker's clock. The surfaces through the cycle are on a time line of their own, `phase`.
 """
 
@@ -21,7 +21,7 @@ from .slicer_scene import ShownFrames, shown_frames
 FORCE_MM_PER_N = 50.0
 """Length of the force's arrow."""
 FORCE_HZ = 100.0
-"""The arrow is drawn so often; its numbers are all there."""
+"""Rate at which the arrow is drawn; its numbers are complete."""
 NUMBERS = ("distance_mm", "phi", "model_phase", "rr_s", "pose_age_s")
 """Columns of ticks.csv that become curves."""
 
@@ -32,7 +32,7 @@ def write_rerun(run: ExportedRun, model: DvfModel, ticks: dict[str, AnyArray], p
     Args:
         ticks: columns of ticks.csv by name.
     Returns:
-        how many ultrasound frames it shows.
+        number of ultrasound frames shown.
     Raises:
         MissingDependencyError: rerun-sdk is absent.
         InvalidInputError: no ultrasound frame has an image and a pose.
@@ -65,13 +65,13 @@ def _package() -> Any:
 
 
 def _surfaces(rerun: Any, stream: Any, model: DvfModel) -> None:
-    """End-diastole at all times; every phase on the time line of phases."""
+    """Log end-diastole at all times, and every phase on the time line of phases."""
 
     def mesh(phase: int) -> Any:
-        held = model.reference[phase]
+        surface = model.reference[phase]
         return rerun.Mesh3D(
-            vertex_positions=held.vertices_mm.astype(np.float32),
-            triangle_indices=held.triangles.astype(np.uint32),
+            vertex_positions=surface.vertices_mm.astype(np.float32),
+            triangle_indices=surface.triangles.astype(np.uint32),
             albedo_factor=[214, 94, 0, 90],
         )
 
@@ -83,7 +83,7 @@ def _surfaces(rerun: Any, stream: Any, model: DvfModel) -> None:
 
 
 def _poses(rerun: Any, stream: Any, run: ExportedRun, frames: ShownFrames) -> None:
-    """The tracker in the MR, the probe in the tracker's frame."""
+    """Log the tracker in the MR and the probe in the tracker's frame."""
     for number, (from_s, pose) in enumerate(run.poses):
         begin_s = min(from_s, float(frames.event_s[0])) if number == 0 else from_s
         stream.set_time("time", duration=begin_s)
@@ -95,7 +95,7 @@ def _poses(rerun: Any, stream: Any, run: ExportedRun, frames: ShownFrames) -> No
 
 
 def _ultrasound(rerun: Any, stream: Any, run: ExportedRun, frames: ShownFrames) -> None:
-    """The outline of the image in space, and the image itself."""
+    """Log the outline of the image in space, and the image itself."""
     images = run.scenario.ultrasound.images
     if images is None:
         return
@@ -110,11 +110,11 @@ def _ultrasound(rerun: Any, stream: Any, run: ExportedRun, frames: ShownFrames) 
 
 
 def _tool(rerun: Any, stream: Any, run: ExportedRun, ticks: dict[str, AnyArray]) -> None:
-    """The tip and the force at it, in the tracker's frame."""
+    """Log the tip and the force at it, in the tracker's frame."""
     tip, force = (_rows(ticks, form) for form in ("tip_tracker_{}_mm", "force_tracker_{}_n"))
     step = max(1, round(RATE_HZ / FORCE_HZ))
-    known = np.flatnonzero(np.isfinite(tip).all(axis=1))
-    for i in known[::step].tolist():
+    tracked = np.flatnonzero(np.isfinite(tip).all(axis=1))
+    for i in tracked[::step].tolist():
         stream.set_time("time", duration=float(ticks["t_s"][i]))
         stream.log("mr/tracker/tip", rerun.Points3D([tip[i]], radii=[1.5]))
         arrow = rerun.Arrows3D(origins=[tip[i]], vectors=[FORCE_MM_PER_N * force[i]])
@@ -123,17 +123,17 @@ def _tool(rerun: Any, stream: Any, run: ExportedRun, ticks: dict[str, AnyArray])
 
 
 def _numbers(rerun: Any, stream: Any, run: ExportedRun, ticks: dict[str, AnyArray]) -> None:
-    """Curves over time, and what the supervisor said."""
+    """Log curves over time, and the supervisor's messages."""
     t_s, wave = ticks["t_s"], run.scenario.ecg
     force = np.linalg.norm(_rows(ticks, "force_tracker_{}_n"), axis=1)
     curves = [("force_n", t_s, force), *((name, t_s, ticks[name]) for name in NUMBERS)]
     if isinstance(wave, Signal):
         curves.append(("ecg", wave.t_s, wave.samples[:, 0]))
     for name, at, values in curves:
-        known = np.isfinite(values)
-        if known.any():
-            index = [rerun.TimeColumn("time", duration=at[known])]
-            stream.send_columns(f"numbers/{name}", index, rerun.Scalars.columns(scalars=values[known]))
+        finite = np.isfinite(values)
+        if finite.any():
+            index = [rerun.TimeColumn("time", duration=at[finite])]
+            stream.send_columns(f"numbers/{name}", index, rerun.Scalars.columns(scalars=values[finite]))
     said = np.column_stack([ticks["supervisor"], ticks["hazards"]])
     changed = np.flatnonzero(np.any(np.diff(said, axis=0, prepend=-1.0), axis=1))
     for i in changed.tolist():
@@ -148,7 +148,7 @@ def _sentence(supervisor: int, hazards: int) -> str:
 
 
 def _transform(rerun: Any, matrix: FloatArray) -> Any:
-    """Points of the entity to its parent's, mm."""
+    """Build the transform from the entity's points to its parent's, mm."""
     return rerun.Transform3D(translation=matrix[:3, 3], mat3x3=matrix[:3, :3])
 
 

@@ -1,9 +1,9 @@
-"""A run as an MCAP log: everything the session was told, bit by bit, and what it answered.
+"""Run as an MCAP log: all inputs of the session, bit for bit, and its output.
 
 For ROS tools: `/tf` (mr, tracker, probe, tool; metres), `/ultrasound/image`, `/ecg`, `/tool/tip`,
 `/tool/force` (N, frame "tracker"), `/guidance`, `/diagnostics`. For a replay: `/exact/…` holds stamps in
 seconds and poses in mm as they were recorded, since metres, quaternions and nanoseconds round; `session.json`
-and `preop/…`, attached, hold the rest. The truth of a synthetic recording is not in a log.
+and `preop/…` are attached and hold the rest. The truth of a synthetic recording is not in a log.
 """
 
 from collections.abc import Iterable, Iterator
@@ -49,7 +49,7 @@ from .exported_run import ExportedRun
 
 FORCE, TIP = "force_tracker_{}_n", "tip_mr_{}_mm"
 Timed = tuple[float, str, str, ros.Message]
-"""When, topic, type, message."""
+"""Time, topic, type, message."""
 
 
 def write_session_log(
@@ -59,16 +59,17 @@ def write_session_log(
 
     Args:
         run: a replay, and the folder it is in.
-        given: the model, where the run was made with one of a file.
-        seed: of the replay: calibrations are made again with it, and compared.
+        given: the model, if the run used one from a file.
+        seed: seed of the replay: calibrations are computed again with it and compared.
     Returns:
-        how many messages it holds.
+        number of messages in the log.
     Raises:
-        InvalidInputError: a registration, which is no session, or calibrations that are not those of the run.
+        InvalidInputError: a registration, which is not a session, or calibrations that are not those of the
+            run.
         MissingDependencyError, OutputError: see `written_log`.
     """
     if "estimates" not in run.result:
-        raise InvalidInputError(f"{folder} is a registration; a log is that of a session: give a replay")
+        raise InvalidInputError(f"{folder} is a registration; only a session has a log: give a replay")
     in_use = calibrate(run.scenario, seed).in_use
     if in_use.probe_from_image.matrix.tolist() != run.result["estimates"]["probe_from_image"]:
         raise InvalidInputError(f"{folder} was replayed with another seed or version; give its --seed")
@@ -128,14 +129,14 @@ def _tool(scenario: Scenario) -> Iterator[Timed]:
 
 
 def _poses(run: ExportedRun) -> Iterator[Timed]:
-    """mr_from_tracker as it changed; for ROS the tracker hangs on the MR."""
+    """Yield mr_from_tracker as it changed; for ROS the tracker's parent is the MR."""
     for from_s, pose in run.poses:
         yield from_s, "/tf", ros.TF, ros.transforms(from_s, [("mr", "tracker", pose.matrix)])
 
 
 def _answers(ticks: dict[str, AnyArray]) -> Iterator[Timed]:
-    """What the session said every millisecond; `ticks` are columns by name, as `read_ticks` gives them."""
-    told: tuple[float, ...] = ()
+    """Yield the session's output every millisecond; `ticks` are columns by name, as from `read_ticks`."""
+    last: tuple[float, ...] = ()
     due_s = -np.inf
     forces, tips = (_rows(ticks, (form.format(a) for a in "xyz")) for form in (FORCE, TIP))
     numbers, codes = _rows(ticks, GUIDANCE), _rows(ticks, ("status", "supervisor", "hazards"))
@@ -144,10 +145,10 @@ def _answers(ticks: dict[str, AnyArray]) -> Iterator[Timed]:
         yield t_s, "/guidance", ros.ARRAY, ros.array(numbers[i], (", ".join(GUIDANCE),))
         if np.isfinite(tips[i]).all():
             yield t_s, "/tool/tip", ros.POSE, ros.pose(t_s, "mr", tips[i])
-        said = tuple(codes[i].tolist())
-        if said != told or t_s >= due_s:
-            told, due_s = said, t_s + STATUS_EVERY_S
-            yield t_s, "/diagnostics", ros.DIAGNOSTICS, status_message(t_s, *(int(code) for code in said))
+        now = tuple(codes[i].tolist())
+        if now != last or t_s >= due_s:
+            last, due_s = now, t_s + STATUS_EVERY_S
+            yield t_s, "/diagnostics", ros.DIAGNOSTICS, status_message(t_s, *(int(code) for code in now))
 
 
 def _rows(ticks: dict[str, AnyArray], names: Iterable[str]) -> FloatArray:

@@ -1,4 +1,4 @@
-"""A session's log back as a recording: the events that its replay pushes are those that were logged."""
+"""Reading of a session's log as a recording, whose replay pushes the logged events."""
 
 import json
 from pathlib import Path
@@ -35,19 +35,19 @@ from dvf_ig.io.yaml_config import validated
 from .live_log_read import read_live_streams
 
 _POSE = 14
-"""Numbers of a pose: stamp, validity, rotation, translation."""
+"""Count of numbers of a pose: stamp, validity, rotation, translation."""
 
 
 def read_session_log(path: Path, *, images: bool = True) -> SessionRecordings:
     """Read a log that `dvf-ig export mcap` or `dvf-ig serve` wrote.
 
     Args:
-        images: of a live session, whether its ultrasound is wanted.
+        images: whether to read the ultrasound of a live session.
     Returns:
-        recording, calibrations in use, and the heart; of a live session also what repeats it.
+        recording, calibrations in use, and the heart; for a live session also the data that repeat it.
     Raises:
         MissingDependencyError: mcap or rosbags is absent.
-        UnreadableFileError: absent, no such log, cut off or damaged.
+        UnreadableFileError: absent, another kind of file, cut off or damaged.
     """
     with opened_log(path) as log:
         attached = log.attachments()
@@ -146,7 +146,7 @@ def _beats(document: SessionDocument, arrays: dict[str, list[FloatArray]]) -> Si
 
 
 def _stream(source: str, rows: FloatArray) -> PoseStream:
-    """tracker_from_source from rows of a stamp, a validity, a rotation and a translation."""
+    """Build tracker_from_source from rows of a stamp, a validity, a rotation and a translation."""
     rotations, translations, valid = rows[:, 2:11].reshape(-1, 3, 3), rows[:, 11:], rows[:, 1] == 1.0
     limits.require_times(rows[:, 0], f"the {source}'s poses")
     limits.require_lengths(translations[valid], f"the {source}'s poses")
@@ -154,7 +154,7 @@ def _stream(source: str, rows: FloatArray) -> PoseStream:
 
 
 def _heart(path: Path, document: SessionDocument, attached: dict[str, bytes]) -> PreopFiles:
-    """What is known of the heart, from the attached files."""
+    """Read the heart from the attached files."""
     with scratch_folder() as folder, not_recorded():
         for file, data in attached.items():
             if file.startswith("preop/"):
@@ -167,8 +167,8 @@ def _heart(path: Path, document: SessionDocument, attached: dict[str, bytes]) ->
                 return PreopFiles(read.preop, read_model(folder / MODEL, patient_id=document.patient_id))
             return read
         except InvalidInputError as exc:
-            told = str(exc).replace(f"{folder}/", "its ")
-            raise UnreadableFileError(f"{path}: {told}") from exc
+            reason = str(exc).replace(f"{folder}/", "its ")
+            raise UnreadableFileError(f"{path}: {reason}") from exc
 
 
 def _numbers(message: ros.Message) -> FloatArray:

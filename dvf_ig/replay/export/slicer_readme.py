@@ -1,4 +1,4 @@
-"""What the README of a Slicer scene folder says: what each file is, and how to load it."""
+"""README of a Slicer scene folder: the content of each file, and how to load it."""
 
 from collections.abc import Mapping
 
@@ -66,12 +66,12 @@ _HOW = (
 
 
 def readme_text(frames: Mapping[str, str], run: ExportedRun, shown: int, fractions: tuple[float, ...]) -> str:
-    """The text.
+    """Write the README's text.
 
     Args:
-        frames: of what is in each file, by its name.
-        shown: how many ultrasound frames.
-        fractions: when in the cycle each surface is.
+        frames: frame of each file's content, by file name.
+        shown: number of ultrasound frames.
+        fractions: position of each surface in the cycle.
     """
     root = next(name for name in frames if name.endswith("ToRas.tfm")).removesuffix(".tfm")
     tracker = root.removesuffix("ToRas")
@@ -92,12 +92,12 @@ def readme_text(frames: Mapping[str, str], run: ExportedRun, shown: int, fractio
         else f"Its error over the heart lies below {bound:.1f} mm with 95 % probability.",
     )
     rows = [f"| `{name}` | {frame} | {_how(name)} |\n" for name, frame in _one_surface(frames)]
-    told = ", ".join(f"{fraction:.6g}" for fraction in fractions)
-    return head + "".join(rows) + _TAIL.format(phases=len(fractions), fractions=told)
+    listed = ", ".join(f"{fraction:.6g}" for fraction in fractions)
+    return head + "".join(rows) + _TAIL.format(phases=len(fractions), fractions=listed)
 
 
 def _one_surface(frames: Mapping[str, str]) -> list[tuple[str, str]]:
-    """Every file, the surfaces in one row."""
+    """List every file, the surfaces in one row."""
     surfaces = [name for name in frames if name.endswith(".stl")]
     rows = [(name, frame) for name, frame in frames.items() if name not in surfaces[1:]]
     if len(surfaces) > 1:

@@ -1,8 +1,8 @@
-"""A run or a registration as a 3D Slicer scene folder: what was recorded, where it was found to be.
+"""Run or registration as a 3D Slicer scene folder: the recording, placed in the patient.
 
     scene (RAS, the pre-operative images)
     ├─ mr, heart_…, targets, landmarks_mr
-    └─ TrackerToRas          the registration; a sequence where there were updates
+    └─ TrackerToRas          the registration; a sequence if there were updates
        ├─ ProbeToTracker     at the moment that each image shows
        │  └─ ImageToProbe    calibration, pixels to mm
        │     └─ ultrasound
@@ -10,9 +10,9 @@
        │  └─ tool_tip
        └─ landmarks_touched
 
-Where poses are relative to a reference marker, its name stands for "Tracker". Device coordinates are taken as
-they stand, as Slicer does with PLUS sequences: a node's matrix is ours, and RAS comes in once, in
-TrackerToRas = diag(−1, −1, 1)·mr_from_tracker.
+If poses are relative to a reference marker, its name replaces "Tracker". Device coordinates are kept, as
+Slicer does with PLUS sequences: a node's matrix is ours, and RAS enters once, in TrackerToRas =
+diag(−1, −1, 1)·mr_from_tracker.
 """
 
 from dataclasses import dataclass, field
@@ -53,7 +53,7 @@ IMAGE = "ImageToProbe"
 
 @dataclass(slots=True)
 class SceneFolder:
-    """The folder that is being written, its scene, and the frame of what is in each file."""
+    """Folder that is being written, its scene, and the frame of each file's content."""
 
     folder: Path
     run: ExportedRun
@@ -61,7 +61,7 @@ class SceneFolder:
     frames: dict[str, str] = field(default_factory=dict)
 
     def place(self, name: str, frame: str) -> Path:
-        """The path of a file, whose frame is noted."""
+        """Return the path of a file and record its frame."""
         self.frames[name] = frame
         return self.folder / name
 
@@ -69,13 +69,13 @@ class SceneFolder:
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class ShownFrames:
-    """The ultrasound frames of a scene: those with an image, a pose of the probe and one of the patient.
+    """Ultrasound frames of a scene: those with an image, a pose of the probe and one of the patient.
 
     Attributes:
-        number: (n,) in the recording; event_s: when what it shows happened, tracker's clock.
-        probe, tool: (n, 4, 4) tracker_from_probe and tracker_from_tool then; `tool` None without a tool, and
-            where it was not tracked then its last pose.
-        pose: (n,) which pose of the run.
+        number: (n,) in the recording; event_s: time at which the shown event happened, tracker's clock.
+        probe, tool: (n, 4, 4) tracker_from_probe and tracker_from_tool then; `tool` is None without a tool,
+            and its last pose while not tracked.
+        pose: (n,) index of the pose of the run.
     """
 
     number: IntArray
@@ -86,12 +86,12 @@ class ShownFrames:
 
 
 def write_slicer_scene(run: ExportedRun, model: DvfModel, folder: Path) -> dict[str, str]:
-    """Write `scene.mrml`, what it loads, and a README that says how to load each file alone.
+    """Write `scene.mrml`, the files it loads, and a README on how to load each file alone.
 
     Args:
         folder: exists and is empty.
     Returns:
-        the frame of what is in each file, by its name.
+        the frame of each file's content, by file name.
     Raises:
         InvalidInputError: no ultrasound frame has an image and a pose.
         OutputError: not writable.
@@ -110,34 +110,34 @@ def write_slicer_scene(run: ExportedRun, model: DvfModel, folder: Path) -> dict[
 
 
 def shown_frames(run: ExportedRun) -> ShownFrames:
-    """See `ShownFrames`. Frames of one millisecond count once: Slicer tells them apart by it.
+    """Select the `ShownFrames`; frames of one millisecond count once, as Slicer identifies them by it.
 
     Raises:
-        InvalidInputError: none.
+        InvalidInputError: there are none.
     """
     sequence = run.scenario.ultrasound
     event_s = sequence.t_s + run.ultrasound.lag_s
     rotations, translations, valid = smoothed_poses(sequence.stream("tracker", "probe"), event_s)
     shown = valid & sequence.image_valid & ~run.suspended(event_s)
-    kept = np.flatnonzero(shown)
-    if sequence.images is None or not len(kept):
+    chosen = np.flatnonzero(shown)
+    if sequence.images is None or not len(chosen):
         raise InvalidInputError(
             "no ultrasound frame has an image and a tracked pose; there is nothing to show"
         )
-    kept = kept[np.unique(np.round(event_s[kept], 3), return_index=True)[1]]
+    chosen = chosen[np.unique(np.round(event_s[chosen], 3), return_index=True)[1]]
     tool = run.scenario.tool
-    at = event_s[kept]
-    held = None
+    at = event_s[chosen]
+    tool_poses = None
     if tool is not None and run.tip is not None and tool.valid.any():
-        known = np.flatnonzero(tool.valid)
-        last = known[np.maximum(np.searchsorted(tool.t_s[known], at, side="right") - 1, 0)]
-        held = _matrices(tool.rotations[last], tool.translations_mm[last])
-    probe = _matrices(rotations[kept], translations[kept])
-    return ShownFrames(kept.astype(np.int64), at, probe, held, run.pose_numbers(at))
+        tracked = np.flatnonzero(tool.valid)
+        last = tracked[np.maximum(np.searchsorted(tool.t_s[tracked], at, side="right") - 1, 0)]
+        tool_poses = _matrices(tool.rotations[last], tool.translations_mm[last])
+    probe = _matrices(rotations[chosen], translations[chosen])
+    return ShownFrames(chosen.astype(np.int64), at, probe, tool_poses, run.pose_numbers(at))
 
 
 def _patient(out: SceneFolder, model: DvfModel) -> None:
-    """What lies in the pre-operative frame: images, surfaces, targets."""
+    """Add the content of the pre-operative frame: images, surfaces, targets."""
     preop, scenario = out.run.scenario.preop, out.run.scenario
     if preop.mr is not None:
         name = "mr.mha"
@@ -153,9 +153,9 @@ def _patient(out: SceneFolder, model: DvfModel) -> None:
     for phase, (mesh, fraction) in enumerate(zip(model.reference, model.timing.fractions, strict=True)):
         name = f"heart_{phase:03d}.stl"
         write_mesh(mesh, out.place(name, model.frame))
-        told = f"{model.surface_name} at {fraction:.3f} of the RR interval"
+        description = f"{model.surface_name} at {fraction:.3f} of the RR interval"
         visible = phase == model.ed_phase
-        out.scene.add_model(name[:-4], name, visible=visible, color=HEART_COLOR, description=told)
+        out.scene.add_model(name[:-4], name, visible=visible, color=HEART_COLOR, description=description)
     truth = scenario.truth
     if truth is not None:
         _points(out, "targets", truth.targets)
@@ -165,20 +165,22 @@ def _patient(out: SceneFolder, model: DvfModel) -> None:
 
 def _points(out: SceneFolder, name: str, landmarks: Landmarks, parent: str | None = None) -> None:
     bound = out.run.bound_mm
-    told = "no bound on the registration error was stated"
+    description = "no bound on the registration error was stated"
     if bound is not None:
-        told = f"registration error below {bound:.1f} mm with 95 % probability"
+        description = f"registration error below {bound:.1f} mm with 95 % probability"
     file = f"{name}.mrk.json"
     path = out.place(file, landmarks.frame)
-    write_node_points(landmarks, path, tracked=parent is not None, descriptions=[told] * len(landmarks.names))
-    out.scene.add_points(name, file, parent, description=told)
+    write_node_points(
+        landmarks, path, tracked=parent is not None, descriptions=[description] * len(landmarks.names)
+    )
+    out.scene.add_points(name, file, parent, description=description)
 
 
 def _tracked(out: SceneFolder, frames: ShownFrames) -> list[tuple[str, str]]:
-    """What hangs on the tracker; sequences, each with the node that shows it, the images first."""
+    """Add the tracker's children; return sequences, each with its node, the images first."""
     run, scene = out.run, out.scene
     by_number = np.array([RAS_FROM_LPS @ pose.matrix for _, pose in run.poses])
-    tracker = run.scenario.tracked_against  # as it is called in the lab's own sequences
+    tracker = run.scenario.tracked_against  # its name in the lab's own sequences
     name = join_transform("ras", tracker)
     placed, of_pose = _moving(out, name, by_number[frames.pose], frames.event_s, None)
     probe, of_probe = _moving(out, join_transform(tracker, "probe"), frames.probe, frames.event_s, placed)
@@ -218,7 +220,7 @@ def _tracked(out: SceneFolder, frames: ShownFrames) -> list[tuple[str, str]]:
 def _moving(
     out: SceneFolder, name: str, matrices: FloatArray, t_s: FloatArray, parent: str | None
 ) -> tuple[str, tuple[str, str]]:
-    """A transform over time: the id of its node, and the pair for the browser."""
+    """Add a transform over time: the id of its node, and the pair for the browser."""
     first, sequence = f"{name}.tfm", f"{name}.seq.mha"
     frame = "_from_".join(split_transform(name) or (name,))
     write_node_transform(matrices[0], out.place(first, frame))

@@ -1,1 +1,1 @@
-"""A replay and a registration handed to their pages: planes, checks and findings in words and numbers."""
+"""Content of the pages of replays and registrations: planes, checks and findings in words and numbers."""

@@ -28,25 +28,25 @@ from .plane_names import edge_letters, plane_name
 DARK_PERCENT, BRIGHT_PERCENT = 1.0, 99.5
 """Grey levels of the anatomy that are shown black and in full colour."""
 LONGEST_PX = 400
-"""A picture is about so large; of longer edges every second, third, … pixel is taken."""
+"""Approximate size of a picture; larger images are thinned to every second, third, … pixel."""
 NO_GREY_LEVELS = "No grey-level MR was given: colour shows where the model has blood."
 SAMPLED = 200_000
-"""Voxels of which these are taken."""
+"""Approximate number of voxels that the statistics sample."""
 
 
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class Anatomy:
-    """What ultrasound planes are shown with.
+    """Pre-operative anatomy in which ultrasound planes are shown.
 
     Attributes:
-        name: of its grey levels, as a reader calls them: "MR".
-        remark: what a reader should know about them; empty where nothing.
-        grid, values, fractions: (n, nx, ny, nz) grey levels, and when in the cycle each image was taken.
+        name: name of its grey levels for the reader: "MR".
+        remark: note for the reader; empty without one.
+        grid, values, fractions: (n, nx, ny, nz) grey levels, and position of each image in the cycle.
         window: grey levels shown black and in full colour.
-        evaluator: of the fixture model; None where there is none.
-        blood: the surface of the blood; None where it is not known.
-        outline_levels: grey levels, 0 to 1 in the window, whose contours stand in for a model.
+        evaluator: evaluator of the fixture model; None without a model.
+        blood: the surface of the blood; None if not known.
+        outline_levels: grey levels, 0 to 1 in the window, whose contours replace a model.
     """
 
     name: str
@@ -60,7 +60,7 @@ class Anatomy:
     outline_levels: tuple[float, ...] = ()
 
     def plane(self, pose: Rigid, xyz_mm: FloatArray, model_phase: float) -> AnatomyPlane:
-        """The anatomy at (rows, columns, 3) places of the pose's source frame."""
+        """Sample the anatomy at (rows, columns, 3) positions of the pose's source frame."""
         shape, flat = xyz_mm.shape[:2], xyz_mm.reshape(-1, 3)
         there = pose.apply_array(flat)
         distance = None
@@ -88,7 +88,7 @@ class Anatomy:
 
 
 def anatomy_of_heart(heart: Heart, mr: VolumeSeries | None) -> Anatomy:
-    """A heart's model, with its MR, or where there is none with what its surfaces say of blood."""
+    """Show a heart's model with its MR, or without one, with the blood inside its surfaces."""
     fixture = Evaluator(heart.model, Sigmoid(), blend="distance")
     if mr is not None:
         window = _window(mr.values)
@@ -102,7 +102,7 @@ def anatomy_of_heart(heart: Heart, mr: VolumeSeries | None) -> Anatomy:
 
 
 def anatomy_of_image(image: Volume, name: str) -> Anatomy:
-    """An image of an organ that does not beat, without a model."""
+    """Show an image of an organ that does not beat, without a model."""
     low, high = _window(image.values)
     shown = np.clip((_sample(image.values) - low) / max(high - low, 1e-12), 0.0, 1.0)
     levels = _outline_levels(shown)
@@ -121,13 +121,13 @@ def plane_overlay(
     event_s: float | None = None,
     model_phase: float | None = None,
 ) -> PlaneOverlay:
-    """An ultrasound image with the anatomy in its plane.
+    """Overlay an ultrasound image with the anatomy in its plane.
 
     Args:
         start, registered: poses from the ultrasound's frame.
         image: (rows, columns) grey levels.
         frame_from_pixel: (3, 3) mm from (column, row, 1).
-        name: of the image, for the reader.
+        name: name of the image for the reader.
     """
     step = max(1, max(image.shape) // LONGEST_PX)
     image = image[::step, ::step]
@@ -163,7 +163,7 @@ def frame_overlays(
     *,
     count: int = 4,
 ) -> list[PlaneOverlay]:
-    """`count` of the used frames, evenly spread between the first and the last of the sweep.
+    """Overlay `count` of the used frames, evenly spread between the first and the last of the sweep.
 
     Args:
         images: (n, rows, columns) of every frame since the stream began.
@@ -193,7 +193,7 @@ def frame_overlays(
 
 
 def _blood_mm(blood: BoundaryTarget, xyz_mm: FloatArray, model_phase: float) -> FloatArray:
-    """(n,) signed distance to the blood's surface, positive inside; NaN outside its box."""
+    """Compute (n,) signed distances to the blood's surface, positive inside; NaN outside its box."""
     knots = xyz_mm @ blood.knots_from_mm[:, :3].T + blood.knots_from_mm[:, 3]
     phase = int(blood.nearest_phase(np.array([model_phase]))[0])
     distance_mm, gradient = np.empty(len(knots)), np.empty((len(knots), 3))
@@ -203,20 +203,20 @@ def _blood_mm(blood: BoundaryTarget, xyz_mm: FloatArray, model_phase: float) -> 
 
 
 def _sample(values: AnyArray) -> FloatArray:
-    """About SAMPLED finite voxels."""
+    """Sample about SAMPLED finite voxels."""
     flat = values.reshape(-1)
     sample = np.asarray(flat[:: max(1, flat.size // SAMPLED)], dtype=np.float64)
     return np.asarray(sample[np.isfinite(sample)])
 
 
 def _window(values: AnyArray) -> tuple[float, float]:
-    """Grey levels to be shown black and in full."""
+    """Choose the grey levels shown black and in full."""
     low, high = np.percentile(_sample(values), [DARK_PERCENT, BRIGHT_PERCENT])
     return float(low), float(high)
 
 
 def _outline_levels(shown: FloatArray) -> tuple[float, ...]:
-    """Two grey levels between three classes of tissue (Otsu 1979); none of an image with fewer."""
+    """Find two grey levels between three classes of tissue (Otsu 1979); none in an image with fewer."""
     from skimage.filters import threshold_multiotsu
 
     try:

@@ -1,4 +1,4 @@
-"""The evidence of a registration in words: what each check measures, its value, its limit, how it ended."""
+"""The evidence of a registration in words: what each check measures, its value, its limit and its outcome."""
 
 import math
 
@@ -17,11 +17,11 @@ BOUNDARY_UNSEEN = "no boundary seen"
 def checks_of(
     result: RegistrationResult, landmarks_mm: float | None, touched: SurfaceDisagreement | None
 ) -> list[Check]:
-    """Every check that a registration may be held against; those of another kind of input are not checked.
+    """List all checks of a registration; those of another kind of input are marked as not checked.
 
     Args:
         landmarks_mm: mean distance over the heart from the pose of touched landmarks; None without any.
-        touched: how far points touched on the surface lie from the model's; None without any.
+        touched: distances of points touched on the surface from the model's; None without any.
     """
     return [
         _overlap(result),
@@ -61,7 +61,7 @@ def _z_score(result: RegistrationResult) -> Check:
     value, least = result.evidence.z_score, result.options.limits.z_score
     return Check(
         "Better than wrong poses",
-        f"standard deviations by which the similarity stands above that of poses {WRONG_MM:g} mm away",
+        f"standard deviations by which the similarity exceeds that of poses {WRONG_MM:g} mm away",
         f"{value:.1f}",
         f"at least {least:.1f}",
         _outcome(value >= least),
@@ -103,7 +103,7 @@ def _phase_offset(result: RegistrationResult) -> Check:
     offset = result.evidence.phase_offset
     name, measures = (
         "ECG and images",
-        "how late the ECG is, by the place in the cycle that fits the images best",
+        "how late the ECG is, by the phase of the cycle that fits the images best",
     )
     if offset is None:
         return Check(name, measures, "", "", Outcome.NOT_CHECKED)
@@ -146,20 +146,20 @@ def _search(result: RegistrationResult) -> Check:
 
 
 def _geometry(result: RegistrationResult) -> Check:
-    known = bool(np.isfinite(result.covariance).all())
+    determined = bool(np.isfinite(result.covariance).all())
     return Check(
         "Every direction determined",
         "whether the similarity falls off in all six directions of the pose",
-        "yes" if known else "no",
+        "yes" if determined else "no",
         "yes",
-        _outcome(known),
+        _outcome(determined),
     )
 
 
 def _at_most(
     name: str, measures: str, value: float | None, limit: float, *, unknown: str = "not determined"
 ) -> Check:
-    """A distance that may be at most so long; infinite limits are none."""
+    """Build the check of a distance against its largest value; an infinite limit is none."""
     if value is None:
         return Check(name, measures, "", "", Outcome.NOT_CHECKED)
     if not math.isfinite(value):

@@ -1,4 +1,4 @@
-"""What was registered, as its page shows it: gated frames, gated volumes, a pair of images."""
+"""Input of a registration, as its page shows it: gated frames, gated volumes, a pair of images."""
 
 from collections.abc import Sequence
 
@@ -15,11 +15,11 @@ TRACKER, PREOPERATIVE = "the tracker", "the pre-operative image"
 
 
 def frames_shown(registration: Registration, name: str, mr: VolumeSeries | None) -> RegisteredInput:
-    """Gated, tracked frames of a recording.
+    """Describe gated, tracked frames of a recording.
 
     Args:
-        name: of the recording.
-        mr: pre-operative grey levels, where there are any.
+        name: name of the recording.
+        mr: pre-operative grey levels, if any.
     """
     result, frames, recording = registration.result, registration.frames, registration.recording
     heart = recording.heart
@@ -69,13 +69,13 @@ def volumes_shown(
     landmarks: Rigid | None = None,
     about: str = "",
 ) -> RegisteredInput:
-    """Gated 3-D volumes.
+    """Describe gated 3-D volumes.
 
     Args:
         volumes: as they were registered.
-        mr: pre-operative grey levels, where there are any.
-        landmarks: mr_from_tracker from touched landmarks, where there are any.
-        about: from which files.
+        mr: pre-operative grey levels, if any.
+        landmarks: mr_from_tracker from touched landmarks, if any.
+        about: the files they come from.
     """
     anatomy = anatomy_of_heart(heart, mr)
     phases = ", ".join(f"{100 * volume.model_phase:.0f} %" for volume in volumes)
@@ -88,7 +88,7 @@ def volumes_shown(
         anatomy=anatomy.name,
         remark=anatomy.remark,
         planes=tracked_overlays(anatomy, volumes, start, result.target_from_source),
-        data=[("volumes", str(len(volumes))), ("places in the cycle", phases), *_model_rows(heart)],
+        data=[("volumes", str(len(volumes))), ("phases of the cycle", phases), *_model_rows(heart)],
         landmarks_mm=_apart_mm(result, landmarks, heart),
         model=heart.model,
     )
@@ -97,10 +97,10 @@ def volumes_shown(
 def pair_shown(
     result: RegistrationResult, start: Rigid, ultrasound: Volume, anatomy: Volume, *, about: str
 ) -> RegisteredInput:
-    """A pair of images.
+    """Describe a pair of images.
 
     Args:
-        about: from which files.
+        about: the files they come from.
     """
     return RegisteredInput(
         title="Registration of an image pair",

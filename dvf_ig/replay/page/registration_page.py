@@ -1,4 +1,4 @@
-"""A registration handed to its page: outcome, evidence, findings and transform in words and numbers."""
+"""Page of a registration: outcome, evidence, findings and transform in words and numbers."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -22,21 +22,21 @@ BOUND_CAVEAT = "95 of 100 synthetic hearts had no larger error anywhere in the b
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RegisteredInput:
-    """What was registered, as its page shows it.
+    """Input of a registration, as its page shows it.
 
     Attributes:
         title: for example "Registration of case 7".
-        about: whose it is, and from which files.
-        source_name, target_name: what the two frames of the pose hold, as a reader calls it.
-        anatomy: what the planes show of the pre-operative data beside contours, for example "MR".
-        remark: what a reader should know about that; empty where nothing.
+        about: patient and files.
+        source_name, target_name: names of the two frames' contents for the reader.
+        anatomy: pre-operative data that the planes show in addition to contours, for example "MR".
+        remark: note on it for the reader; empty without one.
         planes: ultrasound planes before and after registration.
-        data: rows of what was registered and how much of it was used.
+        data: rows that describe the input and the part of it that was used.
         landmarks_mm: distance of the pose from that of touched landmarks; None without any.
-        touched: how far points touched on the surface lie from it; None without any.
-        frames: that were compared with the model; None of volumes and of a pair.
-        frames_rejected: how many were not, by reason.
-        model: of the heart; None of a pair.
+        touched: distances of points touched on the surface; None without any.
+        frames: frames compared with the model; None for volumes and for a pair.
+        frames_rejected: number of other frames, by reason.
+        model: model of the heart; None for a pair.
         targets: named points of the model; None without any.
     """
 
@@ -59,14 +59,14 @@ class RegisteredInput:
 def registration_page(
     result: RegistrationResult, start: Rigid, shown: RegisteredInput, transform: Path, seed: int, view: str
 ) -> str:
-    """The page of a registration, as HTML.
+    """Build the page of a registration as HTML.
 
     Args:
-        start: that it began at.
-        shown: what was registered.
-        transform: the file that the pose is written to.
-        seed: of its random choices.
-        view: name of the interactive page beside it; empty without.
+        start: start pose.
+        shown: input of the registration.
+        transform: file to which the pose is written.
+        seed: seed of its random choices.
+        view: name of the interactive page in the same folder; empty without.
     """
     pose = result.target_from_source
     checks = checks_of(result, shown.landmarks_mm, shown.touched)
@@ -97,7 +97,7 @@ def registration_page(
 
 
 def registration_view(result: RegistrationResult, shown: RegisteredInput) -> str | None:
-    """The interactive page of a registration, as HTML; None without a plane that could be shown."""
+    """Build the interactive page of a registration as HTML; None without a plane that can be shown."""
     if not any(plane.anatomy_from_pixel is not None for plane in shown.planes):
         return None
     checks = checks_of(result, shown.landmarks_mm, shown.touched)
@@ -154,7 +154,7 @@ def _findings(result: RegistrationResult, start: Rigid) -> list[tuple[str, str, 
         (
             "least constrained",
             least_constrained_direction(result.covariance).sentence(),
-            "the direction in which the ultrasound says least about the pose",
+            "the direction in which the ultrasound determines the pose least",
         ),
         *(
             (*row, caveat)
@@ -164,9 +164,9 @@ def _findings(result: RegistrationResult, start: Rigid) -> list[tuple[str, str, 
 
 
 def stated_rows(result: RegistrationResult) -> list[tuple[str, str]]:
-    """Success probability and error bound in words, or why there is none."""
+    """Describe success probability and error bound in words, or why there is none."""
     chance, bound = result.success_probability, result.tre_bound_mm
-    why = result.outside or "not stated of a refused pose"
+    why = result.outside or "not stated for a refused pose"
     unbounded = why if result.evidence.pair is None else "none was calibrated for pairs of organs"
     return [
         ("success probability", why if chance is None else f"{chance:.2f}"),

@@ -1,4 +1,4 @@
-"""A replay handed to its page: arrays over time, and ultrasound planes with the model in them."""
+"""Page of a replay: arrays over time, and ultrasound planes with the model in them."""
 
 from typing import Any
 
@@ -38,7 +38,7 @@ STRIP_S = 12.0
 
 
 def report_html(replay: Replay, result: dict[str, Any]) -> str:
-    """`report.html` for one replay and its result."""
+    """Build `report.html` for one replay and its result."""
     true_phase = None if replay.scenario.truth is None else true_phases(replay)[0]
     return replay_html(
         ReplayPage(
@@ -61,7 +61,7 @@ def report_html(replay: Replay, result: dict[str, Any]) -> str:
 
 
 def _overlays(replay: Replay) -> list[PlaneOverlay]:
-    """Four frames of the last registration in use, or of the last that gave a pose at all."""
+    """Overlay four frames of the last registration in use, or of the last that gave a pose at all."""
     attempt = next((a for a in reversed(replay.attempts) if a.usable), None)
     attempt = attempt or next((a for a in reversed(replay.attempts) if a.result), None)
     images = replay.scenario.ultrasound.images
@@ -107,7 +107,7 @@ def _ticks(replay: Replay, true_phase: FloatArray | None) -> TickTrace:
         distance, true_force = true_contact(replay)
         force = None if true_force is None else np.linalg.norm(true_force, axis=1)
         if replay.setup.fixtures.fixtures[0].path is not None:
-            distance = None  # ours is the distance to the path
+            distance = None  # the fixture's distance is that to the path
         error = 100 * ((track.phi - true_phase + 0.5) % 1.0 - 0.5)
     return TickTrace(
         t_s=track.t_s,
@@ -122,7 +122,7 @@ def _ticks(replay: Replay, true_phase: FloatArray | None) -> TickTrace:
 
 
 def _supervisor(replay: Replay) -> SupervisorTrace:
-    """The four states, then the hazards, each where it was ever there."""
+    """Trace the four states, then the hazards, as far as they occurred."""
     ticks = replay.ticks
     states = [(state.name.lower(), color, ticks.supervisor == state) for state, color in STATE_COLORS]
     hazards = [
@@ -135,7 +135,7 @@ def _supervisor(replay: Replay) -> SupervisorTrace:
 
 
 def _ecg_strip(replay: Replay, true_phase: FloatArray | None) -> EcgStrip:
-    """STRIP_S seconds in the middle of the recording."""
+    """Cut out STRIP_S seconds in the middle of the recording."""
     ecg, track = replay.scenario.ecg, replay.ticks.phase
     wave = ecg if isinstance(ecg, Signal) else None
     middle = float(track.t_s[len(track.t_s) // 2])

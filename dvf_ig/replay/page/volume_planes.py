@@ -1,4 +1,4 @@
-"""Planes through 3-D ultrasound, along its own axes, turned upright as radiologists look at them."""
+"""Planes through 3-D ultrasound, along its own axes, turned upright as radiologists view them."""
 
 from collections.abc import Sequence
 
@@ -13,7 +13,7 @@ from .plane_names import viewed_upright
 from .planes import Anatomy, plane_overlay
 
 PIXELS = 256
-"""About this many along the longer edge of a plane; not finer than a third of a voxel."""
+"""Approximate pixels along the longer edge of a plane; not finer than a third of a voxel."""
 MOST_VOLUMES = 2
 BRIGHT_PERCENT = 99.5
 AXES = ("first", "second", "third")
@@ -22,7 +22,7 @@ AXES = ("first", "second", "third")
 def tracked_overlays(
     anatomy: Anatomy, volumes: Sequence[TrackedVolume], start: Rigid, registered: Rigid
 ) -> list[PlaneOverlay]:
-    """Three planes of each of up to MOST_VOLUMES volumes, evenly spread over those given.
+    """Overlay three planes of each of up to MOST_VOLUMES volumes, evenly spread over those given.
 
     Args:
         start, registered: poses from the volumes' common frame.
@@ -50,13 +50,13 @@ def tracked_overlays(
 def image_overlays(
     anatomy: Anatomy, ultrasound: Volume, start: Rigid, registered: Rigid
 ) -> list[PlaneOverlay]:
-    """Three planes of an ultrasound image of an organ that does not beat."""
+    """Overlay three planes of an ultrasound image of an organ that does not beat."""
     grey = shown_grey(ultrasound.values)
     return _three_planes(anatomy, ultrasound.grid, grey, grey > 0, start, registered, name="fixed image")
 
 
 def shown_grey(values: AnyArray) -> NDArray[np.uint8]:
-    """Grey levels of 0 to 255; what is 0 or no number stays black."""
+    """Scale grey levels to 0 to 255; 0 and NaN stay black."""
     usable = np.isfinite(values) & (values != 0)
     if not usable.any():
         return np.zeros(values.shape, dtype=np.uint8)
@@ -78,7 +78,7 @@ def _three_planes(
     event_s: float | None = None,
     model_phase: float | None = None,
 ) -> list[PlaneOverlay]:
-    """Across each axis of the grid, through the middle of what was insonified."""
+    """Cut planes across each axis of the grid, through the middle of the insonified part."""
     middle = ndimage.center_of_mass(seen) if seen.any() else (np.array(grid.shape) - 1.0) / 2
     overlays = []
     for axis in range(3):
@@ -102,7 +102,7 @@ def _three_planes(
 
 
 def _upright(grid: Grid, axis: int, middle: FloatArray, rotation: FloatArray) -> FloatArray:
-    """(3, 3) voxel indices from (column, row, 1) counted in voxels, upright in the patient."""
+    """Compute (3, 3) voxel indices from (column, row, 1) counted in voxels, upright in the patient."""
     plane_axes = [a for a in range(3) if a != axis]
     column, row, left, up = viewed_upright((rotation @ grid.direction)[:, plane_axes].T)
     out = np.zeros((3, 3))
@@ -116,7 +116,7 @@ def _upright(grid: Grid, axis: int, middle: FloatArray, rotation: FloatArray) ->
 def _resampled(
     grid: Grid, grey: NDArray[np.uint8], index_from_voxel: FloatArray
 ) -> tuple[NDArray[np.uint8], FloatArray]:
-    """The plane at square pixels, and the map of these to voxel indices."""
+    """Resample the plane at square pixels; also return their map to voxel indices."""
     steps = [int(np.abs(index_from_voxel[:, k]).argmax()) for k in range(2)]
     mm = grid.spacing_mm[steps]
     count = np.array([grid.shape[a] for a in steps])

@@ -1,1 +1,1 @@
-"""What a replay reports: `result.json` and its schema, scored where the truth is known."""
+"""Result of a replay: `result.json` and its schema, scored if the truth is known."""

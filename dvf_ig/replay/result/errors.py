@@ -1,4 +1,4 @@
-"""What `result.json` says against the ground truth: errors of poses, phase and force, and the margin's."""
+"""Errors in `result.json` against the ground truth: of poses, phase, force and the margin."""
 
 from typing import Any
 
@@ -36,11 +36,11 @@ ERROR_FIELDS = (
     "hazard_s",
     "hazard_longest_s",
 )
-"""None where there is no truth, or no tick that the error is of."""
+"""Fields that are None without a truth, or without a tick to which the error applies."""
 
 
 def error_fields(replay: Replay) -> dict[str, Any]:
-    """Those of ERROR_FIELDS that are known; none without a truth."""
+    """Compute those of ERROR_FIELDS that are known; none without a truth."""
     truth = replay.scenario.truth
     if truth is None:
         return {}
@@ -70,11 +70,11 @@ def error_fields(replay: Replay) -> dict[str, Any]:
         out["model_phase_error_mm"] = {"mean": score.surface_mm_mean, "p95": score.surface_mm_p95}
     distance, true_force = true_contact(replay)
     contact = distance >= CONTACT_MM
-    given = ticks.guided & ticks.force_n.any(axis=1)
+    with_force = ticks.guided & ticks.force_n.any(axis=1)
     out["contact"] = {
         "ticks": int(contact.sum()),
         "share": float(contact.mean()),
-        "served_share": float(given[contact].mean()) if contact.any() else 0.0,
+        "served_share": float(with_force[contact].mean()) if contact.any() else 0.0,
     }
     if true_force is not None:
         force = score_force(ticks.force_n, valid & ticks.guided, true_force, contact)
@@ -84,7 +84,7 @@ def error_fields(replay: Replay) -> dict[str, Any]:
 
 
 def _hazard(ticks: Ticks, truth: ScenarioTruth) -> dict[str, float]:
-    """Seconds of force on a pose that is far off; a fading force is one on the last pose."""
+    """Sum the seconds of force on a pose that is far off; a fading force counts for the last pose."""
     posed = np.isfinite(ticks.mr_from_tracker[:, 0, 0])
     last = np.maximum.accumulate(np.where(posed, np.arange(len(ticks)), -1))
     poses = np.where((last >= 0)[:, None, None], ticks.mr_from_tracker[last], np.nan)
@@ -94,10 +94,10 @@ def _hazard(ticks: Ticks, truth: ScenarioTruth) -> dict[str, float]:
 
 
 def margin_fields(replay: Replay) -> dict[str, Any]:
-    """Width of the primary fixture's margin over valid ticks, and how deep its wall stands in the organ.
+    """Compute the primary fixture's margin over valid ticks, and the depth of its wall in the organ.
 
-    The violation depth is that by which a forbidden region, widened, stands inside the true one at the tool
-    (`score_violation`); None without a truth, or of guidance.
+    The violation depth is that by which a forbidden region, widened, lies inside the true one at the tool
+    (`score_violation`); None without a truth, or for guidance.
     """
     ticks, fixtures = replay.ticks, replay.setup.fixtures
     width = ticks.margin_mm[ticks.valid]

@@ -1,4 +1,4 @@
-"""Why a replay gave no force at all, and how to mend it."""
+"""Reason for which a replay gave no force at all, with advice."""
 
 from collections.abc import Mapping
 from enum import Enum
@@ -10,7 +10,7 @@ from dvf_ig.replay.engine import Replay
 
 
 class NoForce(Enum):
-    """Each value is the sentence that a user reads; `{share}` is of the ticks from the first pose on."""
+    """Reason for no force; the value is the user's sentence, `{share}` that of ticks since the first pose."""
 
     STALE_TOOL = (
         "the tool's pose was not known in {share:.0%} of the ticks: check that its recording covers the time "
@@ -26,7 +26,7 @@ class NoForce(Enum):
     )
     OUT_OF_VOLUME = (
         "the tool stayed outside the box of the model in {share:.0%} of the ticks: check that its poses and "
-        "tip are in mm, relative to what the probe's are, and of this intervention"
+        "tip are in mm, relative to the same frame as the probe's, and of this intervention"
     )
     FAULT = (
         "numbers were not finite in {share:.0%} of the ticks: check poses, tip and model for damaged values"
@@ -34,15 +34,15 @@ class NoForce(Enum):
 
 
 def no_force_of(replay: Replay) -> str | None:
-    """The sentence of the status that most ticks had once there was a pose; None where a tick was valid."""
-    found, count = np.unique(replay.ticks.status, return_counts=True)
-    counts = {Status(code): n for code, n in zip(found.tolist(), count.tolist(), strict=True)}
+    """Explain no force by the most frequent status since the first pose; None if a tick was valid."""
+    codes, count = np.unique(replay.ticks.status, return_counts=True)
+    counts = {Status(code): n for code, n in zip(codes.tolist(), count.tolist(), strict=True)}
     reason = replay.attempts[-1].reason if replay.attempts else None
     return no_force(counts, posed=bool(replay.poses), reason=reason)
 
 
 def no_force(counts: Mapping[Status, int], *, posed: bool, reason: str | None) -> str | None:
-    """The same of how often there was each status.
+    """Explain no force by the number of ticks of each status.
 
     Args:
         posed: whether a pose was ever in use.
@@ -50,10 +50,10 @@ def no_force(counts: Mapping[Status, int], *, posed: bool, reason: str | None) -
     """
     if counts.get(Status.OK, 0) or not sum(counts.values()):
         return None
-    found: dict[Status, int] = {status: n for status, n in counts.items() if n}
-    if posed and set(found) != {Status.NO_POSE}:
-        found.pop(Status.NO_POSE, None)
-    most = max(sorted(found), key=found.__getitem__)
-    share = found[most] / sum(found.values())
-    told = reason or "none, the recording is too short"
-    return NoForce[most.name].value.format(share=share, reason=told)
+    frequent: dict[Status, int] = {status: n for status, n in counts.items() if n}
+    if posed and set(frequent) != {Status.NO_POSE}:
+        frequent.pop(Status.NO_POSE, None)
+    most = max(sorted(frequent), key=frequent.__getitem__)
+    share = frequent[most] / sum(frequent.values())
+    ending = reason or "none, the recording is too short"
+    return NoForce[most.name].value.format(share=share, reason=ending)

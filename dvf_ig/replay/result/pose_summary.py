@@ -1,4 +1,4 @@
-"""What the pose did over a replay: beats evaluated, drift, suspensions and computing time."""
+"""Summary of the pose over a replay: beats evaluated, drift, suspensions and computing time."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,17 +10,17 @@ from dvf_ig.registration import PoseChart
 from dvf_ig.session import PoseUpdate, SessionHistory
 
 MIN_SPAN_S = 10.0
-"""Drift over less than this is within the scatter of single beats' updates."""
+"""Shortest time over which drift is stated: over less it is within the scatter of single updates."""
 
 
 @dataclass(frozen=True, slots=True)
 class PoseSummary:
-    """What the pose did over a replay, in numbers.
+    """Numbers that summarise the pose over a replay.
 
     Attributes:
         tracked_beats: beats that were compared with the pose then in use.
-        drift_mm_per_min: speed of the pose since the last suspension, mean over the heart; None where that is
-            short.
+        drift_mm_per_min: speed of the pose since the last suspension, mean over the heart; None if that time
+            is short.
         update_s_median, update_s_p95: computing time of a beat's update, preparation included; None without
             any.
         suspended_s: begin and end of each suspension; the last may end with the recording.
@@ -34,10 +34,10 @@ class PoseSummary:
 
 
 def summarise_poses(history: SessionHistory, center_mm: FloatArray, end_s: float) -> PoseSummary:
-    """Beats, drift, computing time and suspensions of a whole replay.
+    """Summarise beats, drift, computing time and suspensions of a whole replay.
 
     Args:
-        center_mm: (3,) centre of the heart box; end_s: of the recording.
+        center_mm: (3,) centre of the heart box; end_s: end of the recording.
     """
     seconds, updates = [beat.seconds for beat in history.beats], tuple(history.updates)
     return PoseSummary(
@@ -50,16 +50,16 @@ def summarise_poses(history: SessionHistory, center_mm: FloatArray, end_s: float
 
 
 def suspensions(updates: Sequence[PoseUpdate], end_s: float) -> tuple[tuple[float, float], ...]:
-    """Begin and end of each time in which the pose was suspended."""
-    found: list[tuple[float, float]] = []
+    """List begin and end of each suspension of the pose."""
+    spans: list[tuple[float, float]] = []
     for i, update in enumerate(updates):
         if update.pose is None:
-            found.append((update.from_s, updates[i + 1].from_s if i + 1 < len(updates) else end_s))
-    return tuple(found)
+            spans.append((update.from_s, updates[i + 1].from_s if i + 1 < len(updates) else end_s))
+    return tuple(spans)
 
 
 def drift_mm_per_min(updates: Sequence[PoseUpdate], center_mm: FloatArray) -> float | None:
-    """Least-squares slope of the poses since the last suspension, mean over the heart."""
+    """Fit the slope of the poses since the last suspension, mean over the heart, by least squares."""
     since: list[tuple[float, Rigid]] = []
     for update in updates:
         if update.pose is None:

@@ -1,4 +1,4 @@
-"""What a replay reports as `result.json`: every estimate, and its error where the truth is known."""
+"""Content of `result.json`: every estimate of a replay, and its error if the truth is known."""
 
 from dataclasses import asdict
 from typing import Any
@@ -18,7 +18,7 @@ from .schema import SCHEMA, validate
 
 
 def result_of(replay: Replay) -> dict[str, Any]:
-    """Every estimate of a replay, and beside it its error where the scenario carries its truth."""
+    """Collect all estimates of a replay, with their errors if the scenario has its truth."""
     ticks, force = replay.ticks, replay.ticks.force_n
     magnitude = np.linalg.norm(force, axis=1)
     valid = ticks.valid

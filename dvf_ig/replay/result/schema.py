@@ -13,7 +13,7 @@ SCHEMA = "dvf_ig.replay/1"
 
 
 def schema() -> dict[str, Any]:
-    """The JSON schema of result.json."""
+    """Load the JSON schema of result.json."""
     text = resources.files(__package__).joinpath("result.schema.json").read_text(encoding="utf-8")
     loaded: dict[str, Any] = json.loads(text)
     return loaded

@@ -1,4 +1,4 @@
-"""Estimates against the ground truth. Nothing here runs where a scenario carries none."""
+"""Scores of estimates against the ground truth; unused for scenarios without one."""
 
 import itertools
 from dataclasses import dataclass
@@ -15,13 +15,14 @@ from dvf_ig.core import (
 )
 
 NEAR_WALL_MM = 5.0
-"""Violation depth is judged where the tool is so near to the true wall: an error of the distance is local."""
+"""Distance of the tool from the true wall within which violation depth is judged: distance errors are
+local."""
 CONTACT_MM = 0.0
-"""The tool is in contact where its tip truly is at or inside the true surface."""
+"""Largest distance outside the true surface at which the tip is in contact."""
 
 HAZARD_FORCE_N = 0.001
 HAZARD_MM = 5.0
-"""A tick is hazardous where it gives more than HAZARD_FORCE_N on a pose with a mean error above HAZARD_MM."""
+"""A tick is hazardous if it gives more than HAZARD_FORCE_N on a pose with a mean error above HAZARD_MM."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +52,7 @@ class HazardScore:
 
 
 def pose_errors_mm(mr_from_tracker: FloatArray, t_s: FloatArray, truth: ScenarioTruth) -> FloatArray:
-    """(n, k) TRE at the k declared targets at each tick; NaN where no pose was used.
+    """Compute (n, k) TRE at the k declared targets at each tick; NaN if no pose was used.
 
     Args:
         mr_from_tracker: (n, 3, 4) rotation and translation used at each tick.
@@ -72,7 +73,7 @@ def pose_errors_mm(mr_from_tracker: FloatArray, t_s: FloatArray, truth: Scenario
 
 
 def _runs(poses: FloatArray) -> tuple[FloatArray, IntArray]:
-    """The first of each run of equal (n, 3, 4) poses, and (n,) the run of each: a pose holds for long."""
+    """Find the first of each run of equal (n, 3, 4) poses, and (n,) the run of each tick."""
     same = (poses[1:] == poses[:-1]) | (np.isnan(poses[1:]) & np.isnan(poses[:-1]))
     begins = np.concatenate([[True], ~same.all(axis=(1, 2))])[: len(poses)]
     return poses[begins], np.cumsum(begins) - 1
@@ -85,7 +86,7 @@ def score_phase(
     true_model_phase: FloatArray,
     surface: SurfaceSeries,
 ) -> PhaseScore:
-    """Errors of (n,) estimated phases against the true ones at the same ticks."""
+    """Compare (n,) estimated phases with the true ones at the same ticks."""
     percent = 100 * np.abs((phi - true_phi + 0.5) % 1.0 - 0.5)
     moved = surface_displacement_mm(surface, model_phase, true_model_phase)
     return PhaseScore(
@@ -97,9 +98,9 @@ def score_phase(
 
 
 def surface_displacement_mm(surface: SurfaceSeries, first: FloatArray, second: FloatArray) -> FloatArray:
-    """(n,) mean distance over the surface between its places at two sets of model phases.
+    """Compute (n,) mean distances over the surface between its positions at two sets of model phases.
 
-    At most 200 vertices and 4000 ticks, both evenly spread, are looked at.
+    Uses at most 200 vertices and 4000 ticks, both evenly spread.
     """
     vertices = surface.vertices_mm[:, :: max(1, surface.vertices_mm.shape[1] // 200)]
     ticks = slice(None, None, max(1, len(first) // 4000))
@@ -117,7 +118,7 @@ def _interpolated(vertices: FloatArray, surface: SurfaceSeries, phase: FloatArra
 
 
 def far_corner_error_mm(estimate: ImageMap, truth: ImageMap, rows: int, columns: int) -> float:
-    """Largest distance over the image's corners between two calibrations."""
+    """Compute the largest distance between two calibrations over the image's corners."""
     corners = np.array([[c, r] for c in (0, columns - 1) for r in (0, rows - 1)], dtype=np.float64)
     apart = estimate.apply_pixels(corners).xyz_mm - truth.apply_pixels(corners).xyz_mm
     return float(np.linalg.norm(apart, axis=1).max())
@@ -126,7 +127,7 @@ def far_corner_error_mm(estimate: ImageMap, truth: ImageMap, rows: int, columns:
 def score_force(
     force_n: FloatArray, valid: BoolArray, true_force_n: FloatArray, contact: BoolArray
 ) -> ForceScore | None:
-    """Force error in contact with valid state.
+    """Score the force error in contact with valid state.
 
     Args:
         force_n, true_force_n: (n, 3) in the tracker's frame.
@@ -140,13 +141,13 @@ def score_force(
 
 
 def score_hazard(force_n: FloatArray, pose_error_mm: FloatArray, tick_s: float) -> HazardScore:
-    """Time in which a force was given on a pose that was far off; see HAZARD_FORCE_N and HAZARD_MM.
+    """Measure the time with a force on a pose that was far off; see HAZARD_FORCE_N and HAZARD_MM.
 
     Args:
         force_n: (n, 3) force given at each tick; ticks are equally spaced.
-        pose_error_mm: (n,) mean error over the true targets of the pose that the tick used, against the pose
-            that was true then; NaN where it used none, which does not count.
-        tick_s: from one tick to the next.
+        pose_error_mm: (n,) mean error over the true targets of the pose that the tick used, against the
+            true pose at that time; NaN if it used none, which does not count.
+        tick_s: time from one tick to the next.
     """
     hazard = (np.linalg.norm(force_n, axis=1) > HAZARD_FORCE_N) & (pose_error_mm > HAZARD_MM)
     edges = np.flatnonzero(np.diff(hazard, prepend=False, append=False))
@@ -155,11 +156,11 @@ def score_hazard(force_n: FloatArray, pose_error_mm: FloatArray, tick_s: float) 
 
 
 def score_violation(true_mm: FloatArray, believed_mm: FloatArray) -> dict[str, float] | None:
-    """How deep a wall stands inside the organ: the true depth at which its force reaches half of its cap.
+    """Compute a wall's depth in the organ: the true depth at which its force reaches half of its cap.
 
     Args:
-        true_mm: (n,) signed distance to the true surface where the tool is, positive where it is forbidden.
-        believed_mm: (n,) the distance that the fixture takes there, its margin included.
+        true_mm: (n,) signed distance to the true surface at the tool, positive in the forbidden region.
+        believed_mm: (n,) the distance that the fixture uses there, its margin included.
     """
     if len(true_mm) == 0:
         return None

@@ -10,7 +10,7 @@ from dvf_ig.replay.engine import Replay
 
 
 def true_phases(replay: Replay) -> tuple[FloatArray, FloatArray]:
-    """(n,) true fraction of RR and true model phase at each tick (nearest truth sample)."""
+    """Look up (n,) true fraction of RR and true model phase at each tick (nearest truth sample)."""
     truth = replay.scenario.truth
     if truth is None:
         raise InvalidInputError("the scenario carries no truth")
@@ -19,7 +19,7 @@ def true_phases(replay: Replay) -> tuple[FloatArray, FloatArray]:
 
 
 def true_contact(replay: Replay) -> tuple[FloatArray, FloatArray | None]:
-    """(n,) true distance and (n, 3) true force in the tracker's frame at each tick; None for a path."""
+    """Look up (n,) true distance and (n, 3) true force (tracker frame) at each tick; None for a path."""
     truth = replay.scenario.truth
     if truth is None:
         raise InvalidInputError("the scenario carries no truth")
@@ -36,6 +36,6 @@ def true_contact(replay: Replay) -> tuple[FloatArray, FloatArray | None]:
     return distance, force
 
 
-def _nearest(times: FloatArray, wanted: FloatArray) -> np.ndarray[Any, np.dtype[np.intp]]:
-    right = np.clip(np.searchsorted(times, wanted), 1, len(times) - 1)
-    return right - (wanted - times[right - 1] < times[right] - wanted)
+def _nearest(times: FloatArray, at: FloatArray) -> np.ndarray[Any, np.dtype[np.intp]]:
+    right = np.clip(np.searchsorted(times, at), 1, len(times) - 1)
+    return right - (at - times[right - 1] < times[right] - at)

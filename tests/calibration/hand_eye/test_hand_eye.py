@@ -162,7 +162,7 @@ def test_refusals() -> None:
         "camera", "target", bench.t_s, bench.camera.rotations[::-1], bench.camera.translations_mm[::-1],
         np.ones(40, bool),
     )  # fmt: skip
-    with pytest.raises(QualityGateError, match="pairs agree on one place of 'camera'"):
+    with pytest.raises(QualityGateError, match="pairs agree on one pose of 'camera'"):
         accepted(calibrate_hand_eye(bench.hand, shuffled, rng=rng))
     later = PoseStream(
         "camera", "target", bench.t_s + 1e3, bench.camera.rotations, bench.camera.translations_mm,

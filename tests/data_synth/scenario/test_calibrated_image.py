@@ -93,7 +93,7 @@ def test_a_shallow_probe_is_held_close_to_the_heart() -> None:
     ("columns", "rows", "mm", "words"),
     [
         (20, 600, 0.1, "20 x 600 px"),
-        (820, 616, 0.01, "does the size in pixels"),
+        (820, 616, 0.01, "check that the size in pixels"),
         (820, 616, 1.0, "20 to 400"),
     ],
 )

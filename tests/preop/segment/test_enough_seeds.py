@@ -66,7 +66,7 @@ def test_a_second_ventricle_without_seeds_is_told_with_its_slices():
     bare = Volume(image.grid, labels[0])
     shortage = seed_shortage(beside.phase(0), bare, seeds)
     assert shortage.blood_left_out == (1, 2, 3)
-    assert "blood lies beside the outline" in " ".join(shortage.told)
+    assert "blood lies next to the outline" in " ".join(shortage.told)
 
 
 def test_an_outline_that_hangs_on_single_seeds_is_told():
