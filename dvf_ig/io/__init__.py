@@ -1,4 +1,4 @@
-"""Files to core values and back: the only place that knows LPS/RAS, pixels, bytes and PLUS names."""
+"""Convert files to core values and back: the only place that knows LPS/RAS, pixels, bytes and PLUS names."""
 
 from .calibration_files import read_hand_eye as read_hand_eye
 from .calibration_files import read_lag as read_lag

@@ -1,7 +1,7 @@
-"""Calibrations made earlier, read back: tool tip, image calibration, lag, landmark map, hand-eye.
+"""Read calibrations made earlier: tool tip, image calibration, lag, landmark map, hand-eye.
 
 Each is the JSON that `dvf-ig calibrate … -o FILE` writes; those that are a transform may also be PLUS XML. A
-calibration that a quality gate refused is refused here too, unless it is asked for knowingly.
+calibration that a quality gate refused is also refused here, unless `allow_refused` is set.
 """
 
 from pathlib import Path
@@ -28,7 +28,7 @@ Matrix = tuple[Row, Row, Row, Row]
 
 
 class CalibrationFile(BaseModel):
-    """What every calibration says: its verdict. Fields that are not named here are evidence."""
+    """Verdict that every calibration file states; its other fields are evidence."""
 
     model_config = ConfigDict(extra="ignore", frozen=True)
 
@@ -37,7 +37,7 @@ class CalibrationFile(BaseModel):
 
 
 class TipFile(CalibrationFile):
-    """Of `calibrate pivot`: the tip in mm, in the tool's own frame."""
+    """Result of `calibrate pivot`: the tip in mm, in the tool's own frame."""
 
     kind: Literal["tip"]
     tip_mm: tuple[Number, Number, Number]
@@ -45,7 +45,7 @@ class TipFile(CalibrationFile):
 
 
 class ProbeFile(CalibrationFile):
-    """Of `calibrate probe`: sensor_from_image in mm per pixel, and its parts where the file has them."""
+    """Result of `calibrate probe`: sensor_from_image in mm per pixel, and its factors if stored."""
 
     kind: Literal["probe"]
     sensor_from_image: Matrix
@@ -55,14 +55,14 @@ class ProbeFile(CalibrationFile):
 
 
 class LatencyFile(CalibrationFile):
-    """Of `calibrate latency`: t_tracker = t_video + lag_s."""
+    """Result of `calibrate latency`: t_tracker = t_video + lag_s."""
 
     kind: Literal["latency"]
     lag_s: Number
 
 
 class LandmarksFile(CalibrationFile):
-    """Of `calibrate landmarks`: target_from_source, mm."""
+    """Result of `calibrate landmarks`: target_from_source, mm."""
 
     kind: Literal["landmarks"]
     target_from_source: Matrix
@@ -71,7 +71,7 @@ class LandmarksFile(CalibrationFile):
 
 
 class HandEyeFile(CalibrationFile):
-    """Of `calibrate hand-eye`: hand_from_camera, mm; its frames by their recorded names."""
+    """Result of `calibrate hand-eye`: hand_from_camera, mm, with the recorded frame names."""
 
     kind: Literal["hand-eye"]
     hand_from_camera: Matrix
@@ -83,24 +83,24 @@ F = TypeVar("F", bound=CalibrationFile)
 
 
 def read_tip(path: Path | str, tool: str | None = None, *, allow_refused: bool = False) -> Points:
-    """One point, mm, in the tool's own frame: of `calibrate pivot`, JSON or PLUS XML (StylusTipToStylus).
+    """Read a tool tip, mm, in the tool's own frame: JSON of `calibrate pivot` or PLUS StylusTipToStylus.
 
     Args:
         path: the file.
-        tool: frame of the tool; needed where an XML holds the tips of several.
+        tool: frame of the tool; needed if an XML file holds the tips of several tools.
         allow_refused: read a calibration that a quality gate refused.
     Raises:
-        UnreadableFileError: absent, not such a file, or the tip of another tool.
-        QualityGateError: it was refused.
+        UnreadableFileError: absent, not a tip file, or the tip of another tool.
+        QualityGateError: the calibration was refused.
     """
     path = Path(path)
     if path.suffix.lower() != ".xml":
-        found = _read(TipFile, path, "a tool tip", "pivot", allow_refused=allow_refused)
-        if tool not in (None, found.tip_frame):
-            raise UnreadableFileError(f"{path} is the tip of '{found.tip_frame}'; needed that of '{tool}'")
+        tip = _read(TipFile, path, "a tool tip", "pivot", allow_refused=allow_refused)
+        if tool not in (None, tip.tip_frame):
+            raise UnreadableFileError(f"{path} is the tip of '{tip.tip_frame}'; needed that of '{tool}'")
         with reading(path, "a tool tip"):
-            limits.require_lengths(found.tip_mm, "tip_mm")
-            return Points(found.tip_frame, np.array([found.tip_mm]))
+            limits.require_lengths(tip.tip_mm, "tip_mm")
+            return Points(tip.tip_frame, np.array([tip.tip_mm]))
     tips = {
         d.target: d.matrix[:3, 3]
         for d in read_calibrations(path).values()
@@ -116,48 +116,48 @@ def read_tip(path: Path | str, tool: str | None = None, *, allow_refused: bool =
 
 
 def read_probe(path: Path | str, sensor: str = "probe", *, allow_refused: bool = False) -> ImageMap:
-    """probe_from_image: of `calibrate probe`, JSON, or ImageToProbe of a PLUS device set or result.
+    """Read probe_from_image: JSON of `calibrate probe`, or ImageToProbe of a PLUS device set or result.
 
     Args:
         path: the file.
-        sensor: frame of the probe's sensor, which PLUS files may hold several of.
+        sensor: frame of the probe's sensor; a PLUS file may hold several sensors.
         allow_refused: read a calibration that a quality gate refused.
     Raises:
-        UnreadableFileError: absent, not such a file, or another sensor's.
-        QualityGateError: it was refused.
+        UnreadableFileError: absent, not a probe calibration, or that of another sensor.
+        QualityGateError: the calibration was refused.
     """
     path = Path(path)
     if path.suffix.lower() == ".xml":
         return read_image_map(path, sensor)
-    found = _read(ProbeFile, path, "a probe calibration", "probe", allow_refused=allow_refused)
-    if not same_sensor(found.sensor_frame, sensor):
+    calibration = _read(ProbeFile, path, "a probe calibration", "probe", allow_refused=allow_refused)
+    if not same_sensor(calibration.sensor_frame, sensor):
         raise UnreadableFileError(
-            f"{path} calibrates '{found.sensor_frame}'; needed '{sensor}': give this probe's "
+            f"{path} calibrates '{calibration.sensor_frame}'; needed '{sensor}': give this probe's "
             "calibration, or name its sensor (--probe-name)"
         )
     with reading(path, "a probe calibration"):
-        return _image_map(found, sensor)
+        return _image_map(calibration, sensor)
 
 
-def _image_map(found: ProbeFile, sensor: str) -> ImageMap:
-    """From its parts, which keep every digit, where they are those of the matrix."""
-    limits.require_lengths(found.sensor_from_image, "sensor_from_image")
-    whole = ImageMap.from_matrix(found.sensor_from_image, sensor)
-    if found.sensor_from_image_rigid is None or found.pixel_mm is None:
+def _image_map(calibration: ProbeFile, sensor: str) -> ImageMap:
+    """Build the map from its factors, which keep every digit, if the file has them."""
+    limits.require_lengths(calibration.sensor_from_image, "sensor_from_image")
+    whole = ImageMap.from_matrix(calibration.sensor_from_image, sensor)
+    if calibration.sensor_from_image_rigid is None or calibration.pixel_mm is None:
         return whole
-    rigid = rigid_from_matrix(found.sensor_from_image_rigid, sensor, "image")
-    parts = ImageMap(rigid, np.array(found.pixel_mm))
+    rigid = rigid_from_matrix(calibration.sensor_from_image_rigid, sensor, "image")
+    parts = ImageMap(rigid, np.array(calibration.pixel_mm))
     if not np.allclose(parts.matrix, whole.matrix, rtol=0, atol=1e-6):
-        raise InvalidInputError("sensor_from_image is not the product of its rigid part and the pixel's size")
+        raise InvalidInputError("sensor_from_image is not the product of its rigid part and the pixel size")
     return parts
 
 
 def read_lag(path: Path | str, *, allow_refused: bool = False) -> float:
-    """lag_s of `calibrate latency`: t_tracker = t_video + lag_s; negative where the tracker leads.
+    """Read lag_s of `calibrate latency`: t_tracker = t_video + lag_s; negative if the tracker leads.
 
     Raises:
-        UnreadableFileError: absent, or not such a file.
-        QualityGateError: it was refused.
+        UnreadableFileError: absent, or not a calibration of this kind.
+        QualityGateError: the calibration was refused.
     """
     lag_s = _read(LatencyFile, Path(path), "a latency", "latency", allow_refused=allow_refused).lag_s
     with reading(Path(path), "a latency"):
@@ -166,34 +166,34 @@ def read_lag(path: Path | str, *, allow_refused: bool = False) -> float:
 
 
 def read_landmark_map(path: Path | str, *, allow_refused: bool = False) -> Rigid:
-    """target_from_source of `calibrate landmarks`, for example reference_from_phantom.
+    """Read target_from_source of `calibrate landmarks`, for example reference_from_phantom.
 
     Raises:
-        UnreadableFileError: absent, or not such a file.
-        QualityGateError: it was refused.
+        UnreadableFileError: absent, or not a calibration of this kind.
+        QualityGateError: the calibration was refused.
     """
     path, what = Path(path), "a landmark calibration"
-    found = _read(LandmarksFile, path, what, "landmarks", allow_refused=allow_refused)
+    calibration = _read(LandmarksFile, path, what, "landmarks", allow_refused=allow_refused)
     with reading(path, what):
-        return rigid_from_matrix(found.target_from_source, found.target, found.source)
+        return rigid_from_matrix(calibration.target_from_source, calibration.target, calibration.source)
 
 
 def read_hand_eye(
     path: Path | str, hand: str = "hand", camera: str = "camera", *, allow_refused: bool = False
 ) -> Rigid:
-    """hand_from_camera of `calibrate hand-eye`: JSON, or PLUS XML in which `hand` and `camera` name it.
+    """Read hand_from_camera of `calibrate hand-eye`: JSON, or PLUS XML with the names `hand` and `camera`.
 
-    JSON names its frames itself.
+    A JSON file states its own frame names.
 
     Raises:
-        UnreadableFileError: absent, or not such a file.
-        QualityGateError: it was refused.
+        UnreadableFileError: absent, or not a calibration of this kind.
+        QualityGateError: the calibration was refused.
     """
     path, what = Path(path), "a hand-eye calibration"
     with reading(path, what):
         if path.suffix.lower() != ".xml":
-            found = _read(HandEyeFile, path, what, "hand-eye", allow_refused=allow_refused)
-            return rigid_from_matrix(found.hand_from_camera, found.target, found.source)
+            calibration = _read(HandEyeFile, path, what, "hand-eye", allow_refused=allow_refused)
+            return rigid_from_matrix(calibration.hand_from_camera, calibration.target, calibration.source)
         definition = read_calibrations(path).get(f"{hand}_from_{camera}")
         if definition is None:
             raise InvalidInputError(f"it has no transform {hand}_from_{camera}")
@@ -201,7 +201,7 @@ def read_hand_eye(
 
 
 def _read(schema: type[F], path: Path, what: str, command: str, *, allow_refused: bool) -> F:
-    """The file by its schema, where it was not refused."""
+    """Read a calibration file by its schema; raise if a quality gate refused it."""
     document = read_json(path, what)
     kind = document.get("kind") if isinstance(document, dict) else None
     if (kind,) != get_args(schema.model_fields["kind"].annotation):
@@ -209,9 +209,9 @@ def _read(schema: type[F], path: Path, what: str, command: str, *, allow_refused
             f"{path} is not {what}" + (f" but of kind '{kind}'" if kind else "") + "; give what dvf-ig "
             f"calibrate {command} -o FILE wrote"
         )
-    found = validated(schema, document, path)
-    if found.refused and not allow_refused:
+    calibration = validated(schema, document, path)
+    if calibration.refused and not allow_refused:
         raise QualityGateError(
-            f"{path} is a calibration that was refused: {'; '.join(found.refused_because)}; calibrate again"
+            f"{path} is a refused calibration: {'; '.join(calibration.refused_because)}; calibrate again"
         )
-    return found
+    return calibration

@@ -1,4 +1,4 @@
-"""Files that another file names: they stand in its folder, and are files."""
+"""Check files that another file names: regular files in its own folder."""
 
 import os
 import stat
@@ -7,15 +7,15 @@ from pathlib import Path
 from dvf_ig.core.errors import UnreadableFileError
 
 LONGEST_NAME = 255
-"""Bytes, on the file systems in use."""
+"""Longest file name in bytes on common file systems."""
 
 
 def file_within(folder: Path, name: str, named_by: Path) -> Path:
-    """The regular file `name` in `folder` or below it.
+    """Return the regular file `name` in `folder` or below it.
 
     Args:
-        folder: where the name begins.
-        name: as it stands in a header.
+        folder: that the name is relative to.
+        name: as written in a header.
         named_by: the file that names it, for messages.
     Raises:
         UnreadableFileError: absent; a pipe, device or folder; or elsewhere, by its name or through a link.
@@ -32,15 +32,17 @@ def file_within(folder: Path, name: str, named_by: Path) -> Path:
         raise UnreadableFileError(f"{named_by} names {name!r}, which cannot be opened ({exc})") from exc
     if not real.is_relative_to(home):
         raise UnreadableFileError(
-            f"{named_by} names {name!r}, a link that leads out of its folder; copy the file there"
+            f"{named_by} names {name!r}, a link to a file outside its folder; copy the file into it"
         )
     if not stat.S_ISREG(kind):
-        raise UnreadableFileError(f"{named_by} names {name!r}, which is no file; needed one in its folder")
+        raise UnreadableFileError(
+            f"{named_by} names {name!r}, which is not a regular file; needed one in its folder"
+        )
     return path
 
 
 def path_within(folder: Path, name: str, named_by: Path) -> Path:
-    """A path in `folder` or below it, by its name alone.
+    """Return a path in `folder` or below it, from its name alone.
 
     Raises:
         UnreadableFileError: an absolute name, one with "..", or one that no file can have.

@@ -1,6 +1,6 @@
-"""Virtual fixtures in YAML, under the names of the command line's options.
+"""Read virtual fixtures from YAML, under the names of the command line's options.
 
-cap_n: 0.6                  # of all together, N; unless given, the largest of them
+cap_n: 0.6                  # of all together, N; default: the largest of them
 retiming: two-segment       # or uniform
 margin: adaptive            # or off, fixed (2 mm), or a number of mm
 device: {name: omega.3, continuous_force_n: 12, stiffness_n_per_m: 2000}   # needed above 4 N or 400 N/m
@@ -29,20 +29,20 @@ if TYPE_CHECKING:
     from dvf_ig.guidance.margins import MarginOptions
 
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-TIME_S, le=TIME_S)]
-"""No length, time, force or stiffness that a person gives is larger than a time stamp."""
+"""Finite number; no length, time, force or stiffness from a user exceeds a time stamp."""
 BlendName = Literal["force", "distance", "periodic"]
 RetimingName = Literal["uniform", "two-segment"]
 MARGINS = ("off", "fixed", "adaptive")
 
 
-def _margin_choice(given: Any) -> Any:
-    if given in MARGINS or (type(given) in (int, float) and math.isfinite(given)):
-        return given
+def _margin_choice(value: Any) -> Any:
+    if value in MARGINS or (type(value) in (int, float) and math.isfinite(value)):
+        return value
     raise ValueError(f"needed {', '.join(MARGINS)}, or a number of mm")
 
 
 MarginChoice = Annotated[str | float, BeforeValidator(_margin_choice)]
-"""A mode, or the width in mm of a fixed margin."""
+"""Margin mode, or the width in mm of a fixed margin."""
 Row = tuple[Number, Number, Number]
 
 
@@ -52,7 +52,7 @@ class _FixtureConfig(Section):
 
 
 class ForbiddenConfig(_FixtureConfig):
-    """A forbidden region, or with `inside` a chamber not to be left (Ren 2008, eqs 4–6)."""
+    """A forbidden region, or with `inside` a chamber that confines the tool (Ren 2008, eqs 4–6)."""
 
     law: Literal["forbidden"] = "forbidden"
     gamma: Number = 1.0
@@ -61,7 +61,7 @@ class ForbiddenConfig(_FixtureConfig):
     blend: BlendName = "force"
 
     def options(self, folder: Path | None = None, frame: str = "mr") -> "FixtureOptions":
-        """The fixture; raises InvalidInputError for a number out of range."""
+        """Build the fixture; raise InvalidInputError for a number out of range."""
         from dvf_ig.guidance import Confinement, FixtureOptions, Sigmoid
 
         law = (Confinement if self.inside else Sigmoid)(self.gamma, self.cap_n, self.depth_mm)
@@ -78,7 +78,7 @@ class GuidanceConfig(_FixtureConfig):
     blend: BlendName = "force"
 
     def options(self, folder: Path | None = None, frame: str = "mr") -> "FixtureOptions":
-        """The fixture; raises InvalidInputError for a number out of range."""
+        """Build the fixture; raise InvalidInputError for a number out of range."""
         from dvf_ig.guidance import FixtureOptions, Gaussian
 
         law = Gaussian(self.delta, self.m, self.cap_n, self.depth_mm)
@@ -86,9 +86,9 @@ class GuidanceConfig(_FixtureConfig):
 
 
 class PathConfig(_FixtureConfig):
-    """Guidance to a path at rest in the model's frame: straight lines between points, mm, LPS.
+    """Guidance to a path at rest in the model's frame: straight segments between points, mm, LPS.
 
-    `path` is a list of points, or a curve of 3D Slicer, of which the control points are taken.
+    `path` is a list of points, or a curve of 3D Slicer, whose control points are used.
     """
 
     law: Literal["path"] = "path"
@@ -98,21 +98,21 @@ class PathConfig(_FixtureConfig):
 
     @field_validator("path", mode="before")
     @classmethod
-    def _file_or_points(cls, given: Any) -> Any:
-        rows = given if isinstance(given, list | tuple) else ()
+    def _file_or_points(cls, value: Any) -> Any:
+        rows = value if isinstance(value, list | tuple) else ()
         numbers = all(
             isinstance(row, list | tuple) and len(row) == 3 and all(type(c) in (int, float) for c in row)
             for row in rows
         )
-        if isinstance(given, str) or (rows and numbers):
-            return given
+        if isinstance(value, str) or (rows and numbers):
+            return value
         raise ValueError("needed points [[x, y, z], …] in mm, or the name of a .mrk.json file")
 
     def options(self, folder: Path | None = None, frame: str = "mr") -> "FixtureOptions":
-        """The fixture.
+        """Build the fixture.
 
         Args:
-            folder: where a relative file name starts; None: the working directory.
+            folder: base of relative file names; None: the working directory.
             frame: of the points.
         Raises:
             InvalidInputError: a number out of range, or an unfit path.
@@ -153,7 +153,7 @@ class DeviceConfig(Section):
 
     @classmethod
     def of(cls, device: "DeviceLimits") -> "DeviceConfig | None":
-        """What states this device; None for one without a name."""
+        """Describe a device; None for a device without a name."""
         if not device.name:
             return None
         return cls(
@@ -163,7 +163,7 @@ class DeviceConfig(Section):
         )
 
     def limits(self) -> "DeviceLimits":
-        """The device; raises InvalidInputError for a number out of range."""
+        """Build the device limits; raise InvalidInputError for a number out of range."""
         from dvf_ig.guidance import DeviceLimits
 
         return DeviceLimits(
@@ -183,10 +183,10 @@ class FixturesConfig(Section):
     device: DeviceConfig | None = None
 
     def fixture_set(self, folder: Path, frame: str = "mr") -> "FixtureSet":
-        """The fixtures as values.
+        """Build the fixtures.
 
         Args:
-            folder: where relative file names start.
+            folder: base of relative file names.
             frame: of the model and of every path.
         Raises:
             InvalidInputError: a number out of range or an unfit path; names the key.
@@ -205,7 +205,7 @@ class FixturesConfig(Section):
 
 
 def margin_options(choice: str | float) -> "MarginOptions":
-    """A margin from its mode, or from its width in mm.
+    """Build margin options from a mode or a width in mm.
 
     Raises:
         InvalidInputError: another mode, or a width out of range.
@@ -218,7 +218,7 @@ def margin_options(choice: str | float) -> "MarginOptions":
 
 
 def fixture_options(values: Mapping[str, Any]) -> "FixtureOptions":
-    """One fixture from its law and some of the keys that go with it (`LAWS`).
+    """Build one fixture from its law and some of that law's keys (`LAWS`).
 
     Raises:
         InvalidInputError: a number out of range.
@@ -230,7 +230,7 @@ def fixture_options(values: Mapping[str, Any]) -> "FixtureOptions":
 
 
 def read_fixtures(path: Path | str, frame: str = "mr") -> tuple["FixtureSet", RetimingName | None]:
-    """Fixtures from a YAML file, and its law of retiming where it gives one.
+    """Read fixtures from a YAML file, with the retiming law if the file states one.
 
     Args:
         path: the file; names of other files in it are relative to its folder.

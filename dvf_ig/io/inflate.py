@@ -1,6 +1,6 @@
-"""Bytes of a zlib or gzip stream, as many as a header promises; memory is taken for no more than those.
+"""Decompress a zlib or gzip stream to the size that a header states, without reserving more memory.
 
-zlib-ng unpacks images in half the time of Python's own zlib, as ITK does.
+zlib-ng decompresses images in half the time of Python's own zlib, as fast as ITK.
 """
 
 from collections.abc import Iterator
@@ -14,24 +14,25 @@ from zlib_ng import zlib_ng
 from dvf_ig.core.errors import UnreadableFileError
 
 MOST_PACKED = 1032
-"""Bytes that one byte of a deflate stream can stand for (RFC 1951: 258 in two bits)."""
+"""Most bytes that one byte of a deflate stream can expand to (RFC 1951: 258 in two bits)."""
 _GZIP_OR_ZLIB = 47
-"""zlib's "detect the header" window size."""
+"""Window size by which zlib detects the header."""
 _GZIP = b"\x1f\x8b"
 _STEP = 4096
-"""Packed bytes a step: what they stand for, at most 4 MB, is copied while it is in the processor's cache."""
+"""Compressed bytes per step: their expansion, at most 4 MB, is copied while it is in the processor's cache.
+"""
 
 
 def inflated(path: Path, packed: Any, needed: int, *, more: bool = False) -> NDArray[np.uint8]:
-    """(needed,) bytes, read-only, of a stream that is checked to its end.
+    """Decompress (needed,) bytes, read-only, from a stream that is checked to its end.
 
     Args:
         path: the file, for messages.
         packed: the stream, a buffer of bytes; gzip may hold several members one after the other.
-        needed: how many bytes the header promises.
-        more: the stream may hold more, of which nothing is read.
+        needed: number of bytes that the header states.
+        more: allow a longer stream, whose rest is not read.
     Raises:
-        UnreadableFileError: it is damaged or does not end, or it holds another number of bytes.
+        UnreadableFileError: the stream is damaged, has no end, or holds another number of bytes.
     """
     if needed > len(packed) * MOST_PACKED:
         require_size(path, len(packed), needed)
@@ -47,7 +48,7 @@ def inflated(path: Path, packed: Any, needed: int, *, more: bool = False) -> NDA
                 break
     except zlib_ng.error as exc:  # type: ignore[misc]  # its stub calls the class an instance
         raise UnreadableFileError(
-            f"{path}: its packed image data are damaged ({exc}); copy it again"
+            f"{path}: its compressed image data are damaged ({exc}); copy it again"
         ) from exc
     require_size(path, at, needed)
     out.setflags(write=False)
@@ -55,7 +56,7 @@ def inflated(path: Path, packed: Any, needed: int, *, more: bool = False) -> NDA
 
 
 def _blocks(path: Path, packed: memoryview) -> Iterator[bytes]:
-    """What each step of the stream unpacks to, until it ends."""
+    """Yield the decompressed bytes of each step of the stream, until it ends."""
     inflater = zlib_ng.decompressobj(_GZIP_OR_ZLIB)
     begin = 0
     while begin < len(packed):
@@ -67,15 +68,15 @@ def _blocks(path: Path, packed: memoryview) -> Iterator[bytes]:
                 return
             inflater = zlib_ng.decompressobj(_GZIP_OR_ZLIB)
     raise UnreadableFileError(
-        f"{path} is truncated: its packed image data do not end; copy or record it again"
+        f"{path} is truncated: its compressed image data have no end; copy or record it again"
     )
 
 
 def require_size(path: Path, got: int, needed: int) -> None:
-    """Refuse another number of bytes than needed.
+    """Refuse a number of bytes other than `needed`.
 
     Raises:
-        UnreadableFileError: says which.
+        UnreadableFileError: states both numbers.
     """
     if got != needed:
         state = "is truncated" if got < needed else "is longer than its header says"

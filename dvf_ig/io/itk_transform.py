@@ -1,7 +1,6 @@
-"""The matrix in an ITK transform file: text with one affine transform is parsed here, all else by ITK, apart.
+"""Read the matrix of an ITK transform file: one affine transform as text here, everything else by ITK.
 
-ITK ends the process, or does not end, on some damaged files: it reads in a process of its own, which has
-limits of time and memory.
+ITK crashes or hangs on some damaged files, so it reads in a separate process with limits of time and memory.
 """
 
 import json
@@ -19,7 +18,7 @@ from .reading import read_bytes
 
 _AFFINE = ("AffineTransform", "MatrixOffsetTransformBase")
 _CENTER = {"TranslationTransform": (0,), "IdentityTransform": (0,), "Euler3DTransform": (3, 4)}
-"""How many FixedParameters a type has where it is not a centre of three."""
+"""Numbers of FixedParameters of types that do not have a centre of three."""
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 _SECONDS, _MEMORY_BYTES = 20, 2 << 30
 _CHILD = """
@@ -37,10 +36,10 @@ else:
 
 
 def linear_matrix(path: Path) -> FloatArray:
-    """(4, 4) LPS matrix of a linear 3-D transform, source to target; with every digit of an affine text.
+    """Read the (4, 4) LPS matrix of a linear 3-D transform, source to target; exact for affine text.
 
     Raises:
-        UnreadableFileError: not such a file, cut off, or of another kind of transform.
+        UnreadableFileError: not an ITK transform, truncated, or another kind of transform.
     """
     with path.open("rb") as stream:
         begin = stream.read(8)
@@ -56,10 +55,10 @@ def linear_matrix(path: Path) -> FloatArray:
 
 
 def _affine_text(path: Path, text: str) -> FloatArray | None:
-    """The matrix of one affine transform; None for other transforms whose text is whole.
+    """Parse the matrix of one affine transform; None for other transforms whose text is complete.
 
     Raises:
-        UnreadableFileError: text that was cut, or numbers that are missing, too many or not finite.
+        UnreadableFileError: truncated text, or numbers that are missing, too many or not finite.
     """
     lines = [line.partition(":")[::2] for line in text.splitlines() if line.strip() and line[0] != "#"]
     rows = [(name.strip(), value.split()) for name, value in lines]
@@ -71,7 +70,7 @@ def _affine_text(path: Path, text: str) -> FloatArray | None:
     if not simple or not len(simple) == len(parameters) == len(centers) or not counts or text[-1] != "\n":
         raise UnreadableFileError(
             f"{path} is cut off or damaged: {len(kinds)} transforms, {len(parameters)} lines of Parameters, "
-            f"{len(centers)} of FixedParameters, the last to end with a line break; write it again"
+            f"{len(centers)} of FixedParameters; needed equal numbers and a final line break: write it again"
         )
     if len(kinds) != 1 or kinds[0] not in _AFFINE:
         return None
@@ -95,15 +94,15 @@ def _numbers(path: Path, words: list[str]) -> FloatArray:
 
 
 def _by_itk(path: Path) -> FloatArray:
-    """The matrix as ITK finds it, in a process of its own."""
+    """Read the matrix with ITK in a separate process."""
     command = [sys.executable, "-W", "ignore", "-c", _CHILD, str(path.resolve()), str(_MEMORY_BYTES)]
     try:
-        done = subprocess.run(command, capture_output=True, timeout=_SECONDS, check=False)
+        process = subprocess.run(command, capture_output=True, timeout=_SECONDS, check=False)
     except subprocess.TimeoutExpired as exc:
         raise UnreadableFileError(f"{path} was not read within {_SECONDS} s; write it as .tfm again") from exc
-    if done.returncode:
+    if process.returncode:
         raise UnreadableFileError(f"{path} is not a readable ITK transform; write it as .tfm again")
-    corners = json.loads(done.stdout.splitlines()[-1])
+    corners = json.loads(process.stdout.splitlines()[-1])
     if corners is None:
         raise UnreadableFileError(f"{path} is not a linear 3-D transform; needed a rigid one")
     places = np.array(corners, dtype=np.float64)

@@ -1,4 +1,4 @@
-"""JSON files: strict (no NaN, no name twice), atomic; numpy values and frozen results become plain ones."""
+"""Read and write strict JSON (no NaN, no repeated name); numpy values and results become plain ones."""
 
 import dataclasses
 import enum
@@ -20,7 +20,7 @@ def write_json(path: Path | str, value: Any) -> None:
     """Write `value` as JSON, atomically.
 
     Arrays become lists, enums their value, dataclasses objects, paths strings; NaN and infinity become null
-    because JSON has no word for them. Floats keep every digit.
+    because JSON cannot express them. Floats keep every digit.
 
     Raises:
         OutputError: not writable, or a value that JSON cannot hold.
@@ -32,8 +32,7 @@ def read_json(path: Path | str, what: str = "a JSON file") -> Any:
     """Parse a JSON file.
 
     Raises:
-        UnreadableFileError: absent, not JSON, or not JSON that every program reads alike (`parse_json`); the
-            message gives the line.
+        UnreadableFileError: absent, not JSON, or ambiguous JSON (`parse_json`); the message gives the line.
     """
     path = Path(path)
     text = read_text(path, what)
@@ -50,7 +49,7 @@ def read_json(path: Path | str, what: str = "a JSON file") -> Any:
 
 
 def parse_json(text: str) -> Any:
-    """Parse JSON that every program reads alike: no name twice in an object, no NaN, no infinity.
+    """Parse JSON that every program reads identically: no repeated name, no NaN, no infinity.
 
     Raises:
         ValueError: not such JSON.
@@ -62,14 +61,14 @@ def parse_json(text: str) -> Any:
 
 
 class _AmbiguousError(ValueError):
-    """A name twice in an object, or a number that JSON does not have."""
+    """Repeated name in an object, or a number that JSON does not have."""
 
 
 def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    found = dict(pairs)
-    if len(found) != len(pairs):
+    document = dict(pairs)
+    if len(document) != len(pairs):
         raise _AmbiguousError
-    return found
+    return document
 
 
 def _refused_constant(name: str) -> Any:
@@ -80,7 +79,7 @@ _TOKEN = re.compile(r'("(?:[^"\\]|\\.)*")(\s*:)?|[{}]|-?(?:NaN|Infinity)', re.DO
 
 
 def _ambiguity(text: str) -> _AmbiguousError:
-    """The first such place of a text that is JSON up to there, with its line."""
+    """Describe the first ambiguity in a text that is valid JSON up to there, with its line."""
     names: list[set[str]] = []
     for token in _TOKEN.finditer(text):
         if token[0] == "{":
@@ -88,7 +87,7 @@ def _ambiguity(text: str) -> _AmbiguousError:
         elif token[0] == "}":
             names.pop()
         elif token[1] is None:
-            return _ambiguous(text, token, f"{token[0]} is no number of JSON; write a number, or null")
+            return _ambiguous(text, token, f"{token[0]} is not a JSON number; write a number, or null")
         elif token[2] is not None:
             name = json.loads(token[1])
             if name in names[-1]:
@@ -102,7 +101,7 @@ def _ambiguous(text: str, token: re.Match[str], problem: str) -> _AmbiguousError
 
 
 def plain(value: Any) -> Any:
-    """`value` in lists, dicts, strings, numbers, booleans and None."""
+    """Convert `value` to lists, dicts, strings, numbers, booleans and None."""
     if isinstance(value, np.ndarray):
         return plain(value.tolist())
     if isinstance(value, enum.Enum):

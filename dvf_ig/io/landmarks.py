@@ -1,4 +1,4 @@
-"""Landmarks: 3D Slicer markups (`.mrk.json`, `.fcsv`) and MNI `.tag` files, to LPS and back."""
+"""Read and write landmarks in LPS: 3D Slicer markups (`.mrk.json`, `.fcsv`) and MNI `.tag` files."""
 
 import csv
 import re
@@ -40,7 +40,7 @@ def read_landmarks(path: Path | str, frame: str) -> Landmarks:
 
 
 def named_points(path: Path) -> tuple[list[str], FloatArray]:
-    """Names, which may repeat, and (n, 3) LPS positions of a file of any of LANDMARK_ENDINGS.
+    """Read names, which may repeat, and (n, 3) LPS positions of a file with any of LANDMARK_ENDINGS.
 
     Raises:
         UnreadableFileError: absent, another format, two volumes, or no coordinate system.
@@ -67,7 +67,7 @@ def _points_of(path: Path, name: str) -> tuple[list[str], FloatArray]:
 def read_tag_pair(path: Path | str, frame_first: str, frame_second: str) -> tuple[Landmarks, Landmarks]:
     """Read an MNI `.tag` file of two volumes: the same points in both, under the same names.
 
-    MNI world coordinates are RAS; both sides come back in LPS.
+    MNI world coordinates are RAS; both sides are returned in LPS.
 
     Raises:
         UnreadableFileError: absent, not a tag file, or one volume only.
@@ -83,7 +83,7 @@ def read_tag_pair(path: Path | str, frame_first: str, frame_second: str) -> tupl
 
 
 def write_landmarks(landmarks: Landmarks, path: Path | str) -> None:
-    """Write 3D Slicer markups (`.mrk.json`), LPS, mm, every digit kept.
+    """Write 3D Slicer markups (`.mrk.json`), LPS, mm, with every digit.
 
     Raises:
         OutputError: another ending, or not writable.
@@ -97,14 +97,14 @@ def write_landmarks(landmarks: Landmarks, path: Path | str) -> None:
 def markup_document(
     landmarks: Landmarks, system: Literal["LPS", "RAS"], descriptions: Sequence[str] = ()
 ) -> dict[str, Any]:
-    """3D Slicer markups as a JSON object.
+    """Build 3D Slicer markups as a JSON object.
 
     Args:
-        system: which coordinate system the numbers, written as they stand, are said to be of.
-        descriptions: one a point, or none.
+        system: coordinate system that the file states; the numbers are written unchanged.
+        descriptions: one per point, or none.
     """
-    told = tuple(descriptions) or ("",) * len(landmarks.names)
-    rows = zip(landmarks.names, told, landmarks.points.xyz_mm.tolist(), strict=True)
+    texts = tuple(descriptions) or ("",) * len(landmarks.names)
+    rows = zip(landmarks.names, texts, landmarks.points.xyz_mm.tolist(), strict=True)
     points = [
         {
             "id": str(i + 1),
@@ -129,7 +129,7 @@ def markup_document(
 
 def _landmarks(path: Path, names: list[str], xyz: FloatArray, frame: str) -> Landmarks:
     if not names:
-        raise UnreadableFileError(f"{path} holds no points")
+        raise UnreadableFileError(f"{path} holds no points; needed at least one")
     return Landmarks(tuple(names), Points(frame, xyz))
 
 
@@ -141,7 +141,7 @@ def _to_lps(path: Path, system: Any) -> FloatArray:
 
 
 def markup_points(path: Path) -> tuple[list[str], FloatArray]:
-    """Names, which may repeat, and (n, 3) LPS positions of every defined point in 3D Slicer markups."""
+    """Read names, which may repeat, and (n, 3) LPS positions of every defined point of 3D Slicer markups."""
     try:
         markups = read_json(path, "3D Slicer markups")["markups"]
         names: list[str] = []
@@ -184,7 +184,7 @@ def _from_fcsv(path: Path) -> tuple[list[str], FloatArray]:
 
 
 def _from_tag(path: Path) -> tuple[list[str], list[FloatArray]]:
-    """Names and one (n, 3) LPS array a volume."""
+    """Read names and one (n, 3) LPS array per volume."""
     text = read_text(path, "an MNI tag file")
     volumes = re.search(r"Volumes\s*=\s*([0-9]{1,3})\s*;", text)
     body = re.search(r"Points\s*=(.*?);", text, re.DOTALL)
@@ -201,7 +201,7 @@ def _from_tag(path: Path) -> tuple[list[str], list[FloatArray]]:
             rows.append(_coordinates(path, row[1], 3 * count))
             names.append(row[2] or str(len(rows)))
     if count not in (1, 2) or any(len(row) != 3 * count for row in rows):
-        raise UnreadableFileError(f"{path}: {count} volumes; needed 1 or 2 with 3 coordinates each a row")
+        raise UnreadableFileError(f"{path}: {count} volumes; needed 1 or 2 with 3 coordinates each per row")
     if len(set(names)) < len(names):
         names = [str(i + 1) for i in range(len(rows))]
     table = np.array(rows).reshape(-1, count, 3) * _TO_LPS["RAS"]
@@ -209,7 +209,7 @@ def _from_tag(path: Path) -> tuple[list[str], list[FloatArray]]:
 
 
 def _coordinates(path: Path, text: str, count: int) -> list[float]:
-    """The first `count` numbers of a row; what follows them (weight, structure, patient) is ignored."""
+    """Parse the first `count` numbers of a row; ignore what follows (weight, structure, patient)."""
     try:
         return [float(number) for number in text.split()[:count]]
     except ValueError as exc:

@@ -1,6 +1,6 @@
-"""The most that a file may hold: beyond it, a file is damaged, hostile, or of something else than a heart.
+"""Limits of what a file may hold: beyond them it is damaged, hostile, or not about a heart.
 
-What is read is bounded by these before memory is reserved for it.
+They are checked before memory is reserved.
 """
 
 from typing import Any
@@ -13,59 +13,59 @@ from dvf_ig.core.plausible import LENGTH_MM as LENGTH_MM
 from dvf_ig.core.plausible import TIME_S as TIME_S
 
 FILE_BYTES = 8 << 30
-"""A file that is read whole: ten minutes of uncompressed ultrasound at 30 frames/s (820 x 616) have 9 GB, and
-half of that fills the memory of a workstation twice over while it is taken apart."""
+"""Largest file read as a whole: ten minutes of uncompressed ultrasound at 30 frames/s (820 x 616) have 9 GB,
+and parsing half of that needs two copies in a workstation's memory."""
 TEXT_BYTES = 256 << 20
-"""A table, a mesh or XML as text: two leads for three hours at 1 kHz."""
+"""Largest table, mesh or XML as text: two leads for three hours at 1 kHz."""
 HEADER_BYTES = 128 << 20
-"""Text before the images of a sequence: 100 000 frames (an hour at 28/s) with two tools have 60 MB."""
+"""Largest header of a sequence: 100 000 frames (an hour at 28/s) with two tools have 60 MB."""
 SETTINGS_BYTES = 4 << 20
-"""YAML that people write; the largest of the examples has 4 kB, and a label table of a whole body 20 kB."""
+"""Largest YAML file: the largest example has 4 kB, a label table of a whole body 20 kB."""
 VOXEL_BYTES = 4 << 30
-"""An image when unpacked: a cardiac CT of 512 x 512 x 300 voxels in 20 phases has 3.1 GB."""
+"""Largest uncompressed image: a cardiac CT of 512 x 512 x 300 voxels in 20 phases has 3.1 GB."""
 DICOM_FILES = 20_000
-"""Images in a folder: a short-axis stack of 20 slices in 30 phases has 600, a whole examination 5 000."""
+"""Most images in a folder: a short-axis stack of 20 slices in 30 phases has 600, an examination 5 000."""
 GREY_VALUE = 1e12
-"""A voxel's value in any unit: scanners store 16 bit, 32 bit reach 4.3e9; damaged float32 reach 3e38."""
+"""Largest value of a voxel in any unit: scanners store 16 bit, 32 bit reach 4.3e9; damaged float32 3e38."""
 AXIS = 1 << 16
-"""Voxels or pixels along an axis; the longest in use, RF lines of ultrasound, have 4 000 to 16 000."""
+"""Most voxels or pixels along an axis; the longest in use, RF lines of ultrasound, have 4 000 to 16 000."""
 FRAMES = 1_000_000
-"""Frames or poses in a recording: nine hours at 30/s, or half an hour at 500/s."""
+"""Most frames or poses in a recording: nine hours at 30/s, or half an hour at 500/s."""
 SAMPLES = 200_000_000
-"""Samples of all leads of an ECG: 18 hours of three leads at 1 kHz; as float64 they have 1.6 GB."""
+"""Most samples of all leads of an ECG: 18 hours of three leads at 1 kHz; as float64 they have 1.6 GB."""
 ELEMENTS = 50_000_000
-"""Vertices or triangles of a mesh; whole-heart surfaces have 10 000 to 1 000 000."""
+"""Most vertices or triangles of a mesh; whole-heart surfaces have 10 000 to 1 000 000."""
 MODEL_BYTES = 2 << 30
-"""Arrays of a model: 20 phases with knots every 3 mm have 55 MB, every 1 mm 1.5 GB."""
+"""Largest arrays of a model: 20 phases with knots every 3 mm have 55 MB, every 1 mm 1.5 GB."""
 SPACING_MM = (1e-4, 1e3)
-"""Sides of voxels: micro-CT has 0.005 mm. Outside are wrong units or damaged headers."""
+"""Smallest and largest voxel side: micro-CT has 0.005 mm; outside are wrong units or damaged headers."""
 NESTING = 100
-"""Lists within lists of a text; ours have five levels."""
+"""Deepest nesting of lists in a text; our files have five levels."""
 WIRE_TIME_S = 4.0e9
-"""A stamp that arrives by network (the year 2096): the protocol ends at 2**32 = 4.29e9 s, and answers, which
-are stamped on the sender's clock, must fit for as long as a session lasts."""
+"""Latest stamp accepted from the network (the year 2096): the protocol ends at 2**32 = 4.29e9 s, and answers
+stamped on the sender's clock must fit for as long as a session lasts."""
 WIRE_IMAGE_BYTES = 64 << 20
-"""One image that arrives by network: a 3-D ultrasound volume of 400³ voxels."""
+"""Largest image accepted from the network: a 3-D ultrasound volume of 400³ voxels."""
 WIRE_TEXT_BYTES = (1 << 16) - 1
-"""One text that arrives by network: what OpenIGTLink can state."""
+"""Longest text accepted from the network: the most that OpenIGTLink can state."""
 WIRE_FIELDS_BYTES = 1 << 20
-"""Named fields beside a message that arrives by network; PLUS sends some 2 kB."""
+"""Largest named fields of a message accepted from the network; PLUS sends some 2 kB."""
 WIRE_TOOLS = 128
-"""Tools in one message; no tracker sees so many."""
+"""Most tools in one message; trackers see fewer."""
 
 
 def require_lengths(xyz_mm: Any, what: str) -> None:
     """Refuse coordinates that are not finite or beyond LENGTH_MM.
 
     Raises:
-        InvalidInputError: says which and how far.
+        InvalidInputError: states the quantity and its value.
     """
     array = np.asarray(xyz_mm, dtype=np.float64)
     if not np.isfinite(array).all():
         raise InvalidInputError(f"{what} holds a value that is not finite; needed numbers in mm")
     if array.size and (far := float(np.abs(array).max())) > LENGTH_MM:
         raise InvalidInputError(
-            f"{what} reaches {far:.3g} mm; nothing lies further than {LENGTH_MM:g} mm away: check the unit"
+            f"{what} reaches {far:.3g} mm; needed at most {LENGTH_MM:g} mm: check the unit"
         )
 
 
@@ -73,7 +73,7 @@ def require_times(t_s: Any, what: str) -> None:
     """Refuse times that are not finite or beyond TIME_S.
 
     Raises:
-        InvalidInputError: says which and how large.
+        InvalidInputError: states the quantity and its value.
     """
     array = np.asarray(t_s, dtype=np.float64)
     if not np.isfinite(array).all():
@@ -86,7 +86,7 @@ def require_count(count: int, most: int, what: str) -> None:
     """Refuse more of something than `most`.
 
     Raises:
-        InvalidInputError: says how many.
+        InvalidInputError: states both numbers.
     """
     if count > most:
-        raise InvalidInputError(f"it states {count} {what}; at most {most} are read: copy it again")
+        raise InvalidInputError(f"it states {count} {what}; at most {most} can be read: copy it again")

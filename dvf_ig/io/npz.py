@@ -1,7 +1,7 @@
-"""Arrays of an `.npz` archive, not packed: of numbers alone, and no larger than the archive itself.
+"""Read the arrays of an uncompressed `.npz` archive: only numbers, and no larger than the archive itself.
 
-What we write is not packed (`numpy.savez`). A packed archive of 2 MB may state 2 GB, which a reader knows to
-be false only after it has taken the memory.
+Our files are uncompressed (`numpy.savez`). A compressed archive of 2 MB may expand to 2 GB, which a reader
+notices only after it has reserved the memory.
 """
 
 import io
@@ -21,18 +21,18 @@ _HEADER = re.compile(
     rb"\{'descr': '([<>|=][biuf]\d{1,2})', 'fortran_order': (True|False), "
     rb"'shape': \(((?:\d{1,18}, ?){0,8}(?:\d{1,18})?)\),? ?\} *\n?"
 )
-"""As numpy writes it, of numbers in at most eight axes."""
+"""Header as numpy writes it, for numbers in at most eight axes."""
 
 
 def read_npz(path: Path, data: bytes, most_bytes: int) -> dict[str, AnyArray]:
-    """Every array by its name.
+    """Read every array by its name.
 
     Args:
         path: named in errors.
         data: the archive.
         most_bytes: of all arrays together.
     Raises:
-        UnreadableFileError: damaged, packed, more than `most_bytes`, or of anything but numbers.
+        UnreadableFileError: damaged, compressed, more than `most_bytes`, or not numbers.
     """
     arrays: dict[str, AnyArray] = {}
     try:
@@ -63,20 +63,22 @@ def read_npz(path: Path, data: bytes, most_bytes: int) -> dict[str, AnyArray]:
     return arrays
 
 
-def _require_sizes(path: Path, members: list[zipfile.ZipInfo], held: int, most_bytes: int) -> None:
-    """Refuse an archive that states more than it holds, before anything of it is read."""
+def _require_sizes(path: Path, members: list[zipfile.ZipInfo], size: int, most_bytes: int) -> None:
+    """Refuse an archive that states more than it holds, before reading it."""
     if any(member.compress_type != zipfile.ZIP_STORED for member in members):
-        raise UnreadableFileError(f"{path} holds packed arrays; write it again, not packed (numpy.savez)")
-    total = sum(member.file_size for member in members)
-    if total > min(most_bytes, held) or len(members) > MOST_ARRAYS:
         raise UnreadableFileError(
-            f"{path} states {total} bytes in {len(members)} arrays and holds {held}; at most {most_bytes} "
-            f"in {MOST_ARRAYS} are read: write it again"
+            f"{path} holds compressed arrays; write it again without compression (numpy.savez)"
+        )
+    total = sum(member.file_size for member in members)
+    if total > min(most_bytes, size) or len(members) > MOST_ARRAYS:
+        raise UnreadableFileError(
+            f"{path} states {total} bytes in {len(members)} arrays and holds {size}; at most {most_bytes} "
+            f"in {MOST_ARRAYS} can be read: write it again"
         )
 
 
 def _array(path: Path, name: str, content: bytes) -> AnyArray:
-    """Source: numpy.lib.format, versions 1.0 to 3.0."""
+    """Decode one array. Source: numpy.lib.format, versions 1.0 to 3.0."""
 
     def damaged(why: str) -> UnreadableFileError:
         return UnreadableFileError(
@@ -84,7 +86,7 @@ def _array(path: Path, name: str, content: bytes) -> AnyArray:
         )
 
     if content[:6] != b"\x93NUMPY" or len(content) < 12 or content[6] not in (1, 2, 3):
-        raise damaged("does not begin as one")
+        raise damaged("does not begin like an array")
     width = 2 if content[6] == 1 else 4
     begin = 8 + width + int.from_bytes(content[8 : 8 + width], "little")
     if begin > min(len(content), 10_000):
@@ -95,7 +97,7 @@ def _array(path: Path, name: str, content: bytes) -> AnyArray:
     try:
         dtype = np.dtype(header[1].decode("ascii"))
     except TypeError as exc:
-        raise damaged(f"is of no type of numbers: {exc}") from exc
+        raise damaged(f"has no numeric type: {exc}") from exc
     shape = tuple(int(size) for size in header[3].replace(b",", b" ").split())
     count = 1
     for size in shape:

@@ -1,4 +1,4 @@
-"""Points at which something is evaluated: a table of x, y, z, or a list of points from 3D Slicer."""
+"""Read points for evaluation: a table of x, y, z, or a list of points from 3D Slicer."""
 
 import csv
 from pathlib import Path
@@ -15,11 +15,11 @@ from .reading import read_text, reading
 
 
 def read_points(path: Path | str, frame: str) -> Points:
-    """Read points, LPS, mm; names play no part and may repeat.
+    """Read points, LPS, mm; names are ignored and may repeat.
 
     Args:
         path: CSV with x, y, z in LPS, whose first row may be a header; or `.mrk.json`, `.fcsv` or a `.tag`
-            of one volume, which say LPS or RAS themselves.
+            of one volume, which state LPS or RAS.
         frame: name of the frame that the points are given in.
     Raises:
         UnreadableFileError: absent, empty, or a row that is not three numbers.

@@ -1,8 +1,8 @@
-"""Where a result comes from: the versions it was computed with, and the files that were read for it.
+"""Record the origin of a result: the versions it was computed with, and the files read for it.
 
-A command opens a record; `reading` adds every file to it, with the SHA-256 of what was read. Outside a
-command nothing is recorded. Names are those that the user gave: an absolute path is shortened to the place
-within the folder that was given, or to the file's own name.
+A command opens a record; `reading` adds every file to it, with the SHA-256 of its content. Outside a command
+nothing is recorded. Names are those that the user gave: an absolute path is shortened to the path within the
+given folder, or to the file's own name.
 """
 
 import hashlib
@@ -28,7 +28,7 @@ LIBRARIES = (
     "opencv-contrib-python-headless",
     "open3d",
 )
-"""Whose versions decide what is computed."""
+"""Libraries whose versions affect results."""
 
 
 _Stamp = tuple[int, int, int, int]
@@ -42,11 +42,11 @@ class _InputFile:
 
 
 class _Record:
-    """What one command has read, in the order in which it was read.
+    """Files that one command has read, in order of reading.
 
     Attributes:
-        files: by their stamps, so that none is hashed twice; a pipe by its name.
-        folders: that were given as one thing, for example a scenario.
+        files: by stamp, so that none is hashed twice; a pipe by its name.
+        folders: given as a whole, for example a scenario.
     """
 
     def __init__(self) -> None:
@@ -69,7 +69,7 @@ def recorded_inputs() -> Iterator[None]:
 
 @contextmanager
 def not_recorded() -> Iterator[None]:
-    """Read without recording: what the program keeps for itself is nobody's input."""
+    """Read within the block without recording: the program's own files are not inputs."""
     token = _RECORD.set(None)
     try:
         yield
@@ -78,20 +78,20 @@ def not_recorded() -> Iterator[None]:
 
 
 def file_stamp(path: Path) -> _Stamp | None:
-    """What changes when a file does: device, node, size, time of change; None where it is no regular file."""
+    """Return device, node, size and modification time of a regular file; None for anything else."""
     now = path.stat() if path.is_file() else None
     return None if now is None else (now.st_dev, now.st_ino, now.st_size, now.st_mtime_ns)
 
 
 def record_file(path: Path, content: bytes | None = None, before: _Stamp | None = None) -> None:
-    """Add a file that was read; nothing where no record is open.
+    """Add a file that was read to the open record, if there is one.
 
     Args:
         path: as it was opened.
-        content: all that was read of it; None reads it here, for files that a library opens itself.
+        content: what was read; None reads it here, for files that a library opens itself.
         before: its stamp before the library read it.
     Raises:
-        UnreadableFileError: it has changed since, has gone, or cannot be read again.
+        UnreadableFileError: the file has changed, is gone, or cannot be read again.
     """
     record = _RECORD.get()
     if record is None:
@@ -114,12 +114,12 @@ def record_file(path: Path, content: bytes | None = None, before: _Stamp | None 
 
 
 def in_command() -> bool:
-    """Whether a record is open: a command runs, and guards the files of its user."""
+    """Return whether a record is open: a command runs, and protects the files of its user."""
     return _RECORD.get() is not None
 
 
 def is_recorded(path: Path) -> bool:
-    """Whether a file was read under the open record, by this or another name."""
+    """Return whether a file was read under the open record, by this or another name."""
     record, stamp = _RECORD.get(), file_stamp(path)
     if record is None or stamp is None:
         return False
@@ -127,21 +127,21 @@ def is_recorded(path: Path) -> bool:
 
 
 def recorded_within(folder: Path) -> Path | None:
-    """A file in `folder` that was read under the open record; None without one."""
+    """Return a file in `folder` that was read under the open record, or None."""
     record = _RECORD.get()
     files = () if record is None else record.files.values()
     return next((one.path for one in files if one.path.resolve().is_relative_to(folder)), None)
 
 
 def record_folder(folder: Path) -> None:
-    """Say that a folder was given as one thing: its files are named by their place within it."""
+    """Add a folder that was given as a whole: its files are named relative to it."""
     record = _RECORD.get()
     if record is not None and folder not in record.folders:
         record.folders.append(folder)
 
 
 def provenance_fields() -> dict[str, Any]:
-    """`versions`, and `inputs` with `file`, `sha256` and `bytes` of each; empty where no record is open."""
+    """Return `versions`, and `inputs` with `file`, `sha256` and `bytes` of each; empty without a record."""
     record = _RECORD.get()
     if record is None:
         return {}
@@ -154,7 +154,7 @@ def provenance_fields() -> dict[str, Any]:
 
 @cache
 def versions() -> dict[str, str | None]:
-    """Of this program, Python and the libraries that compute; None for one that is not installed."""
+    """Return the versions of this program, Python and the libraries; None for one that is not installed."""
     python = ".".join(map(str, sys.version_info[:3]))
     return {"dvf_ig": dvf_ig.__version__, "python": python, **{name: _version(name) for name in LIBRARIES}}
 

@@ -1,4 +1,4 @@
-"""Turn whatever goes wrong while a file is read into one sentence that names it; record what was read."""
+"""Wrap every failure while reading a file in one sentence that names it; record the files that were read."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -27,7 +27,7 @@ def refuse_lfs_pointer(path: Path) -> None:
         with path.open("rb") as file:
             head = file.read(len(_LFS_POINTER))
     except OSError:
-        return  # whoever reads the file says why it cannot be opened
+        return  # the reader of the file reports why it cannot be opened
     if head == _LFS_POINTER:
         raise UnreadableFileError(
             f"{path} is a Git-LFS pointer, not the file itself; download it with: git lfs pull"
@@ -36,21 +36,21 @@ def refuse_lfs_pointer(path: Path) -> None:
 
 @contextmanager
 def reading(path: Path, what: str) -> Iterator[None]:
-    """Wrap a block that opens and interprets `path`; when it ends well, the file counts as an input.
+    """Wrap a block that reads and interprets `path`; on success the file is recorded as an input.
 
-    Of a folder, the files that are read within it count. What a library opens besides `path` itself must be
-    told to `record_file`.
+    For a folder, the files read within it are recorded. Other files that a library opens must be passed to
+    `record_file`.
 
     Args:
         path: the file or folder.
-        what: what it should be, with its article, for example "a tracked sequence".
+        what: the expected content with its article, for example "a tracked sequence".
     Raises:
-        UnreadableFileError: the file is absent, unreadable, or its content breaks an invariant of the value
-            it should become, or is a Git-LFS pointer, or may be of another run than the files beside it
-            (`require_finished`). Errors that are this class already pass unchanged.
+        UnreadableFileError: the file is absent, unreadable, invalid for the value it should become, a Git-LFS
+            pointer, or possibly from another run than its neighbours (`require_finished`). Errors of this
+            class pass unchanged.
     """
     if "\0" in str(path):
-        raise UnreadableFileError(f"{str(path)[:80]!r} is no name of a file; needed {what}")
+        raise UnreadableFileError(f"{str(path)[:80]!r} is not a valid file name; needed {what}")
     refuse_lfs_pointer(path)
     try:
         if path.is_dir():
@@ -75,7 +75,7 @@ def reading(path: Path, what: str) -> Iterator[None]:
 
 
 def read_bytes(path: Path, what: str) -> bytes:
-    """The whole file, of at most FILE_BYTES, or UnreadableFileError naming it; of a pipe, TEXT_BYTES."""
+    """Read a whole file of at most FILE_BYTES, or a pipe of at most TEXT_BYTES."""
     with reading(path, what):
         most = FILE_BYTES if path.is_file() or path.is_dir() else TEXT_BYTES
         with path.open("rb") as stream:
@@ -87,10 +87,10 @@ def read_bytes(path: Path, what: str) -> bytes:
 
 
 def read_text(path: Path, what: str, most: int = TEXT_BYTES) -> str:
-    """The whole file as UTF-8 text without a byte-order mark, or UnreadableFileError naming it.
+    """Read a whole file as UTF-8 text without a byte-order mark.
 
     Args:
-        most: bytes that it may have.
+        most: largest size in bytes.
     """
     with reading(path, what):
         _require_size(path, path.stat().st_size, most)
@@ -99,4 +99,4 @@ def read_text(path: Path, what: str, most: int = TEXT_BYTES) -> str:
 
 def _require_size(path: Path, size: int, most: int) -> None:
     if size > most:
-        raise UnreadableFileError(f"{path} has {size} bytes; at most {most} are read: split it")
+        raise UnreadableFileError(f"{path} has {size} bytes; at most {most} can be read: split it")

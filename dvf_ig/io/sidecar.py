@@ -1,7 +1,7 @@
-"""JSON results with where they come from, and the marks by which this program's files are known.
+"""Write JSON results with their provenance, and the marks that identify this program's files.
 
-What this program writes carries a mark: the field `written_by` in JSON, with the kind of its content, and a
-comment in XML, HTML and the header of a sequence.
+Files of this program carry a mark: the field `written_by` in JSON, with the kind of content, and a comment in
+XML, HTML and the header of a sequence.
 """
 
 from collections.abc import Mapping
@@ -17,12 +17,12 @@ SEQUENCE_COMMENT = f"written by {MARK}"
 
 
 def write_sidecar(path: Path, content: Mapping[str, Any], kind: str) -> None:
-    """Write a result as JSON: with our mark and its kind, and where it comes from (see `provenance_fields`).
+    """Write a result as JSON with our mark, its kind and its provenance (see `provenance_fields`).
 
     Args:
         path: the file.
         content: the object.
-        kind: what it holds, for example "transform".
+        kind: of the content, for example "transform".
     Raises:
         OutputError: not writable.
     """

@@ -1,4 +1,4 @@
-"""Rigid transforms as ITK files with a JSON sidecar that names their frames."""
+"""Read and write rigid transforms as ITK files with a JSON sidecar that states their frames."""
 
 from pathlib import Path
 from typing import Any
@@ -23,14 +23,14 @@ CONVENTION = "ITK: maps points of 'from' (fixed image) to 'to' (moving image); L
 def read_transform(path: Path | str, target: str | None = None, source: str | None = None) -> Rigid:
     """Read target_from_source from an ITK transform file (`.tfm`, `.txt`, `.h5`, `.mat`).
 
-    Direction: an ITK transform takes points of the *fixed* image to the *moving* image, both LPS in mm; that
-    is how resampling filters use it. Here fixed is the source frame and moving the target frame, so the
+    Direction: an ITK transform maps points of the *fixed* image to the *moving* image, both LPS in mm, as
+    resampling filters need it. Here fixed is the source frame and moving the target frame, so the
     matrix in the file is target_from_source itself, p_target = A (p_source − c) + t + c. (3D Slicer shows
     the inverse, because its "transform to parent" runs from moving to fixed, in RAS.)
 
     Args:
-        path: the transform; its frames are read from the sidecar `<stem>.json` beside it.
-        target, source: needed where there is no sidecar; where there is one they must agree with it.
+        path: the transform; its frames are read from the sidecar `<stem>.json` in the same folder.
+        target, source: needed without a sidecar; with one they must agree with it.
     Raises:
         UnreadableFileError: absent, not a linear ITK transform, or not rigid.
         FrameMismatchError: the sidecar names other frames.
@@ -42,16 +42,16 @@ def read_transform(path: Path | str, target: str | None = None, source: str | No
     recorded = _sidecar_frames(sidecar) if sidecar.is_file() and sidecar != path else None
     if recorded is not None:
         recorded_target, recorded_source = recorded
-        wanted = (target or recorded_target, source or recorded_source)
-        if wanted != (recorded_target, recorded_source):
+        frames = (target or recorded_target, source or recorded_source)
+        if frames != (recorded_target, recorded_source):
             raise FrameMismatchError(
-                f"{path} is {recorded_target}_from_{recorded_source}; needed {wanted[0]}_from_{wanted[1]}: "
+                f"{path} is {recorded_target}_from_{recorded_source}; needed {frames[0]}_from_{frames[1]}: "
                 f"invert it, or correct the names in {sidecar.name}"
             )
-        target, source = wanted
+        target, source = frames
     elif path.is_file() and (target is None or source is None):
         raise InvalidInputError(
-            f"{path}: its frames are not known; put beside it a file {sidecar.name} with "
+            f"{path}: its frames are unknown; add a file {sidecar.name} to its folder with "
             '{"from": "<fixed frame>", "to": "<moving frame>"}'
         )
     with reading(path, "an ITK transform"):
@@ -75,7 +75,7 @@ def write_transform(rigid: Rigid, path: Path | str, error_mm: float | None = Non
 
 
 def affine_text(matrix: FloatArray) -> str:
-    """A (4, 4) affine matrix as the text of an ITK transform, every digit kept."""
+    """Format a (4, 4) affine matrix as an ITK transform, with every digit."""
     numbers = " ".join(map(repr, [*matrix[:3, :3].ravel().tolist(), *matrix[:3, 3].tolist()]))
     return (
         "#Insight Transform File V1.0\n#Transform 0\nTransform: AffineTransform_double_3_3\n"
@@ -84,12 +84,12 @@ def affine_text(matrix: FloatArray) -> str:
 
 
 def write_transforms(rigid: Rigid, path: Path | str, error_mm: float | None = None) -> tuple[Path, Path]:
-    """Write target_from_source as `.tfm` and, beside it, the same as `.h5`, which 3D Slicer saves itself.
+    """Write target_from_source as `.tfm` and as `.h5`, the format that 3D Slicer itself saves.
 
     Returns:
         The two files; one sidecar `<stem>.json` belongs to both.
     Raises:
-        OutputError: as `write_transform`, or a file of the user's own stands beside it.
+        OutputError: as `write_transform`, or an existing user file is in the way.
     """
     import SimpleITK
 
@@ -109,7 +109,7 @@ def write_transforms(rigid: Rigid, path: Path | str, error_mm: float | None = No
 
 
 def rigid_from_matrix(matrix: Any, target: str, source: str) -> Rigid:
-    """A Rigid with the digits of `matrix` kept where it is rigid to full precision, else repaired.
+    """Build a Rigid with the digits of `matrix` if it is rigid to full precision, else repaired.
 
     Raises:
         InvalidInputError: not 4×4 or further than 1e-3 from rigid.
@@ -117,7 +117,9 @@ def rigid_from_matrix(matrix: Any, target: str, source: str) -> Rigid:
     try:
         array = np.asarray(matrix, dtype=np.float64)
     except (TypeError, ValueError, OverflowError) as exc:
-        raise InvalidInputError(f"the matrix of {target}_from_{source} is not of numbers ({exc})") from exc
+        raise InvalidInputError(
+            f"the matrix of {target}_from_{source} does not hold numbers ({exc})"
+        ) from exc
     limits.require_lengths(array, f"the matrix of {target}_from_{source}")
     exact = array.shape == (4, 4) and np.isfinite(array).all() and rigidity_defect(array[:3, :3]) <= 1e-9
     if exact and np.array_equal(array[3], (0, 0, 0, 1)):
@@ -126,7 +128,7 @@ def rigid_from_matrix(matrix: Any, target: str, source: str) -> Rigid:
 
 
 def _sidecar_frames(path: Path) -> tuple[str, str] | None:
-    """Target and source that a sidecar names; None where the JSON beside the transform is something else."""
+    """Read target and source from a sidecar; None if the JSON file is something else."""
     document = read_json(path, "a transform sidecar")
     if not isinstance(document, dict) or not {"from", "to"} <= document.keys():
         return None

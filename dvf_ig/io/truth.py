@@ -1,4 +1,4 @@
-"""The ground truth of a synthetic scenario: everything in its folder `truth/`."""
+"""Read and write the ground truth of a synthetic scenario: everything in its folder `truth/`."""
 
 import io
 import math
@@ -89,7 +89,7 @@ _MOST = {
     "normal": 10.0,
     "video_drift_ppm": 1e6,
 }
-"""The largest magnitude of each; phases and unit vectors have room for rounding."""
+"""Largest magnitude of each quantity; phases and unit vectors have room for rounding."""
 
 
 def read_truth(folder: Path) -> ScenarioTruth:
@@ -119,8 +119,8 @@ def _truth(folder: Path, document: dict[str, Any]) -> ScenarioTruth:
     tool = _read_arrays(folder / "tool.npz", _TOOL)
     _require_plausible(folder / "tool.npz", tool)
     _require_plausible(folder / "truth.json", document)
-    for name, told in (("tip_mm", document["tip_mm"]), ("targets", list(document["targets"].values()))):
-        limits.require_lengths(told, name)
+    for name, values in (("tip_mm", document["tip_mm"]), ("targets", list(document["targets"].values()))):
+        limits.require_lengths(values, name)
     calibrated = document.get("calibrated_probe_from_image")
     return ScenarioTruth(
         mr_from_tracker=tuple(_timed_pose(entry) for entry in document["mr_from_tracker"]),
@@ -171,7 +171,7 @@ def _image(document: dict[str, Any]) -> ImageMap:
 
 
 def _timed_pose(entry: dict[str, Any]) -> tuple[float, Rigid]:
-    """A pose and when it starts to hold; JSON's null stands for "from the beginning"."""
+    """Parse a pose and its start; JSON's null means "from the beginning"."""
     start_s = -math.inf if entry["from_s"] is None else _start_s(entry)
     return start_s, rigid_from_matrix(entry["matrix"], "mr", "tracker")
 

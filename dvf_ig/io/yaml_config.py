@@ -1,4 +1,4 @@
-"""YAML that people write: sections with known keys, and sentences that name file and key of what is wrong."""
+"""Read YAML configurations: sections with known keys, and errors that state the file and the key."""
 
 from pathlib import Path
 from typing import Any, TypeVar
@@ -12,44 +12,44 @@ from .reading import read_text
 from .yaml_text import parse_yaml
 
 KIND = "~"
-"""Begins the tag of a value that may be of several kinds; it is no key of the document."""
+"""First character of the tag of a value that may be of several kinds; not a key of the document."""
 MOST_PROBLEMS = 5
-"""So many are named at once."""
+"""Most problems reported at once."""
 
 
 class Section(BaseModel):
-    """A section of a configuration: a key that it does not know is an error that lists those it knows."""
+    """Section of a configuration: an unknown key is an error that lists the known ones."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
 
     @model_validator(mode="before")
     @classmethod
-    def _known_keys(cls, given: Any) -> Any:
-        if isinstance(given, dict):
-            known = [field.alias or name for name, field in cls.model_fields.items()]
-            unknown = [str(key) for key in given if key not in known and key not in cls.model_fields]
+    def _known_keys(cls, values: Any) -> Any:
+        if isinstance(values, dict):
+            keys = [field.alias or name for name, field in cls.model_fields.items()]
+            unknown = [str(key) for key in values if key not in keys and key not in cls.model_fields]
             if unknown:
-                raise ValueError(f"unknown key {', '.join(unknown)}; needed some of {', '.join(known)}")
-        return given
+                raise ValueError(f"unknown key {', '.join(unknown)}; needed some of {', '.join(keys)}")
+        return values
 
 
 S = TypeVar("S", bound=BaseModel)
 
 
 def read_yaml(path: Path, what: str) -> Any:
-    """The document in a YAML file.
+    """Read the document in a YAML file.
 
     Args:
         path: the file.
-        what: what it should be, with its article, for example "a scenario description".
+        what: the expected content with its article, for example "a scenario description".
     Raises:
-        UnreadableFileError: absent, not YAML, or not YAML with one reading (`parse_yaml`).
+        UnreadableFileError: absent, not YAML, or ambiguous YAML (`parse_yaml`).
     """
     return parse_yaml(read_text(path, what, SETTINGS_BYTES), path, what)
 
 
 def validated(section: type[S], document: Any, path: Path) -> S:
-    """The document as a section.
+    """Validate the document as a section.
 
     Raises:
         UnreadableFileError: unknown keys, or missing or wrong values; names the file and each key.
@@ -70,25 +70,25 @@ _MESSAGES = {
     "float_type": "needed a number",
     "int_type": "needed a whole number",
 }
-"""Instead of pydantic's own, which speak of Python."""
+"""Messages that replace pydantic's own, which mention Python types."""
 
 
 def _sentence(error: Any, document: Any) -> str:
     key = _key(error["loc"], document)
-    given = error.get("ctx", {})
+    context = error.get("ctx", {})
     if error["type"] == "union_tag_not_found":
-        return f"{key}: its {given['discriminator']} is missing"
+        return f"{key}: its {context['discriminator']} is missing"
     if error["type"] == "union_tag_invalid":
-        name = given["discriminator"].strip("'")
-        return f"{key}.{name} is '{given['tag']}'; needed {given['expected_tags']}"
+        name = context["discriminator"].strip("'")
+        return f"{key}.{name} is '{context['tag']}'; needed {context['expected_tags']}"
     message = _MESSAGES.get(error["type"]) or error["msg"].removeprefix("Value error, ")
     return f"{key}: {message}" if key else message
 
 
 def _key(location: tuple[int | str, ...], document: Any) -> str:
-    """The keys and indices of the document on the way to a problem.
+    """Join the keys and indices of the document that lead to a problem.
 
-    Where the items of a list are of several kinds, pydantic adds the kind of the item after its index.
+    If the items of a list may be of several kinds, pydantic adds the kind of the item after its index.
     """
     words: list[str] = []
     here = document

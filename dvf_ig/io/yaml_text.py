@@ -1,9 +1,10 @@
-"""YAML that can be read in one way only: what is said twice, or spelt so that programs differ, is refused.
+"""Parse YAML that has exactly one meaning: repeated keys and ambiguous values are refused.
 
-Numbers are decimal: `2`, `-0.5`, `+2`, `1.`, `.5`, `1e3`. `true`, `false` and `null` (`~`, nothing) are what
-they say; every other plain word is a text, `off`, `yes` and `2020-01-31` too. Refused: a key that is given
-twice; `010`, `0x10`, `0b1`, `1_0`, `1:30`, which YAML 1.1 and 1.2 take for different numbers; `.inf`, `.nan`;
-anchors, aliases, merge keys, tags; a second document. Keys are texts; a whole number may be one (labels).
+Numbers are decimal: `2`, `-0.5`, `+2`, `1.`, `.5`, `1e3`. `true`, `false` and `null` (`~`, nothing) have
+their usual meaning; every other plain word is text, including `off`, `yes` and `2020-01-31`. Refused: a
+repeated key; `010`, `0x10`, `0b1`, `1_0`, `1:30`, which YAML 1.1 and 1.2 read as different numbers; `.inf`,
+`.nan`; anchors, aliases, merge keys, tags; a second document. Keys are texts; a whole number may be one
+(labels).
 """
 
 import math
@@ -25,9 +26,9 @@ _OTHER_NUMBER = re.compile(
     r"[-+]?(0x[0-9a-f_]+|0o[0-7_]+|0b[01_]+|(?=\.?[0-9])[0-9_]*(:[0-9]+)*\.?[0-9_]*(e[-+]?[0-9_]+)?)",
     re.IGNORECASE,
 )
-"""Octal, hexadecimal, binary, sexagesimal, with underscores or leading zeros: a number to some reader."""
+"""Octal, hexadecimal, binary, sexagesimal, with underscores or leading zeros: a number to some programs."""
 _LONGEST_WHOLE = 19
-"""Characters of a whole number: 64 bits."""
+"""Most characters of a whole number: 64 bits."""
 _WORDS = {
     **dict.fromkeys(("", "~", "null", "Null", "NULL")),
     **dict.fromkeys(("true", "True", "TRUE"), True),
@@ -36,18 +37,18 @@ _WORDS = {
 
 
 class _NotPlainError(ValueError):
-    """A plain scalar that programs read differently; the message says what to write."""
+    """Plain scalar that programs read differently; the message states what to write instead."""
 
 
 def parse_yaml(text: str, path: Path, what: str) -> Any:
-    """The one document of a text.
+    """Parse the only document of a text.
 
     Args:
         text: YAML.
-        path: of the file, for messages.
+        path: the file, for messages.
         what: what it should be, with its article, for example "a scenario description".
     Raises:
-        UnreadableFileError: not YAML, or not YAML with one reading; names file, line and key.
+        UnreadableFileError: not YAML, or ambiguous; names file, line and key.
     """
     try:
         return _Document(text, path).read()
@@ -63,11 +64,11 @@ def parse_yaml(text: str, path: Path, what: str) -> Any:
 
 
 def yaml_text(document: Any, *, flow: bool | None = False, width: int = 80) -> str:
-    """A document as YAML that `parse_yaml` reads back to the same.
+    """Format a document as YAML that `parse_yaml` reads back to an equal value.
 
     Args:
         document: lists, dicts, texts, finite numbers, booleans and None.
-        flow: in brackets; None: only lists and dicts that hold no others.
+        flow: True writes brackets; None only for lists and dicts that hold no others.
         width: longest line before it is folded.
     """
     return yaml.dump(
@@ -76,7 +77,7 @@ def yaml_text(document: Any, *, flow: bool | None = False, width: int = 80) -> s
 
 
 class _Dumper(yaml.SafeDumper):
-    """No aliases, and quotes around each text that would be read as something else."""
+    """Dumper without aliases that quotes each text that would be read as something else."""
 
     def ignore_aliases(self, data: Any) -> bool:
         return True
@@ -92,7 +93,7 @@ _Dumper.add_representer(str, _Dumper.represent_text)
 
 
 class _Document:
-    """The document of a stream of events."""
+    """Document of a stream of events."""
 
     def __init__(self, text: str, path: Path) -> None:
         self._events: Iterator[yaml.Event] = yaml.parse(text, Loader=yaml.SafeLoader)
@@ -106,19 +107,21 @@ class _Document:
         next(self._events)  # the document's end
         after = next(self._events)
         if not isinstance(after, yaml.StreamEndEvent):
-            raise self._error(after, (), "a second document begins; a file holds one: leave out this '---'")
+            raise self._error(after, (), "a second document begins; a file holds one: remove this '---'")
         return value
 
     def _value(self, event: yaml.Event, key: tuple[str, ...]) -> Any:
         if len(key) > NESTING:
-            raise self._error(event, key[:3], f"nested more than {NESTING} deep; nothing needs that")
+            raise self._error(event, key[:3], f"nested more than {NESTING} deep; needed fewer levels")
         if isinstance(event, yaml.AliasEvent):
-            raise self._error(event, key, f"the alias '*{event.anchor}' is not read; write its value out")
+            raise self._error(
+                event, key, f"the alias '*{event.anchor}' is not supported; write its value out"
+            )
         if isinstance(event, yaml.NodeEvent) and event.anchor is not None:
-            raise self._error(event, key, f"the anchor '&{event.anchor}' is not read; leave it out")
+            raise self._error(event, key, f"the anchor '&{event.anchor}' is not supported; remove it")
         if isinstance(event, yaml.ScalarEvent | yaml.CollectionStartEvent) and event.tag is not None:
             tag = event.tag.replace("tag:yaml.org,2002:", "!!")
-            raise self._error(event, key, f"the tag '{tag}' is not read; write the value alone")
+            raise self._error(event, key, f"the tag '{tag}' is not supported; write the value alone")
         if isinstance(event, yaml.ScalarEvent):
             return self._scalar(event, key)
         return self._list(key) if isinstance(event, yaml.SequenceStartEvent) else self._mapping(key)
@@ -152,17 +155,17 @@ class _Document:
         return values
 
     def _name(self, event: yaml.Event, key: tuple[str, ...]) -> str:
-        """A key of a mapping."""
+        """Parse a key of a mapping."""
         if not isinstance(event, yaml.ScalarEvent):
             if isinstance(event, yaml.AliasEvent):
                 self._value(event, key)
-            raise self._error(event, key, "a list or a mapping is no key; write a word and a colon")
+            raise self._error(event, key, "a list or a mapping is not a key; write a word and a colon")
         if event.value == "<<":
-            raise self._error(event, key, "the merge key '<<' is not read; write the keys out")
+            raise self._error(event, key, "the merge key '<<' is not supported; write the keys out")
         value = self._value(event, key)
         if isinstance(value, str) or (type(value) is int and str(value) == event.value):
             return str(event.value)
-        raise self._error(event, key, f"'{event.value}' is no key; write a word, or put it in quotes")
+        raise self._error(event, key, f"'{event.value}' is not a key; write a word, or put it in quotes")
 
     def _error(self, event: yaml.Event, key: tuple[str, ...], problem: str) -> UnreadableFileError:
         where = ", ".join([f"line {_line(event)}", *([".".join(key)] if key else [])])
@@ -174,11 +177,11 @@ def _line(event: yaml.Event) -> int:
 
 
 def _plain(text: str) -> Any:
-    """What a scalar without quotes says."""
+    """Return the value of a scalar without quotes."""
     if text in _WORDS:
         return _WORDS[text]
     if _NOT_FINITE.fullmatch(text):
-        raise _NotPlainError(f"{text} is no finite number; write a decimal number, or a text in quotes")
+        raise _NotPlainError(f"{text} is not a finite number; write a decimal number, or a text in quotes")
     if _DECIMAL.fullmatch(text):
         return _number(text)
     if _OTHER_NUMBER.fullmatch(text):

@@ -1,7 +1,7 @@
-"""Every figure and HTML page. Takes values and arrays; computes no estimate.
+"""Figures and HTML pages, drawn from values and arrays without computing estimates.
 
 `paper`, `replay` and `study` hold the figures of Ren 2008, of a replay and of the studies; `style` and `page`
-the one look of all of them. What a figure shows is a value of its own, handed over by who computed it.
+their common look. Callers compute what a figure shows and pass it as a value.
 """
 
 from .gating import gate_png as gate_png

@@ -1,4 +1,4 @@
-"""One picture of a gated recording: the RR tachogram with the clock's states, and rhythm strips."""
+"""Draw a gated recording: the RR tachogram with the clock's states, and rhythm strips."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 STRIPS, STRIP_S = 6, 10.0
-"""Ten seconds a row, as on a printed strip (25 mm/s)."""
+"""Number of strips and seconds per strip, as on a printed strip (25 mm/s)."""
 LONGEST_RR_MS = 2500.0
 MINUTES_FROM_S = 180.0
 
@@ -39,11 +39,11 @@ _TRACE, _LOCKED, _UNUSED, _PAPER = TRUTH, ESTIMATE, "#b0502a", "#f2c9c9"
 
 
 def gate_png(name: str, signal: Signal | None, r_peaks_s: FloatArray, track: PhaseTrack) -> bytes:
-    """The picture as a PNG.
+    """Draw the picture as a PNG.
 
     Args:
         name: title.
-        signal: the ECG; None where the beats came from a trigger.
+        signal: the ECG; None if the beats came from a trigger.
         r_peaks_s: (k,) R peaks on the track's clock.
         track: phase and state over the recording.
     """
@@ -61,13 +61,13 @@ def gate_png(name: str, signal: Signal | None, r_peaks_s: FloatArray, track: Pha
     band = _band(signal)
     for letter, start_s, axis in zip("ABCDEFGHIJ", chosen, axes[1:], strict=False):
         _draw_strip(axis, letter, start_s, signal, peaks, track, band)
-    axes[-1].set_xlabel("time, s (0.2 s a division)")
+    axes[-1].set_xlabel("time, s (0.2 s per division)")
     _draw_legend(figure, track, peaks)
     return png_bytes(figure)
 
 
 def choose_strips(track: PhaseTrack) -> list[float]:
-    """Starts of the strips, in order of time: one where all is well, the worst of each state, then the rest.
+    """Choose the starts of the strips, in order of time: a good one, the worst of each state, then the rest.
 
     Rows are taken from a fixed raster of STRIP_S, so that none overlap.
     """
@@ -80,7 +80,7 @@ def choose_strips(track: PhaseTrack) -> list[float]:
         for state in PhaseState
     }
     good = share[PhaseState.LOCKED]
-    # away from the beginning, where there is as good a choice
+    # prefers an equally good strip after the first third
     chosen = [int(np.argmax(good + 1e-3 * (np.arange(len(starts)) >= len(starts) // 3)))]
     rows = range(len(starts))
     for state in (PhaseState.IRREGULAR, PhaseState.LOST, PhaseState.SUSPECT):
@@ -161,7 +161,7 @@ def _draw_strip(
 
 
 def _band(signal: Signal | None) -> tuple[float, float]:
-    """Amplitudes shown in every strip alike, about the median."""
+    """Return the range of amplitudes about the median that every strip shows."""
     if signal is None:
         return 0.0, 1.0
     value = signal.samples[:, 0]
@@ -174,7 +174,7 @@ def _band(signal: Signal | None) -> tuple[float, float]:
 
 
 def shown_segments(track: PhaseTrack, peaks_s: FloatArray) -> list[tuple[float, float, PhaseState]]:
-    """Segments of one state, where LOST ends with the next R peak: from there on the clock learns again."""
+    """List segments of one state; LOST ends with the next R peak, from which the clock learns again."""
     shown: list[tuple[float, float, PhaseState]] = []
     for begin, end, state in state_segments(track):
         again = peaks_s[(peaks_s > begin) & (peaks_s < end)]
@@ -205,7 +205,7 @@ def _draw_legend(figure: Figure, track: PhaseTrack, peaks: FloatArray) -> None:
     handles: list[object] = [
         Line2D([], [], marker="v", ls="", ms=5, color=_LOCKED, label="R peak, as detected"),
         Line2D([], [], marker=".", ls="", ms=6, color=_LOCKED, label=_MEANING[PhaseState.LOCKED]),
-        Line2D([], [], marker=".", ls="", ms=6, color=_UNUSED, label="RR where phase was refused"),
+        Line2D([], [], marker=".", ls="", ms=6, color=_UNUSED, label="RR while phase was refused"),
     ]
     handles += [Patch(color=_SHADE[s], label=_MEANING[s]) for s in PhaseState if s in _SHADE and s in seen]
     figure.legend(

@@ -1,6 +1,6 @@
-"""One figure of a propagated surface: end-diastole and end-systole with their contours, quality by phase.
+"""Draw a propagated surface: end-diastole and end-systole with contours, and quality by phase.
 
-Uses matplotlib, loaded when a picture is written.
+matplotlib is loaded when a picture is written.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ def write_motion_picture(
 def motion_figure(
     image: VolumeSeries, surfaces: SurfaceSeries, quality: MotionQuality, ed_phase: int, es_phase: int
 ) -> Figure:
-    """Three planes at both phases above, the quality of the motion by phase below."""
+    """Draw three planes at both phases above, the quality of the motion by phase below."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(10.0, 10.5), layout="constrained")
@@ -80,7 +80,7 @@ def _draw_plane(
     normal: int,
     box: tuple[FloatArray, FloatArray],
 ) -> None:
-    """A plane of voxels in mm, the contour of the phase and, dotted, that of end-diastole."""
+    """Draw a plane of voxels in mm, the contour of the phase and, dotted, that of end-diastole."""
     from matplotlib.collections import LineCollection
 
     grid, spacing = image.grid, image.grid.spacing_mm

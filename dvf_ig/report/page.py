@@ -1,4 +1,4 @@
-"""Self-contained HTML pages: one skeleton and style, figures inlined, tables of text."""
+"""Build self-contained HTML pages: one skeleton and style, figures inlined, tables of text."""
 
 from __future__ import annotations
 
@@ -35,12 +35,12 @@ figure { margin: 2rem 0; } figcaption { color: #555; max-width: 75ch; }
 
 
 def html_page(title: str, body: str, *, style: str = "") -> str:
-    """A whole page.
+    """Build a complete page.
 
     Args:
         title: plain text, also the first heading.
         body: HTML below it.
-        style: CSS rules beyond the common ones.
+        style: CSS rules in addition to the common ones.
     """
     name = html.escape(title)
     return (
@@ -51,12 +51,12 @@ def html_page(title: str, body: str, *, style: str = "") -> str:
 
 
 def section(title: str, note: str, content: str, *, level: int = 2) -> str:
-    """A heading, a grey paragraph and HTML below them; title and note are plain text."""
+    """Build a heading, a grey paragraph and HTML below them; title and note are plain text."""
     return f"<h{level}>{html.escape(title)}</h{level}><p class=note>{html.escape(note)}</p>{content}"
 
 
 def table(heading: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A table of plain text."""
+    """Build a table of plain text."""
     head = "".join(f"<th>{html.escape(cell)}</th>" for cell in heading)
     body = "".join(
         "<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in row) + "</tr>" for row in rows
@@ -65,17 +65,17 @@ def table(heading: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def image_tag(figure: Figure, title: str, *, width_px: int | None = None) -> str:
-    """The figure as a PNG inside the page."""
+    """Embed a figure as a PNG."""
     return png_tag(png_bytes(figure), title, width_px=width_px)
 
 
 def png_tag(png: bytes, title: str, *, width_px: int | None = None) -> str:
-    """A PNG file's bytes inside the page."""
+    """Embed the bytes of a PNG file."""
     return _tag(png, "png", title, width_px)
 
 
 def jpeg_tag(jpeg: bytes, title: str, *, width_px: int | None = None) -> str:
-    """A JPEG file's bytes inside the page."""
+    """Embed the bytes of a JPEG file."""
     return _tag(jpeg, "jpeg", title, width_px)
 
 

@@ -1,4 +1,4 @@
-"""Level lines of a distance field or of grey levels over an image in millimetres."""
+"""Draw level lines of a distance field or of grey levels over an image in millimetres."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ CASING = "#202020"
 
 
 def image_extent(size_mm: tuple[float, float]) -> tuple[float, float, float, float]:
-    """Extent of an image of that width and height whose first row is at the top."""
+    """Return the extent of an image of this width and height whose first row is at the top."""
     return 0.0, size_mm[0], size_mm[1], 0.0
 
 
@@ -28,12 +28,12 @@ def draw_contour(
     dashed: bool = False,
     casing: bool = False,
 ) -> None:
-    """Draw where the values have a level, if anywhere.
+    """Draw the level line of the values, if there is one.
 
     Args:
-        values: (rows, columns), NaN where not known; None draws nothing.
+        values: (rows, columns), NaN for unknown; None draws nothing.
         size_mm: width and height of the image.
-        casing: draw it over a dark line, for pale lines on bright images.
+        casing: add a dark line below, for pale lines on bright images.
     """
     if values is None or not ((values < level).any() and (values > level).any()):
         return

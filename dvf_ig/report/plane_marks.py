@@ -1,4 +1,4 @@
-"""A scale bar, and the sides of the patient, at the edges of an image plane."""
+"""Draw a scale bar and the sides of the patient at the edges of an image plane."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ if TYPE_CHECKING:
 
 SCALE_BARS_MM = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0)
 OVER_BRIGHT = [withStroke(linewidth=2.5, foreground="black")]
-"""Under what is drawn in white."""
+"""Dark outline of white marks on bright images."""
 LETTER: dict[str, Any] = {"color": "white", "fontsize": 9, "path_effects": OVER_BRIGHT}
 
 
 def scale_bar_mm(width_mm: float) -> float:
-    """Length of the scale bar: the largest of the round ones within a third of the width."""
+    """Choose the length of the scale bar: the largest round one within a third of the width."""
     return max((bar for bar in SCALE_BARS_MM if bar <= width_mm / 3), default=SCALE_BARS_MM[0])
 
 
 def draw_plane_marks(axis: Axes, size_mm: tuple[float, float], edges: tuple[str, str, str, str]) -> None:
-    """Draw them on an axis in mm, with rows that grow downwards.
+    """Draw the marks on an axis in mm, with rows that grow downwards.
 
     Args:
         size_mm: width and height of the plane.

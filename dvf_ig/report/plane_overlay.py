@@ -1,4 +1,4 @@
-"""An ultrasound plane with the anatomy that a registration puts there, as plain values for every page."""
+"""An ultrasound plane with the registered anatomy, as plain values for every page."""
 
 from __future__ import annotations
 
@@ -13,13 +13,14 @@ from dvf_ig.core.arrays import FloatArray, read_only_arrays
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class AnatomyPlane:
-    """The pre-operative anatomy at the pixels of an ultrasound image, through one pose.
+    """Pre-operative anatomy at the pixels of an ultrasound image, mapped by one pose.
 
     Attributes:
         grey: (rows, columns) grey level, 0 to 1; NaN outside the pre-operative image.
         distance_mm: (rows, columns) signed distance to the fixture model's surface, positive inside, NaN
-            outside its box; None where no model is known.
-        blood_mm: (rows, columns) the same of the blood, whose border ultrasound shows; None where not known.
+            outside its box; None without a model.
+        blood_mm: (rows, columns) signed distance to the blood's border, which ultrasound shows; None if
+            unknown.
         edges: the side of the patient towards which the left, right, upper and lower edge lie, as letters
             (R, L, A, P, H, F).
     """
@@ -36,16 +37,16 @@ class PlaneOverlay:
     """An ultrasound image, and the anatomy in its plane before and after registration.
 
     Attributes:
-        name: which image it is, for example "frame 37".
-        plane: how the plane lies in the patient by the registered pose, for example "axial, tilted by 12°".
-        event_s: when it was seen; None where that is not known.
-        model_phase: place in the model's cycle, 0 to 1; None for an organ that does not beat.
+        name: of the image, for example "frame 37".
+        plane: orientation of the plane by the registered pose, for example "axial, tilted by 12°".
+        event_s: time of the image; None if unknown.
+        model_phase: phase in the model's cycle, 0 to 1; None for an organ that does not beat.
         image: (rows, columns) grey levels, 0 to 255.
         pixel_mm: width and height of a pixel.
-        start, registered: the anatomy through the start pose and through the registered one.
-        outline_levels: grey levels of the anatomy whose contours stand in for those of a model.
-        anatomy_from_pixel: (3, 3) mm in the anatomy's frame of (column, row, 1) by the registered pose; None
-            where it is not told.
+        start, registered: the anatomy mapped by the start pose and by the registered one.
+        outline_levels: grey levels of the anatomy whose contours replace those of a model.
+        anatomy_from_pixel: (3, 3) maps (column, row, 1) to mm in the anatomy's frame by the registered pose;
+            None if not given.
     """
 
     name: str
@@ -67,7 +68,7 @@ class PlaneOverlay:
 
     @property
     def moment(self) -> str:
-        """When it was seen, as far as that is known."""
+        """Text of the time and phase, if known."""
         parts = []
         if self.event_s is not None:
             parts.append(f"{self.event_s:.1f} s")

@@ -1,4 +1,4 @@
-"""Where a triangle mesh meets a plane across a coordinate axis."""
+"""Intersect a triangle mesh with a plane across a coordinate axis."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from dvf_ig.core.arrays import FloatArray
 
 
 def plane_section(corners: FloatArray, axis: int, level: float) -> FloatArray:
-    """(s, 2, 3) segments in which triangles meet the plane where coordinate `axis` is `level`.
+    """Intersect triangles with the plane on which coordinate `axis` is `level`, as (s, 2, 3) segments.
 
     Args:
         corners: (t, 3, 3) corners of the triangles; none may lie in the plane.
         axis: 0, 1 or 2.
-        level: place of the plane along it.
+        level: position of the plane along it.
     """
     height = corners[..., axis] - level
     cut = np.flatnonzero((height.min(axis=1) < 0.0) & (height.max(axis=1) > 0.0))

@@ -1,6 +1,6 @@
-"""How real the synthetic ultrasound is: its pictures, and one page of them with every measured figure.
+"""Draw the realism of the synthetic ultrasound, and build a page with every measured figure.
 
-matplotlib is loaded when the pictures are drawn, not before.
+matplotlib is loaded when the pictures are drawn.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _PAGE_STYLE += "td:nth-child(2), td:nth-child(3) { text-align: right; } img { wi
 
 
 class BoundedFigure(Protocol):
-    """A measured figure and the interval it has to lie in."""
+    """A measured figure and the interval that it has to lie in."""
 
     @property
     def name(self) -> str: ...
@@ -48,14 +48,14 @@ class BoundedFigure(Protocol):
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class RealismPictures:
-    """What is drawn.
+    """Data of the pictures.
 
     Attributes:
-        envelopes: of homogeneous myocardium, any shape, linear.
+        envelopes: of homogeneous myocardium, linear, any shape.
         depths_mm: (samples,) depth of the receive samples.
-        imaging_depth_mm: where the image ends.
-        points_db: (lines, samples) image of point targets, re their peaks.
-        contrasts_db: echo re myocardium by tissue: (of the table, measured).
+        imaging_depth_mm: depth at which the image ends.
+        points_db: (lines, samples) image of point targets, relative to their peaks.
+        contrasts_db: echo relative to myocardium by tissue: (in the table, measured).
         attenuation_db: power over depth by tissue: ((samples,) simulated, (samples,) expected).
         hearts: standard views by motion: end-diastole, then end-systole.
     """
@@ -70,7 +70,7 @@ class RealismPictures:
 
 
 def realism_figure(shown: RealismPictures) -> Figure:
-    """Statistics above, and each heart in the standard views at its two ends below."""
+    """Draw statistics above, and each heart in the standard views at end-diastole and end-systole below."""
     from matplotlib.figure import Figure
 
     count = len(shown.hearts)
@@ -93,7 +93,7 @@ def realism_figure(shown: RealismPictures) -> Figure:
 
 
 def realism_html(figures: Iterable[BoundedFigure], picture_png: bytes, title: str) -> str:
-    """A page that needs nothing but itself."""
+    """Build a self-contained page."""
     rows = "".join(
         f"<tr class='{'ok' if f.passed else 'no'}'><td>{html.escape(f.name)}</td><td>{f.value:.4g}</td>"
         f"<td>{bounds_text(f)}</td><td>{'pass' if f.passed else 'FAIL'}</td></tr>"
@@ -106,7 +106,7 @@ def realism_html(figures: Iterable[BoundedFigure], picture_png: bytes, title: st
 
 
 def bounds_text(figure: BoundedFigure) -> str:
-    """The interval as text."""
+    """Format the interval as text."""
     if np.isinf(figure.high):
         return f"≥ {figure.low:.4g}"
     return f"{figure.low:.4g} … {figure.high:.4g}"

@@ -1,7 +1,7 @@
-"""Pictures of calibration residuals: one look tells whether a calibration can be used. Uses matplotlib.
+"""Draw calibration residuals, to judge a calibration at a glance.
 
-Blue took part, orange was left out or is the rival, black is the reference. matplotlib is loaded when a
-picture is written, not before.
+Blue is in the fit, orange is excluded or the rival, black is the reference. matplotlib is loaded when a
+picture is written.
 """
 
 from __future__ import annotations
@@ -38,17 +38,17 @@ def write_residual_picture(
     x_label: str = "pose",
     unit: str = "mm",
 ) -> None:
-    """Write residuals as a PNG: a bar each where they are few and named, else a dot each with their spread.
+    """Write residuals as a PNG: bars if they are few and named, else dots with their distribution.
 
     Args:
         path: the file; a suffix other than .png is an error.
         residuals: (n,) lengths; NaN is not drawn.
         title: one line with the result and its error.
-        used: (n,) False for what was left out of the fit; all took part where omitted.
+        used: (n,) False for items excluded from the fit; None: all were used.
         names: (n,) name of each; bars are drawn for up to MOST_BARS of them.
-        second: (n,) another error of the same items, drawn beside the first (leave-one-out, validation).
-        second_name: what that is.
-        x_label: what is counted along the axis of dots.
+        second: (n,) another error of the same items, drawn with the first (leave-one-out, validation).
+        second_name: legend of the second error.
+        x_label: of the axis of dots.
         unit: of the residuals.
     Raises:
         InvalidInputError: arrays of unequal length, no finite residual, or a suffix that is not .png.
@@ -60,9 +60,9 @@ def write_residual_picture(
     took_part = took_part & np.isfinite(values)
     if not took_part.any():
         raise InvalidInputError("there is no finite residual to draw; needed at least one that was used")
-    for what, given in (("names", names), ("second residuals", second)):
-        if given is not None and len(given) != count:
-            raise InvalidInputError(f"{len(given)} {what} for {count} residuals; needed as many")
+    for what, items in (("names", names), ("second residuals", second)):
+        if items is not None and len(items) != count:
+            raise InvalidInputError(f"{len(items)} {what} for {count} residuals; needed equal numbers")
     if names is not None and count <= MOST_BARS:
         figure = _bars(values, took_part, names, second, second_name, unit)
     else:
@@ -70,7 +70,7 @@ def write_residual_picture(
     _finish(path, figure, title)
 
 
-def write_latency_picture(path: Path | str, found: LatencyResult, *, title: str) -> None:
+def write_latency_picture(path: Path | str, latency: LatencyResult, *, title: str) -> None:
     """Write a lag as a PNG: both motions after alignment, the correlation curve, and the lag over time.
 
     Args:
@@ -85,27 +85,27 @@ def write_latency_picture(path: Path | str, found: LatencyResult, *, title: str)
 
     figure = Figure(figsize=(10.0, 6.0), layout="constrained")
     motion, curve, drift = figure.subplot_mosaic([["a", "a"], ["b", "c"]]).values()
-    motions, start = found.motions, float(found.motions.video_t_s[0])
-    gain, offset, _ = motions.line(found.lag_s)
+    motions, start = latency.motions, float(latency.motions.video_t_s[0])
+    gain, offset, _ = motions.line(latency.lag_s)
     t_s = motions.video_t_s - start
     motion.plot(t_s, (motions.row_px - offset) / gain, "o", ms=3, color=START, label="floor in the images")
     motion.plot(
         t_s,
-        motions.moved_mm(found.lag_s),
+        motions.moved_mm(latency.lag_s),
         color=ESTIMATE,
         lw=1.2,
-        label=f"tracker, shifted by {_ms(found.lag_s)}",
+        label=f"tracker, shifted by {_ms(latency.lag_s)}",
     )
     motion.set(xlabel="video time, s", ylabel="motion, mm")
     motion.margins(x=0.01, y=0.25)
     motion.legend(loc="upper right", ncols=2, fontsize=9, frameon=False)
-    _draw_curve(curve, found)
-    low, high = (1000 * value for value in found.interval_s)
+    _draw_curve(curve, latency)
+    low, high = (1000 * value for value in latency.interval_s)
     drift.axhspan(low, high, color=ESTIMATE, alpha=0.15, lw=0, label="95 % of the mean")
-    drift.axhline(1000 * found.lag_s, color=ESTIMATE, lw=1.2)
+    drift.axhline(1000 * latency.lag_s, color=ESTIMATE, lw=1.2)
     drift.plot(
-        found.period_t_s - start,
-        1000 * found.period_lags_s,
+        latency.period_t_s - start,
+        1000 * latency.period_lags_s,
         "o-",
         ms=4,
         lw=0.8,
@@ -118,12 +118,12 @@ def write_latency_picture(path: Path | str, found: LatencyResult, *, title: str)
     _finish(path, figure, title)
 
 
-def _draw_curve(axis: Axes, found: LatencyResult) -> None:
-    size = np.abs(found.correlations)
-    axis.plot(1000 * found.lags_s, size, color=TRUTH, lw=1.0)
-    for lag, color, word in ((found.lag_s, ESTIMATE, "taken"), (found.second_lag_s, START, "rejected")):
+def _draw_curve(axis: Axes, latency: LatencyResult) -> None:
+    size = np.abs(latency.correlations)
+    axis.plot(1000 * latency.lags_s, size, color=TRUTH, lw=1.0)
+    for lag, color, word in ((latency.lag_s, ESTIMATE, "taken"), (latency.second_lag_s, START, "rejected")):
         if np.isfinite(lag):
-            height = abs(found.motions.correlation(lag))
+            height = abs(latency.motions.correlation(lag))
             axis.plot(1000 * lag, height, "o", ms=7, color=color, label=f"{word}: {_ms(lag)}, r {height:.3f}")
     axis.set(xlabel="lag, ms", ylabel="|correlation|", ylim=(0, 1.25), title="match at every lag tried")
     axis.set_yticks([0, 0.5, 1.0])

@@ -1,4 +1,4 @@
-"""One picture of a scenario: the pre-operative heart over its cycle, ultrasound over the sweep, the ECG."""
+"""Draw a scenario: the pre-operative heart over its cycle, ultrasound over the sweep, the ECG."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ ECG_S = 10.0
 HALF_MM, PITCH_MM = 78.0, 1.5
 """Half the size of the planes through the heart, and their pixels."""
 CUT_MM = 1.5
-"""Surface vertices this close to a plane are drawn."""
+"""Largest distance from a plane of the surface vertices that are drawn."""
 
 _VIEWS = (("axial", 2), ("coronal", 1), ("sagittal", 0))
 
 
 def preview_png(scenario: Scenario) -> bytes:
-    """The contact sheet as a PNG."""
+    """Draw the contact sheet as a PNG."""
     return png_bytes(preview(scenario), dpi=90)
 
 
 def preview(scenario: Scenario) -> Figure:
-    """Rows: three views by PHASES phases, FRAMES ultrasound images, the first seconds of the ECG."""
+    """Draw three views by PHASES phases, FRAMES ultrasound images, and the first seconds of the ECG."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(11.0, 13.0), layout="constrained")
@@ -73,7 +73,7 @@ def _draw_preop(axes: AnyArray, preop: Preop) -> None:
 
 
 def _heart_center(preop: Preop) -> FloatArray:
-    """(3,) middle of the organ at end-diastole, frame "mr"."""
+    """Return the (3,) middle of the organ at end-diastole, frame "mr"."""
     if preop.labels is not None:
         where = np.argwhere(np.isin(preop.labels.values[0], preop.organ_labels))
         if len(where):
@@ -86,7 +86,7 @@ def _heart_center(preop: Preop) -> FloatArray:
 def _draw_slice(
     axis: Axes, shown: VolumeSeries, preop: Preop, phase: int, center: FloatArray, normal: int
 ) -> None:
-    """A plane through the heart's centre in LPS, whatever way the voxels run, with the organ's outline."""
+    """Draw a plane in LPS through the heart's centre, for any voxel axes, with the organ's outline."""
     values = _plane(shown.values[phase], shown.grid, center, normal)
     extent = (-HALF_MM, HALF_MM, -HALF_MM, HALF_MM)
     top = max(float(np.percentile(shown.values[0], 99.7)), 1.0)
@@ -100,7 +100,7 @@ def _draw_slice(
 
 
 def _plane(values: AnyArray, grid: Grid, center: FloatArray, normal: int) -> FloatArray:
-    """(n, n) values on the plane through `center`; rows run along the later of the two LPS axes."""
+    """Sample (n, n) values on the plane through `center`; rows run along the later of the two LPS axes."""
     steps = np.arange(-HALF_MM, HALF_MM + 0.5 * PITCH_MM, PITCH_MM)
     a, b = (k for k in range(3) if k != normal)
     points = np.tile(center, (len(steps), len(steps), 1))
@@ -112,13 +112,13 @@ def _plane(values: AnyArray, grid: Grid, center: FloatArray, normal: int) -> Flo
 
 
 def _head_up(axis: Axes, normal: int) -> None:
-    """Axial views show the front at the top, the others the head."""
+    """Flip axial views, so that they show the front at the top; the others show the head."""
     if normal == 2:
         axis.invert_yaxis()
 
 
 def _draw_cut(axis: Axes, preop: Preop, phase: int, center: FloatArray, normal: int) -> None:
-    """Surface vertices near the same plane, where there is no image."""
+    """Draw surface vertices near the plane, if there is no image."""
     a, b = (k for k in range(3) if k != normal)
     for series in preop.surfaces:
         vertices = series.vertices_mm[phase % len(series.vertices_mm)] - center

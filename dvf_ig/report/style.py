@@ -1,7 +1,7 @@
-"""One look for every figure: colours by what is shown, and figures as PNG and SVG.
+"""Common style of the figures: colours by meaning, and output as PNG, JPEG and SVG.
 
-Blue is what was estimated or taken, orange the start, the rival or what was left out, black the truth or the
-reference. matplotlib is loaded by the modules that draw, not here.
+Blue is an estimate or a used item, orange the start, a rival or an excluded item, black the truth or the
+reference. The modules that draw load matplotlib, not this one.
 """
 
 from __future__ import annotations
@@ -22,42 +22,42 @@ if TYPE_CHECKING:
 
 ESTIMATE, START, TRUTH = "#1f6fb4", "#e07b00", "#222222"
 WRONG = "#c43131"
-"""What is refused, or wrong as printed."""
+"""Colour of refused items and of equations as misprinted."""
 FAINT, GUIDE = "#b8b8b8", "#8a8a8a"
-"""What stands behind for comparison; lines that guide the eye."""
+"""Colours of comparison data in the background, and of guide lines."""
 REFUSED, SUSPENDED = "#d9d9d9", "#f6d5d2"
-"""Shades of times without force, and of times in which the pose was suspended."""
+"""Shades of times without force, and of times with a suspended pose."""
 ON_GREY = "#41b6e6"
-"""Outlines over grey images, where blue is too dark."""
+"""Colour of outlines over grey images, on which blue is too dark."""
 MR_ON_GREY = "#e69f00"
-"""MR over grey ultrasound; told from ON_GREY by people with any colour blindness (Okabe and Ito 2008)."""
+"""Colour of MR over grey ultrasound; safe with ON_GREY for colour-blind readers (Okabe and Ito 2008)."""
 OUTLINE = "#d35400"
-"""The surface over a field shaded blue."""
+"""Colour of the surface over a field shaded blue."""
 SERIES = (ESTIMATE, START, "#2a8c4a", "#8e44ad", "#7f6a55", WRONG)
-"""One colour each for things of equal rank, ours first."""
+"""Colours of series of equal rank, ours first."""
 BLUES = ("#9ecae1", "#4a9bd0", "#1f6fb4", "#123f6e")
-"""One parameter that grows, pale to dark."""
+"""Colours of a growing parameter, pale to dark."""
 DPI = 110
 WIDE_IN = 10.5
-"""Width of a figure that spans a page."""
+"""Width of a figure that spans a page, inches."""
 
 
 def png_bytes(figure: Figure, dpi: int = DPI) -> bytes:
-    """The figure as a PNG file's bytes; the same figure gives the same bytes."""
+    """Encode a figure as PNG; the same figure gives the same bytes."""
     buffer = BytesIO()
     figure.savefig(buffer, format="png", dpi=dpi, metadata={"Software": MARK})
     return buffer.getvalue()
 
 
 def jpeg_bytes(figure: Figure, dpi: int = DPI) -> bytes:
-    """The figure as a JPEG file's bytes: a fifth of a PNG's where speckle fills it."""
+    """Encode a figure as JPEG: a fifth of a PNG's size for speckle."""
     buffer = BytesIO()
     figure.savefig(buffer, format="jpeg", dpi=dpi, pil_kwargs={"quality": 88, "subsampling": 0})
     return buffer.getvalue()
 
 
 def svg_bytes(figure: Figure) -> bytes:
-    """The figure as an SVG file's bytes; the same figure gives the same bytes."""
+    """Encode a figure as SVG; the same figure gives the same bytes."""
     from matplotlib import rc_context
 
     buffer = BytesIO()
@@ -67,7 +67,7 @@ def svg_bytes(figure: Figure) -> bytes:
 
 
 def png_path(path: Path | str) -> Path:
-    """The path, which ends in .png.
+    """Return the path if it ends in .png.
 
     Raises:
         InvalidInputError: another suffix.
@@ -79,7 +79,7 @@ def png_path(path: Path | str) -> Path:
 
 
 def write_png(path: Path | str, figure: Figure, dpi: int = DPI) -> None:
-    """Write the figure whole or not at all.
+    """Write the figure as a whole or not at all.
 
     Raises:
         InvalidInputError: a suffix that is not .png.
@@ -91,8 +91,9 @@ def write_png(path: Path | str, figure: Figure, dpi: int = DPI) -> None:
 def time_axes(
     height_in: float, count: int = 1, *, height_ratios: Sequence[float] | None = None
 ) -> tuple[Figure, list[Axes]]:
-    """A wide figure with axes below each other that share their time; in all of them time begins and ends
-    at the same place, so that they can be read across. The legend's room is below."""
+    """Build a wide figure of stacked axes with a common time axis, aligned so that they can be read across,
+    and with room for a legend below.
+    """
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(WIDE_IN, height_in))
@@ -104,17 +105,17 @@ def time_axes(
 
 
 def legend_below(figure: Figure, handles: Sequence[Artist]) -> None:
-    """One row of what the lines and shades mean."""
+    """Draw one row of legend entries below the axes."""
     figure.legend(handles=handles, loc="lower center", ncols=len(handles), frameon=False, fontsize=9)
 
 
 def open_frame(*axes: Axes) -> None:
-    """Leave the upper and the right line of the frame out."""
+    """Hide the upper and the right line of the frame."""
     for axis in axes:
         axis.spines[["top", "right"]].set_visible(False)
 
 
 def without_ticks(*axes: Axes) -> None:
-    """Images need no ticks."""
+    """Remove the ticks, which images do not need."""
     for axis in axes:
         axis.set(xticks=[], yticks=[])

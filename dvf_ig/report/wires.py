@@ -1,8 +1,7 @@
-"""A contact sheet of segmented N-wire images: dots, wires, and why frames were left out. Uses matplotlib.
+"""Draw a contact sheet of segmented N-wire images: dots, wires, and why frames were refused.
 
 Candidate dots are thin orange rings; wires are light blue, filled, numbered in the phantom's order and joined
-by pattern.
-matplotlib is loaded when a sheet is written, not before.
+by pattern. matplotlib is loaded when a sheet is written.
 """
 
 from __future__ import annotations
@@ -67,9 +66,9 @@ def _sheet(images: AnyArray, segmentation: WireSegmentation, title: str) -> Figu
 
 
 def chosen_frames(segmentation: WireSegmentation) -> list[int]:
-    """Frames on the sheet: some with wires, then some of those left out, each spread over the recording."""
-    found = np.array([frame.found is not None for frame in segmentation.frames])
-    return _spread(np.flatnonzero(found), MOST_FOUND) + _spread(np.flatnonzero(~found), MOST_REFUSED)
+    """Choose frames for the sheet: some with wires, then some without, each spread over the recording."""
+    has_wires = np.array([frame.found is not None for frame in segmentation.frames])
+    return _spread(np.flatnonzero(has_wires), MOST_FOUND) + _spread(np.flatnonzero(~has_wires), MOST_REFUSED)
 
 
 def _spread(indices: AnyArray, most: int) -> list[int]:

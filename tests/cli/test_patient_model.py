@@ -17,7 +17,7 @@ def test_built_then_cached_then_given(
     monkeypatch.setenv("DVF_IG_CACHE", str(tmp_path))
     preop = Preop(beating_sphere.patient_id, surfaces=(beating_sphere,), surface=beating_sphere.name)
     built, origin = patient_model(preop, None)
-    assert origin.startswith(f"model built and kept in {tmp_path}")
+    assert origin.startswith(f"model built and stored in {tmp_path}")
     cached, origin = patient_model(preop, None)
     assert origin.startswith(f"model from the cache: {tmp_path}")
     assert model_digest(built) == model_digest(cached)

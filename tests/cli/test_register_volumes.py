@@ -200,7 +200,7 @@ def test_oblique_unequal_voxels_in_a_file(lab: Path, tmp_path: Path) -> None:
 
 
 WRONG = [
-    (["a.nrrd"], ["--start", "start.tfm"], 3, "does not say when"),
+    (["a.nrrd"], ["--start", "start.tfm"], 3, "does not say its phase"),
     (["a.nrrd@1.2"], ["--start", "start.tfm"], 3, "fraction of the RR interval"),
     (["a.nrrd@0", "here/../a.nrrd@0.5"], ["--start", "start.tfm"], 3, "twice"),
     (["a.nrrd=4.3"], ["--start", "start.tfm"], 2, "needs the ECG"),

@@ -158,7 +158,7 @@ def test_inspect_bad_input(tmp_path: Path) -> None:
         done = CliRunner().invoke(app, [str(tmp_path / name)])
         assert done.exit_code == 3
         assert done.stdout == ""
-    with pytest.raises(UnreadableFileError, match="of no kind known here"):
+    with pytest.raises(UnreadableFileError, match="of no kind that can be read"):
         describe(str(tmp_path / "a.xyz"))
     with pytest.raises(DvfIgError):
         describe(str(tmp_path))

@@ -15,8 +15,8 @@ from dvf_ig.io import read_json, read_lag
         ('{"a": {"b": "}{\\"b\\":",\n"b": 1}}', "line 2: 'b' is given twice"),
         ('{"a": 1, "\\u0061": 2}', "line 1: 'a' is given twice"),
         ('[{"a": 1},\n{"a": 1,\n"x": [{"y": 1}],\n"a": 2}]', "line 4: 'a' is given twice"),
-        ('{"a": "NaN",\n"b": [NaN]}', "line 2: NaN is no number of JSON; write a number, or null"),
-        ("[-Infinity]", "line 1: -Infinity is no number of JSON"),
+        ('{"a": "NaN",\n"b": [NaN]}', "line 2: NaN is not a JSON number; write a number, or null"),
+        ("[-Infinity]", "line 1: -Infinity is not a JSON number"),
     ],
 )
 def test_what_programs_read_differently_is_refused_with_its_line(

@@ -166,7 +166,7 @@ def test_frames_of_a_transform(tmp_path: Path) -> None:
     (tmp_path / "t.json").write_text('{"something": "else"}')
     assert read_transform(tmp_path / "t.tfm", "ct", "us").name == "ct_from_us"
     (tmp_path / "t.json").unlink()
-    with pytest.raises(InvalidInputError, match=r"put beside it a file t\.json"):
+    with pytest.raises(InvalidInputError, match=r"add a file t\.json"):
         read_transform(tmp_path / "t.tfm")
 
 

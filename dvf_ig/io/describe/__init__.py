@@ -1,1 +1,1 @@
-"""What a file is, in a few facts: `dvf-ig inspect`."""
+"""Describe a file in a few facts: `dvf-ig inspect`."""

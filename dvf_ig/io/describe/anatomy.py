@@ -25,7 +25,7 @@ MOST_LABELS = 32
 
 
 def image_facts(path: Path) -> Facts:
-    """Size, geometry, pixel type and range of a 3-D image or a cyclic 4-D one."""
+    """Summarise size, geometry, pixel type and range of a 3-D image or a cyclic 4-D one."""
     if image_dimension(path) == 4:
         series = read_volume_series(path)
         return {
@@ -39,7 +39,7 @@ def image_facts(path: Path) -> Facts:
 
 
 def cine_facts(path: Path) -> Facts:
-    """Of a folder of DICOM images: as of a cyclic image, and whose and from which series."""
+    """Summarise a folder of DICOM images like a cyclic image, with its patient and series."""
     cine = read_dicom_cine(path)
     return {
         "patient_id": cine.patient_id,
@@ -81,7 +81,7 @@ def _timing_facts(timing: CycleTiming) -> Facts:
 
 
 def mesh_facts(path: Path) -> Facts:
-    """Counts, extent, enclosed volume, and whether a mesh is closed."""
+    """Summarise counts, extent, enclosed volume, and whether a mesh is closed."""
     return _mesh_facts(read_mesh(path))
 
 
@@ -101,7 +101,7 @@ def _mesh_facts(mesh: Mesh) -> Facts:
 
 
 def surface_facts(path: Path) -> Facts:
-    """The surfaces of a folder, and the first of them (EPICARDIAL where there is one) in numbers."""
+    """Summarise the surfaces of a folder, with figures of EPICARDIAL or else the first one."""
     names = surface_names(path)
     series = read_surface_series(path, "EPICARDIAL" if "EPICARDIAL" in names else names[0])
     return {
@@ -115,7 +115,7 @@ def surface_facts(path: Path) -> Facts:
 
 
 def model_facts(path: Path) -> Facts:
-    """Header of a model file."""
+    """Summarise the header of a model file."""
     model = read_model(path)
     return {
         "patient_id": model.patient_id,
@@ -137,7 +137,7 @@ def model_facts(path: Path) -> Facts:
 
 
 def transform_facts(path: Path) -> Facts:
-    """Frames, angle and shift of a transform."""
+    """Summarise frames, angle and shift of a transform."""
     rigid = read_transform(path)
     return {
         "name": rigid.name,
@@ -148,12 +148,12 @@ def transform_facts(path: Path) -> Facts:
 
 
 def landmark_facts(path: Path) -> Facts:
-    """Names and positions of landmarks."""
+    """Summarise names and positions of landmarks."""
     return {"points_lps_mm": _points(read_landmarks(path, "file"))}
 
 
 def tag_facts(path: Path) -> Facts:
-    """Names and both positions of paired landmarks."""
+    """Summarise names and both positions of paired landmarks."""
     first, second = read_tag_pair(path, "first", "second")
     return {"first_lps_mm": _points(first), "second_lps_mm": _points(second)}
 

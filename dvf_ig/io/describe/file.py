@@ -1,4 +1,4 @@
-"""Say what a file is, and the few facts about it that a user wants to see before using it."""
+"""Describe a file: its kind and the few facts that a user wants to see before using it."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -44,22 +44,22 @@ Reader = Callable[[Path], Facts]
 
 @dataclass(frozen=True, slots=True)
 class Description:
-    """What a file is (`kind`, a few words) and its facts by name, ready for JSON; units are in the names."""
+    """Kind of a file in a few words, and its facts by name, ready for JSON; names include units."""
 
     kind: str
     facts: Facts
 
 
 def describe(spec: str, rate_hz: float | None = None, names: ProbeNames | None = None) -> Description:
-    """Tell what a file is by its name and content, read it, and summarise it.
+    """Identify a file by its name and content, read it, and summarise it.
 
     Args:
         spec: a path, or an ECG as `wfdb:PATH`, `edf:PATH`, `csv:PATH`, `plus:PATH`.
         rate_hz: sampling rate of an ECG table without times.
-        names: of the probe and its reference in a tracked sequence, whose joined pose is then told, too.
+        names: of the probe and its reference in a tracked sequence; their joined pose is then reported too.
     Raises:
-        UnreadableFileError: absent, of no known kind, or not readable as what it claims to be.
-        InvalidInputError: a rate for what is no ECG table, or names for what is no sequence or not in it.
+        UnreadableFileError: absent, of no known kind, or not readable as the kind that it claims to be.
+        InvalidInputError: a rate for anything but an ECG table, or names that are not in a tracked sequence.
     """
     if names_ecg(spec):
         if names is not None:
@@ -71,7 +71,7 @@ def describe(spec: str, rate_hz: float | None = None, names: ProbeNames | None =
             facts_of_ecg["annotated_beats"] = len(read_annotations(spec).t_s)
         return Description("ECG", facts_of_ecg)
     if rate_hz is not None:
-        raise InvalidInputError(f"a sampling rate belongs to an ECG as a text table; '{spec}' is none")
+        raise InvalidInputError(f"a sampling rate belongs to an ECG text table; '{spec}' is not one")
     path = Path(spec)
     if not path.exists():
         raise UnreadableFileError(f"{path} does not exist; check the name")
@@ -117,9 +117,9 @@ def _file_kind(path: Path) -> tuple[str, Reader]:
         )
         return ("tracked sequence", sequence_file_facts) if tracked else ("image", image_facts)
     raise UnreadableFileError(
-        f"{path} is of no kind known here; known are tracked sequences (.igs.mha, .igs.nrrd), images "
-        "(.nii.gz, .nrrd, .mha), meshes (.obj, .stl, .ply, .vtp), models (.npz), transforms (.tfm), "
-        "landmarks (.mrk.json, .fcsv, .tag), PLUS .xml, ECG (wfdb:, edf:, csv:, plus:) and scenario folders"
+        f"{path} is of no kind that can be read; give a tracked sequence (.igs.mha, .igs.nrrd), an image "
+        "(.nii.gz, .nrrd, .mha), mesh (.obj, .stl, .ply, .vtp), model (.npz), transform (.tfm), "
+        "landmarks (.mrk.json, .fcsv, .tag), PLUS .xml, ECG (wfdb:, edf:, csv:, plus:) or scenario folder"
     )
 
 
@@ -148,7 +148,7 @@ def _xml_facts(path: Path) -> Facts:
 
 
 def _image_map_facts(entry: CoordinateDefinition) -> Facts:
-    """Pixel size of an image's map and how far its axes are from orthogonal; or why it cannot be used."""
+    """Report pixel size and shear of an image map, or why it cannot be used."""
     if entry.source != "image" or entry.target in PIXEL_FRAMES:
         return {}
     try:
@@ -190,7 +190,7 @@ def _scenario_facts(path: Path) -> Facts:
 
 
 def _calibration_facts(scenario: Scenario) -> dict[str, Any]:
-    """Of the tool and of what was recorded to calibrate it, the probe and the latency."""
+    """Summarise the tool and the recordings for its tip, the probe and the latency."""
     tool, tip, probe, latency = scenario.tool, scenario.tip, scenario.probe, scenario.latency
     out: dict[str, Any] = {}
     if tool is not None:

@@ -1,4 +1,4 @@
-"""Facts about tracked sequences and pose streams, for `describe`: clocks, validity, and the frame tree."""
+"""Summarise tracked sequences and pose streams for `describe`: clocks, validity, and the frame tree."""
 
 from pathlib import Path
 from typing import Any
@@ -23,7 +23,7 @@ Facts = dict[str, Any]
 
 
 def sequence_file_facts(path: Path) -> Facts:
-    """Facts of a tracked sequence file, pixels of any type; 8-bit images are read in full, and so checked."""
+    """Summarise a tracked sequence file with pixels of any type; read 8-bit images in full, to check them."""
     raw = read_raw_sequence(path, pixels=False)
     sequence = read_sequence(path) if raw.is_uint8 else indexed_sequence(path, raw)[0]
     size = [raw.columns, raw.rows] if raw.columns else None
@@ -42,7 +42,7 @@ def sequence_file_facts(path: Path) -> Facts:
 
 
 def _ecg_facts(path: Path, raw: RawSequence, field: str) -> Facts:
-    """The ECG in a field, or why it cannot be used."""
+    """Summarise the ECG in a field, or report why it cannot be used."""
     try:
         signal = ecg_of_sequence(path, raw, field)
     except UnreadableFileError as exc:
@@ -51,7 +51,7 @@ def _ecg_facts(path: Path, raw: RawSequence, field: str) -> Facts:
 
 
 def signal_facts(signal: Signal) -> Facts:
-    """Leads, rate, length and missing samples of an ECG."""
+    """Summarise leads, rate, length and missing samples of an ECG."""
     return {
         "leads": list(signal.leads),
         "unit": signal.unit,
@@ -65,13 +65,13 @@ def signal_facts(signal: Signal) -> Facts:
 
 
 def _peak_to_peak(lead: FloatArray) -> float | None:
-    """Range of the delivered samples, or None where there are none."""
+    """Range of the delivered samples, or None if there are none."""
     delivered = lead[np.isfinite(lead)]
     return float(np.ptp(delivered)) if len(delivered) else None
 
 
 def sequence_facts(sequence: TrackedSequence) -> Facts:
-    """Facts of a tracked sequence."""
+    """Summarise frames, images, clock and transforms of a tracked sequence."""
     images = sequence.images
     return {
         "frames": len(sequence),
@@ -85,10 +85,10 @@ def sequence_facts(sequence: TrackedSequence) -> Facts:
 
 
 def clock_facts(t_s: FloatArray | None) -> Facts:
-    """Start, length, rate, irregularity and gaps of increasing time stamps; None where there are none.
+    """Summarise start, length, rate, irregularity and gaps of increasing time stamps; None without stamps.
 
-    `jitter_s` is the standard deviation of the steps between frames of which none is missing;
-    `missing_frames` is how many more frames would have fitted into the longer steps.
+    `jitter_s` is the standard deviation of the steps between frames without a gap;
+    `missing_frames` is the number of frames that would have fitted into the longer steps.
     """
     if t_s is None or len(t_s) < 2:
         names = ("start_s", "duration_s", "rate_hz", "jitter_s", "missing_frames", "gaps", "longest_gap_s")
@@ -107,7 +107,7 @@ def clock_facts(t_s: FloatArray | None) -> Facts:
 
 
 def stream_facts(stream: PoseStream) -> Facts:
-    """Validity, bitwise frozen share, and how far a tracked object moved and turned."""
+    """Summarise validity, the bitwise frozen share, and the motion and turn of a tracked object."""
     usable = stream.valid
     facts: Facts = {"samples": len(stream), "invalid_share": float((~usable).mean())}
     if not usable.any():
@@ -124,10 +124,9 @@ def stream_facts(stream: PoseStream) -> Facts:
 
 
 def frame_tree(edges: list[tuple[str, str]]) -> list[str]:
-    """Which frames are connected, as lines of a text tree; one tree for each group that holds together.
+    """Draw which frames are connected, as lines of a text tree; one tree per connected group.
 
-    The frame with most connections is the root of its group; a connection that would close a ring is left
-    out.
+    The frame with most connections is the root of its group; connections that close a ring are omitted.
 
     Args:
         edges: (target, source) of each transform.
@@ -168,8 +167,8 @@ def _image_maps(raw: RawSequence) -> list[tuple[str, str]]:
 
 
 def _stamp_facts(raw: RawSequence) -> Facts:
-    """How the stamps stand in the file: repeats, steps back, how far the recorder's filter moved them, and
-    where the clock restarted: frame, its stamp, size of the jump, and how many frames are not used for it.
+    """Count repeated and backward stamps, the shift by the recorder's filter, and describe a clock restart:
+    its frame, its stamp, the size of the jump, and the number of frames not used because of it.
     """
     stamps, plain = raw.numbers("Timestamp"), raw.numbers("UnfilteredTimestamp")
     if stamps is None:

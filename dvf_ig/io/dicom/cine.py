@@ -1,4 +1,4 @@
-"""A folder of DICOM images as one cyclic 4-D image: slices by their place, phases by their trigger times."""
+"""Read a folder of DICOM images as one cyclic 4-D image: slices by position, phases by trigger time."""
 
 import logging
 from dataclasses import dataclass
@@ -32,7 +32,7 @@ class DicomCine:
 
     Attributes:
         grid: LPS; values: (phases, columns, rows, slices).
-        patient_id: of every image; empty where none is recorded.
+        patient_id: shared by all images; empty if none is recorded.
         series: names of the series that it came in.
     """
 
@@ -44,23 +44,23 @@ class DicomCine:
 
 
 def is_dicom_folder(folder: Path) -> bool:
-    """Whether a folder, or one within it, holds a DICOM file."""
+    """Return whether a folder, or one within it, holds a DICOM file."""
     return folder.is_dir() and any(_is_dicom(path) for path in _regular_files(folder))
 
 
 def read_dicom_cine(folder: Path, frame: str = "mr") -> DicomCine:
-    """Read the one cine stack of a folder and the folders within it; other files are passed over.
+    """Read the one cine stack of a folder and the folders within it; skip other files.
 
     Slices are ordered along their common normal, phases by trigger time (0018,1060), which divided by the RR
-    interval (0018,1062, or of the heart rate 0018,1088) gives the phase; mean over slices, each of which was
-    acquired at its own RR. Without trigger times the instance numbers order the phases, at i/N, and without
-    RR intervals the step after the last phase ends the cycle; both are marked as assumed.
+    interval (0018,1062, or from the heart rate 0018,1088) gives the phase, averaged over slices, because each
+    was acquired at its own RR. Without trigger times the instance numbers order the phases, at i/N; without
+    RR intervals the cycle ends one step after the last phase. Both are marked as assumed.
 
     Args:
         frame: name of the images' LPS frame.
     Raises:
         UnreadableFileError: no DICOM, several patients, orientations or matrix sizes, a slice or a phase
-            missing or there twice, enhanced DICOM, or an image that cannot be read.
+            missing or present twice, enhanced DICOM, or an image that cannot be read.
     """
     with reading(folder, WHAT):
         stack, images = _stack(folder)
@@ -69,7 +69,7 @@ def read_dicom_cine(folder: Path, frame: str = "mr") -> DicomCine:
         needed = 4 * columns * rows * len(flat)
         if needed > limits.VOXEL_BYTES:
             raise UnreadableFileError(
-                f"{folder}: its images need {needed:.3g} bytes; at most {limits.VOXEL_BYTES:.3g} are read"
+                f"{folder}: its images need {needed:.3g} bytes; at most {limits.VOXEL_BYTES:.3g} can be read"
             )
         pixels = read_pixels(flat, columns, rows)
         for path in flat:
@@ -84,7 +84,7 @@ def read_dicom_cine(folder: Path, frame: str = "mr") -> DicomCine:
 
 
 def dicom_patient_id(folder: Path) -> str:
-    """The patient (0010,0020) whose cine a folder holds; empty where none is recorded.
+    """Read the patient (0010,0020) of a cine folder; empty if none is recorded.
 
     Raises:
         UnreadableFileError: as `read_dicom_cine`.
@@ -100,19 +100,19 @@ def _stack(folder: Path) -> tuple[CineStack, list[CineImage]]:
 
 
 def _dicom_files(folder: Path) -> list[Path]:
-    found = _regular_files(folder)
-    files = [path for path in found if _is_dicom(path)]
+    candidates = _regular_files(folder)
+    files = [path for path in candidates if _is_dicom(path)]
     if not files:
         raise UnreadableFileError(f"{folder} holds no DICOM image; needed the images of a short-axis cine")
     limits.require_count(len(files), limits.DICOM_FILES, "DICOM files")
-    passed = len(found) - len(files)
-    if passed:
-        log.warning("%s: %d files that are no DICOM images were passed over", folder, passed)
+    skipped = len(candidates) - len(files)
+    if skipped:
+        log.warning("%s: %d files that are not DICOM images were skipped", folder, skipped)
     return files
 
 
 def _regular_files(folder: Path) -> list[Path]:
-    """Files below a folder in order of their names; neither links nor hidden ones, nor an index."""
+    """List the files below a folder by name, without links, hidden files and DICOMDIR."""
     return sorted(
         path
         for path in folder.rglob("*")
@@ -127,7 +127,7 @@ def _is_dicom(path: Path) -> bool:
 
 
 def _whole(values: NDArray[np.float32]) -> NDArray[np.float32] | NDArray[np.int16]:
-    """As 16-bit integers where that is what they are."""
+    """Convert to 16-bit integers if no value changes."""
     info = np.iinfo(np.int16)
     if values.min() >= info.min and values.max() <= info.max and (values == np.rint(values)).all():
         return values.astype(np.int16)

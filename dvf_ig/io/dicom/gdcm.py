@@ -1,4 +1,4 @@
-"""Tags and pixels of DICOM files by SimpleITK's GDCM, in a process of its own with limits."""
+"""Read tags and pixels of DICOM files with SimpleITK's GDCM, in a separate process with limits."""
 
 import json
 import subprocess
@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from dvf_ig.core.errors import UnreadableFileError
 
 _SECONDS, _SECONDS_A_FILE, _MEMORY_BYTES = 30.0, 0.1, 4 << 30
-"""A file takes 1 to 5 ms from a disk, some tens from a busy network drive."""
+"""Time and memory limits: a file takes 1 to 5 ms from a disk, some tens of ms from a busy network drive."""
 _VALUE_CHARACTERS = 1 << 10
-"""Of a tag that is wanted; the longest, a position, has at most 3 x 16 characters."""
+"""Most characters of a requested tag; the longest, a position, has at most 3 x 16."""
 _CHILD = """
 import json, resource, sys
 task = json.loads(sys.stdin.read())
@@ -47,23 +47,23 @@ print(json.dumps({"done": True}))
 """
 
 Header = dict[str, Any]
-"""Of one file: `size` as GDCM finds it, `components` a pixel, and `tags`, text by "group|element"."""
+"""Header of one file: `size` and `components` per pixel as GDCM reads them, `tags` by "group|element"."""
 
 
 def read_headers(files: Sequence[Path], tags: Sequence[str]) -> list[Header]:
-    """The wanted tags of every file, in their order.
+    """Read the requested tags of every file, in the order of the files.
 
     Raises:
-        UnreadableFileError: one that GDCM cannot read, or does not end reading.
+        UnreadableFileError: GDCM cannot read a file, or does not finish in time.
     """
     return _run(files, tags, None, (0, 0))
 
 
 def read_pixels(files: Sequence[Path], columns: int, rows: int) -> NDArray[np.float32]:
-    """(n, rows, columns) grey levels after the rescale slope and intercept of each file.
+    """Read (n, rows, columns) grey levels, rescaled by the slope and intercept of each file.
 
     Raises:
-        UnreadableFileError: as `read_headers`, or another size than that given.
+        UnreadableFileError: as `read_headers`, or a size other than `columns` x `rows`.
     """
     with tempfile.TemporaryDirectory(prefix="dvf_ig_") as folder:
         raw = Path(folder) / "pixels"
@@ -87,14 +87,14 @@ def _run(
     }
     command = [sys.executable, "-W", "ignore", "-c", _CHILD]
     try:
-        done = subprocess.run(
+        process = subprocess.run(
             command,
             input=json.dumps(task).encode(),
             capture_output=True,
             timeout=_SECONDS + _SECONDS_A_FILE * len(files),
             check=False,
         )
-        output = done.stdout
+        output = process.stdout
     except subprocess.TimeoutExpired as exc:
         output = exc.stdout or b""
     lines = [json.loads(line) for line in output.splitlines() if line.endswith(b"}")]

@@ -1,4 +1,4 @@
-"""What a cine's images say of themselves: place, time in the cycle, patient."""
+"""Headers of cine images: position, time in the cycle, patient."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -31,7 +31,7 @@ TAGS = (
     HEART_RATE,
 )
 _UNIT = 1e-3
-"""How far the stored axes of an image may be from unit length and from orthogonal."""
+"""Tolerance of the stored axes of an image: unit length and orthogonality."""
 
 
 @read_only_arrays
@@ -46,8 +46,8 @@ class CineImage:
         position_mm: (3,) centre of the first pixel, LPS.
         axes: (2, 3) unit directions of growing column and of growing row, LPS.
         spacing_mm: (2,) between columns, between rows.
-        trigger_s: since the R peak (0018,1060); None where it is not recorded.
-        rr_s: by nominal interval (0018,1062) or heart rate (0018,1088); None where neither is recorded.
+        trigger_s: since the R peak (0018,1060); None if not recorded.
+        rr_s: from nominal interval (0018,1062) or heart rate (0018,1088); None if neither is recorded.
         number: of the instance within its series.
     """
 
@@ -67,15 +67,15 @@ class CineImage:
 
     @property
     def normal(self) -> FloatArray:
-        """(3,) right-handed with the axes."""
+        """(3,) unit normal, right-handed with the axes."""
         return np.asarray(np.cross(self.axes[0], self.axes[1]))
 
 
 def read_images(files: Sequence[Path]) -> list[CineImage]:
-    """The images of DICOM files; not their pixels.
+    """Read the headers of DICOM files, without their pixels.
 
     Raises:
-        UnreadableFileError: one that cannot be read, holds several frames or colours, or has no place.
+        UnreadableFileError: a file cannot be read, holds several frames or colours, or has no position.
     """
     return [_image(file, header) for file, header in zip(files, read_headers(files, TAGS), strict=True)]
 
@@ -90,7 +90,7 @@ def _image(path: Path, header: Header) -> CineImage:
             "dcm2niix, and give its times as timing.json"
         )
     if header["components"] != 1 or not all(0 < n <= limits.AXIS for n in size):
-        raise UnreadableFileError(f"{path} is no image of grey levels of a plausible size")
+        raise UnreadableFileError(f"{path} is not a grey-level image of a plausible size; export it again")
     axes = _numbers(path, tags, ORIENTATION, "orientation", 6).reshape(2, 3)
     if np.abs(axes @ axes.T - np.eye(2)).max() > _UNIT:
         raise UnreadableFileError(f"{path}: its axes are not orthogonal; export it again")
@@ -134,7 +134,7 @@ def _numbers(path: Path, tags: dict[str, str], tag: str, name: str, count: int) 
 
 
 def _optional(path: Path, tags: dict[str, str], tag: str) -> float | None:
-    """A number that need not be there; None where it is not."""
+    """Read an optional number; None if the tag is empty."""
     text = tags.get(tag, "")
     if not text:
         return None
@@ -144,6 +144,6 @@ def _optional(path: Path, tags: dict[str, str], tag: str) -> float | None:
         value = np.nan
     if not (0 <= value <= 1e9):
         raise UnreadableFileError(
-            f"{path}: ({tag.replace('|', ',')}) is '{text[:30]}'; needed a number from 0 on"
+            f"{path}: ({tag.replace('|', ',')}) is '{text[:30]}'; needed a number of at least 0"
         )
     return value

@@ -1,4 +1,4 @@
-"""Images of a cine in order: slices along the normal, phases along the cycle; none missing, none twice."""
+"""Order cine images: slices along the normal, phases along the cycle, with none missing or repeated."""
 
 import logging
 from collections.abc import Callable, Sequence
@@ -16,22 +16,22 @@ from .header import CineImage
 log = logging.getLogger(__name__)
 
 SAME_PLACE_MM = 0.1
-"""Slices this close are one. Positions have three decimals or more; slices lie millimetres apart."""
+"""Slices this close are the same slice; positions have three decimals or more, slices are mm apart."""
 SAME_DIRECTION = 1e-3
-"""Difference of unit vectors: 0.06 degrees, 0.1 mm at the edge of the image."""
+"""Largest difference of equal unit vectors: 0.06 degrees, 0.1 mm at the edge of the image."""
 UNEVEN = 0.1
-"""By which share of their distance slices may be unevenly spaced: 1 mm in 10 mm."""
+"""Allowed variation of the slice spacing as a fraction of it: 1 mm in 10 mm."""
 MISSING_STEP = 1.6
-"""A step of trigger times this many times the usual one has a phase missing: with one left out it is 2."""
+"""Ratio of a trigger-time step to the usual step above which a phase is missing: one missing gives 2."""
 
 
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class CineStack:
-    """Images by slice and phase, and the grid they make.
+    """Images by slice and phase, with the grid that they form.
 
     Attributes:
-        images: one row a slice, along the normal; in it one image a phase.
+        images: one row per slice, along the normal, with one image per phase.
         origin_mm, spacing_mm, direction: (3,), (3,), (3, 3) of columns, rows and slices, LPS.
         timing: of the phases.
     """
@@ -44,11 +44,11 @@ class CineStack:
 
 
 def stack_of(folder: Path, images: Sequence[CineImage]) -> CineStack:
-    """Put images in order.
+    """Put images in order by slice and phase.
 
     Raises:
-        UnreadableFileError: they are not one stack of one patient, complete in space and time; in one
-            sentence that says which is not.
+        UnreadableFileError: the images are not one stack of one patient, complete in space and time;
+            names what is missing or differs.
     """
     _require_one_acquisition(folder, images)
     first = images[0]
@@ -95,10 +95,10 @@ def _require_one_acquisition(folder: Path, images: Sequence[CineImage]) -> None:
 def _require_one(
     folder: Path, images: Sequence[CineImage], what: str, value: Callable[[CineImage], str]
 ) -> None:
-    found = list(dict.fromkeys(value(image) for image in images))
-    if len(found) > 1:
+    values = list(dict.fromkeys(value(image) for image in images))
+    if len(values) > 1:
         raise UnreadableFileError(
-            f"{folder} holds images of {len(found)} {what}: {', '.join(found[:4])}; put the one cine stack "
+            f"{folder} holds images of {len(values)} {what}: {', '.join(values[:4])}; put the one cine stack "
             "that is meant into a folder of its own"
         )
 
@@ -169,8 +169,8 @@ def _require_equal_counts(folder: Path, slices: Sequence[Sequence[CineImage]], h
 
 def _timing(folder: Path, slices: Sequence[Sequence[CineImage]], timed: bool) -> CycleTiming:
     """Mean over slices of trigger time over RR, each slice having been acquired at its own RR."""
-    known = [one.rr_s for row in slices for one in row if one.rr_s is not None]
-    rr_s = float(np.mean(known)) if known else None
+    intervals = [one.rr_s for row in slices for one in row if one.rr_s is not None]
+    rr_s = float(np.mean(intervals)) if intervals else None
     if not timed:
         if rr_s is None:
             return CycleTiming.uniform(len(slices[0]), 1.0, rr_assumed=True)

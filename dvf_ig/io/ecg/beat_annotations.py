@@ -1,4 +1,4 @@
-"""What an expert wrote beside an ECG: each beat with its kind, and the rhythm from moment to moment."""
+"""Expert annotations of an ECG: each beat with its kind, and the rhythm over time."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,7 +25,7 @@ _CODES = {
     38: "f",
     41: "r",
 }
-"""By number: those of beats. Source: WFDB, ecgcodes.h."""
+"""Beat symbols by annotation code. Source: WFDB, ecgcodes.h."""
 _SKIP, _TEXT = 59, 63
 
 
@@ -45,20 +45,20 @@ class BeatAnnotations:
     rhythms: tuple[tuple[float, str], ...]
 
     def within(self, rhythm: str, t_s: FloatArray) -> BoolArray:
-        """(n,) True where `rhythm` holds at times `t_s`."""
+        """Return (n,) True if `rhythm` holds at times `t_s`."""
         starts = np.array([start for start, _ in self.rhythms])
         names = np.array(["", *(name for _, name in self.rhythms)])
         return np.asarray(names[np.searchsorted(starts, t_s, side="right")] == rhythm)
 
 
 def read_annotations(spec: str) -> BeatAnnotations:
-    """Beats and rhythms of a WFDB record.
+    """Read beats and rhythms of a WFDB record.
 
     Args:
         spec: `wfdb:PATH` or one of the record's files; PATH.atr and PATH.hea must exist.
     Raises:
-        UnreadableFileError: no annotations, not readable, or cut off: what an expert's list lacks would count
-            as beats that are not there.
+        UnreadableFileError: no annotations, not readable, or truncated: missing annotations would count as
+            false detections.
     """
     kind, path = split_spec(spec)
     if kind != "wfdb":
@@ -83,9 +83,9 @@ def read_annotations(spec: str) -> BeatAnnotations:
 
 
 def _notes(path: Path, data: bytes) -> list[tuple[int, int, str]]:
-    """(sample, code, text) of each annotation, and whether the end mark was there.
+    """Decode (sample, code, text) of each annotation; raise if the end mark is missing.
 
-    Source: WFDB annot(5), MIT format: words of 6 bits of code and 10 of time since the annotation before.
+    Source: WFDB annot(5), MIT format: words of 6 bits code and 10 bits time since the previous annotation.
     """
     notes: list[tuple[int, int, str]] = []
     words = np.frombuffer(data[: len(data) // 2 * 2], "<u2")
@@ -106,7 +106,7 @@ def _notes(path: Path, data: bytes) -> list[tuple[int, int, str]]:
                 notes[-1] = (*notes[-1][:2], text)
             if text.startswith("## time resolution"):
                 raise UnreadableFileError(
-                    f"{path} has a time resolution of its own; convert it to the record's"
+                    f"{path} states its own time resolution; convert it to that of the record"
                 )
         elif code < _SKIP:
             sample += value

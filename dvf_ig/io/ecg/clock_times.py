@@ -13,7 +13,7 @@ _CLOCK = re.compile(
 
 
 def clock_seconds(text: str) -> float | None:
-    """Seconds since midnight, or since the recording began; None where the text is no such time."""
+    """Parse seconds since midnight, or since the recording began; None if the text is not such a time."""
     match = _CLOCK.fullmatch(text)
     if match is None:
         return None
@@ -22,5 +22,5 @@ def clock_seconds(text: str) -> float | None:
 
 
 def past_midnight(t_s: FloatArray) -> FloatArray:
-    """(n,) times that go on where the time of day begins again."""
+    """Unwrap (n,) times of day across midnight."""
     return np.asarray(np.unwrap(t_s, period=DAY_S))

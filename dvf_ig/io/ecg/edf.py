@@ -1,4 +1,4 @@
-"""EDF recordings: a header of fixed fields, then records of a second or so with the samples of every lead.
+"""Read EDF recordings: a header of fixed fields, then records of about 1 s with samples of every lead.
 
 Source: Kemp & Olivan 2003, "European data format 'plus' (EDF+)".
 """
@@ -22,17 +22,17 @@ from .units import in_millivolts
 log = logging.getLogger(__name__)
 
 MOST_DECIMALS = 8
-"""A step of an EDF lead with more than these is no round number."""
+"""Largest number of decimals of a lead's step that counts as a round number."""
 MOST_LEADS = 512
 _FIXED = {"records": (236, 8), "duration": (244, 8), "leads": (252, 4)}
 _WIDTHS = (16, 80, 8, 8, 8, 8, 8, 80, 8, 32)
-"""Of the fields of a lead, each of which stands there for all leads before the next one."""
+"""Width of each field of a lead; a field is stored for all leads before the next field."""
 _ANNOTATIONS = "EDF Annotations"
 
 
 @dataclass(frozen=True, slots=True)
 class _Lead:
-    """A lead's label, unit, physical and digital range, samples a record, and where these begin in it."""
+    """A lead's label, unit, physical and digital range, samples per record, and their offset in it."""
 
     label: str
     unit: str
@@ -43,9 +43,9 @@ class _Lead:
 
 
 def read_edf(path: Path) -> Signal:
-    """The ECG leads of an EDF file in mV: those labelled ECG, or all where none is.
+    """Read the ECG leads of an EDF file in mV: those labelled ECG, or all if none is.
 
-    Of a file that ends early, the whole records are read, and a warning says how much is missing.
+    From a truncated file the complete records are read, and a warning says how much is missing.
 
     Raises:
         UnreadableFileError: absent, damaged, interrupted (EDF+D), or leads of different rates.
@@ -72,31 +72,31 @@ def read_edf(path: Path) -> Signal:
 
 
 def _records(path: Path, data: bytes, samples: int, duration_s: float, leads: int) -> int:
-    """How many whole records there are."""
+    """Count the complete records; warn of missing ones."""
     size, stated = 2 * samples, int(_number(path, data, "records"))
-    held = len(data) - 256 * (leads + 1)
-    whole = held // size
+    available = len(data) - 256 * (leads + 1)
+    whole = available // size
     limits.require_count(whole * samples, limits.SAMPLES, "samples")
     if whole < 1:
         raise UnreadableFileError(f"{path} is truncated: it holds no whole record; export it again")
     if stated < 0 or whole < stated:
-        said = (
+        problem = (
             "does not say how many records it has, as when a recorder is stopped"
             if stated < 0
             else (f"is truncated: it has {whole} of {stated} records")
         )
         missing = "" if stated < 0 else f"; the last {(stated - whole) * duration_s:g} s are missing"
-        log.warning("%s %s: %g s are read%s", path, said, whole * duration_s, missing)
-    elif held != stated * size:
+        log.warning("%s %s: %g s are read%s", path, problem, whole * duration_s, missing)
+    elif available != stated * size:
         raise UnreadableFileError(
-            f"{path} is longer than its header says: {held} bytes of samples, its {stated} records have "
+            f"{path} is longer than its header says: {available} bytes of samples, its {stated} records have "
             f"{stated * size}; export it again"
         )
     return whole
 
 
 def _number(path: Path, data: bytes, name: str) -> float:
-    """A number of the fixed part of the header."""
+    """Read a number of the fixed part of the header."""
     at, width = _FIXED[name]
     text = data[at : at + width].decode("latin-1").strip()
     if name == "duration":
@@ -130,7 +130,7 @@ def _leads(path: Path, data: bytes) -> list[_Lead]:
 
 
 def _text(cell: bytes) -> str:
-    """A field of the header; what is no character that can be printed is a blank."""
+    """Decode a header field; replace characters that cannot be printed by blanks."""
     return "".join(c if c.isprintable() else " " for c in cell.decode("latin-1")).strip()
 
 
@@ -145,10 +145,10 @@ def _real(path: Path, what: str, text: str) -> float:
 
 
 def _physical(path: Path, lead: _Lead, counts: AnyArray) -> FloatArray:
-    """(n,) values in the lead's unit: whole numbers of the step that its header's ranges give.
+    """Convert counts to (n,) values in the lead's unit, as multiples of the step that the ranges give.
 
-    A step of few decimals, such as 0.0025 mV, is taken as these, not as the quotient of the ranges, and its
-    multiples are the decimals that they are: what was digitised in such steps comes back bit for bit.
+    A step with few decimals, such as 0.0025 mV, is used as that decimal, not as the quotient of the ranges,
+    and its multiples are rounded to decimals: samples digitised in such steps come back bit for bit.
     """
     (low, high), (digital_low, digital_high) = lead.physical, lead.digital
     if low == high or digital_low >= digital_high:
@@ -165,5 +165,5 @@ def _physical(path: Path, lead: _Lead, counts: AnyArray) -> FloatArray:
 
 
 def _decimals(number: str) -> int:
-    """Digits after the decimal point."""
+    """Count the digits after the decimal point."""
     return -int(Decimal(number).as_tuple().exponent)

@@ -1,4 +1,4 @@
-"""The sampling rate of evenly spaced, possibly rounded, sample times."""
+"""Estimate the sampling rate of evenly spaced, possibly rounded, sample times."""
 
 from pathlib import Path
 
@@ -9,7 +9,7 @@ from dvf_ig.core.errors import UnreadableFileError
 
 
 def even_rate_hz(path: Path, t_s: FloatArray) -> float:
-    """Sampling rate of evenly spaced times, the roundest one that gives exactly these times.
+    """Estimate the sampling rate of evenly spaced times: the roundest one that gives exactly these times.
 
     Raises:
         UnreadableFileError: a time is not finite, repeats, or is more than half a sample out of step.
@@ -38,7 +38,7 @@ def even_rate_hz(path: Path, t_s: FloatArray) -> float:
 
 
 def _neighbours(value: float, count: int = 8) -> list[float]:
-    """The floats closest to `value`, nearest first."""
+    """List the floats closest to `value`, nearest first."""
     up, down, out = value, value, [value]
     for _ in range(count):
         up, down = float(np.nextafter(up, np.inf)), float(np.nextafter(down, 0.0))

@@ -38,19 +38,19 @@ def read_ecg(spec: str, rate_hz: float | None = None) -> Signal:
     Args:
         spec: `wfdb:PATH` (record, with or without suffix), `edf:PATH`, `csv:PATH` (see `read_ecg_table`),
             `plus:PATH` or `plus:PATH#FIELD` (a tracked sequence with an ECG in it: `read_ecg_field`), or the
-            path alone where its ending (.hea, .dat, .edf, .csv, .tsv, .mha, .nrrd) says which.
+            path alone if its ending (.hea, .dat, .edf, .csv, .tsv, .mha, .nrrd) implies the format.
         rate_hz: sampling rate of a text table without times.
     Returns:
-        all leads; NaN where the recorder delivered no sample; WFDB and EDF start at 0 s, a sequence's ECG
-        on the sequence's clock.
+        all leads, NaN for missing samples; WFDB and EDF start at 0 s, the ECG of a sequence uses the
+        sequence's clock.
     Raises:
-        InvalidInputError: `spec` names no known format, or a rate goes with a file that states its own.
+        InvalidInputError: `spec` names no known format, or a rate is given for a file that states its own.
         UnreadableFileError: absent, damaged, or unevenly sampled.
         MissingDependencyError: WFDB or EDF without `pip install "dvf-ig[ecg]"`.
     """
     kind, path = split_spec(spec)
     if rate_hz is not None and kind != "csv":
-        raise InvalidInputError(f"'{spec}' states its own sampling rate; leave out the one of {rate_hz:g} Hz")
+        raise InvalidInputError(f"'{spec}' states its own sampling rate; omit --rate {rate_hz:g}")
     with reading(path, f"an ECG ({kind})"):
         if kind == "wfdb":
             signal = read_wfdb(path)
@@ -63,10 +63,10 @@ def read_ecg(spec: str, rate_hz: float | None = None) -> Signal:
 
 
 def require_plausible(path: Path, signal: Signal) -> None:
-    """Refuse what is no voltage, and a recording without any sample; warn of a lead without.
+    """Refuse values that are not voltages and recordings without samples; warn of an empty lead.
 
     Raises:
-        UnreadableFileError: says which.
+        UnreadableFileError: names the problem and the file.
     """
     limits.require_times(signal.start_s, "its first time")
     largest = _largest(signal.samples)
@@ -83,7 +83,7 @@ def require_plausible(path: Path, signal: Signal) -> None:
 
 
 def _largest(samples: FloatArray) -> float:
-    """The largest magnitude of all; NaN where every sample is missing."""
+    """Return the largest magnitude; NaN if every sample is missing."""
     ends = (float(samples.max()), float(samples.min()))
     if np.isnan(ends[0]):
         ends = (float(np.fmax.reduce(samples, axis=None)), float(np.fmin.reduce(samples, axis=None)))
@@ -91,10 +91,8 @@ def _largest(samples: FloatArray) -> float:
 
 
 def split_spec(spec: str) -> tuple[str, Path]:
-    """`wfdb:PATH` → ("wfdb", PATH); `100.dat` → ("wfdb", 100.dat); `plus:PATH#FIELD` → ("plus", PATH).
-
-    Raises:
-        InvalidInputError: an unknown prefix, or neither a prefix nor an ending that says the format.
+    """Split an ECG name into its kind and path: `wfdb:PATH` → ("wfdb", PATH), `100.dat` → ("wfdb", 100.dat),
+    `plus:PATH#FIELD` → ("plus", PATH).
     """
     kind, colon, path = str(spec).partition(":")
     if kind == "plus" and path:
@@ -106,31 +104,31 @@ def split_spec(spec: str) -> tuple[str, Path]:
     by_ending = _kind_by_name(spec)
     if by_ending is None:
         raise InvalidInputError(
-            f"'{spec}' names no ECG; write wfdb:RECORD, edf:FILE, csv:FILE or plus:SEQUENCE (an ending "
-            ".hea, .dat, .edf, .csv or .igs.mha says it too)"
+            f"'{spec}' names no ECG; write wfdb:RECORD, edf:FILE, csv:FILE or plus:SEQUENCE (or a file "
+            "with the ending .hea, .dat, .edf, .csv or .igs.mha)"
         )
     return by_ending, Path(spec)
 
 
 def _without_field(path: str) -> str:
-    """ "sweep.igs.mha#EcgData" → "sweep.igs.mha"; a file's own name may hold a # as well."""
+    """Remove "#FIELD" from a path, unless a file's own name contains the #."""
     return path.rpartition("#")[0] if "#" in path and not Path(path).exists() else path
 
 
 def _field(spec: str) -> str | None:
-    """ "plus:sweep.igs.mha#EcgData" → "EcgData"; None where no field is named."""
+    """Return the field of "plus:sweep.igs.mha#EcgData"; None if no field is named."""
     path = spec.removeprefix("plus:")
     return path[len(_without_field(path)) + 1 :] or None
 
 
 def _kind_by_name(path: str) -> str | None:
-    """The format that the ending says; a record named without its ending has a header beside it."""
+    """Return the format implied by the ending; a WFDB record may be named without its ending."""
     kind = _KIND_OF_ENDING.get(Path(path).suffix.lower())
     return "wfdb" if kind is None and path and Path(f"{path}.hea").is_file() else kind
 
 
 def names_ecg(spec: str) -> bool:
-    """Whether a path is an ECG's by its prefix or its ending; a sequence, which may hold one, is not."""
+    """Return whether a path names an ECG by prefix or ending; a sequence, which may contain one, does not."""
     return spec.partition(":")[0] in KINDS or _kind_by_name(spec) is not None
 
 
@@ -143,7 +141,7 @@ def write_ecg_csv(signal: Signal, path: Path | str) -> None:
     """
     for lead in signal.leads:
         if re.search(r"[,\[\]\r\n\"]", lead):
-            raise InvalidInputError(f"lead name '{lead}' cannot stand in a CSV header; rename the lead")
+            raise InvalidInputError(f"lead name '{lead}' cannot be used in a CSV header; rename the lead")
     note = "" if signal.unit == "mV" else f" [{signal.unit}]"
     table = np.column_stack([signal.t_s, signal.samples]).tolist()
     lines = [",".join(["t_s", *(lead + note for lead in signal.leads)])]

@@ -1,4 +1,4 @@
-"""ECG as a text table: one row a sample; commas, semicolons, tabs or blanks; perhaps a header and times."""
+"""Read an ECG from a text table: one row per sample, any usual separator, optional header and times."""
 
 import logging
 import re
@@ -22,18 +22,18 @@ _TIME_NAMES = {"t", "time", "times", "timestamp", "timestamps", "elapsed time", 
 _COUNT_NAMES = {"sample", "samples", "sample #", "index", "sample index", "sample number"}
 _IN_ONE_SECOND = {"s": 1.0, "sec": 1.0, "ms": 1e3, "us": 1e6, "µs": 1e6, "μs": 1e6, "ns": 1e9}
 _LONGEST_STEP_S = 0.05
-"""Slower than 20 Hz is no ECG; with steps of 0.05 ms and more (20 kHz), no two time units fit one step."""
+"""Below 20 Hz it is no ECG; with steps of 0.02 ms or more (50 kHz), only one time unit fits a step."""
 _SHORTEST_STEP_S = 2e-5
 _LATEST = 1e19
-"""Nanoseconds since 1970 reach 1.8e18."""
+"""Largest plausible time: nanoseconds since 1970 reach 1.8e18."""
 
 
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class _Table:
-    """Names of the columns (None without a header) and (n, columns) values; NaN where a cell is empty.
+    """Column names (None without a header) and (n, columns) values; NaN for empty cells.
 
-    `clock` is the column that held times of day or elapsed times, now in s.
+    `clock` is the column with times of day or elapsed times, converted to s.
     """
 
     names: tuple[str, ...] | None
@@ -42,14 +42,14 @@ class _Table:
 
 
 def read_ecg_table(path: Path, rate_hz: float | None = None) -> Signal:
-    """Read an ECG from a text table, one row a sample.
+    """Read an ECG from a text table, one row per sample.
 
     Cells are separated by commas, semicolons, tabs or blanks; with semicolons, tabs or one column alone a
     comma may be the decimal mark. A header names the columns, `t_s,II,V1` or `Timestamp;ECG (mV)`; a second
-    row may hold their units, as rdsamp of PhysioNet writes them. Times stand in a column named t, time or
-    timestamp, or in a first column that always increases; a unit in its name counts (`t_ms`, `time [ms]`),
-    else the unit is the one of s, ms, µs and ns that gives 20 Hz or more. Times of day and elapsed times
-    (13:59:50.004, 0:02.778) are taken as seconds since midnight or the beginning. Leads are in mV unless
+    row may hold their units, as rdsamp of PhysioNet writes them. Times are in a column named t, time or
+    timestamp, or in a first column that always increases; their unit is the one in its name (`t_ms`,
+    `time [ms]`), else the one of s, ms, µs and ns that gives 20 Hz or more. Times of day and elapsed times
+    (13:59:50.004, 0:02.778) become seconds since midnight or since the start. Leads are in mV unless
     their names say otherwise.
 
     Args:
@@ -79,7 +79,7 @@ def read_ecg_table(path: Path, rate_hz: float | None = None) -> Signal:
     measured_hz = even_rate_hz(path, t_s)
     if rate_hz is not None and abs(rate_hz - measured_hz) > 0.01 * measured_hz:
         raise UnreadableFileError(
-            f"{path}: its times are of {measured_hz:.4g} Hz, the rate given is {rate_hz:g} Hz; leave it out"
+            f"{path}: its times are at {measured_hz:.4g} Hz, but --rate is {rate_hz:g} Hz; omit it"
         )
     return Signal(samples, rate_hz or measured_hz, float(t_s[0]), labels, unit)
 
@@ -114,7 +114,7 @@ def _parse(path: Path, text: str) -> _Table:
 
 
 def _with_units(header: list[str], rows: list[str], separator: str) -> tuple[list[str], list[str]]:
-    """The names with the units that a second row gives, and the rows after it."""
+    """Add the units of a second row to the names, and return the rows after it."""
     units = _cells(rows[0], separator)
     if len(units) != len(header) or any(_is_number(cell, separator) for cell in units):
         return header, rows
@@ -123,7 +123,7 @@ def _with_units(header: list[str], rows: list[str], separator: str) -> tuple[lis
 
 
 def _without_clock(rows: list[str], separator: str) -> tuple[list[str], int | None]:
-    """The rows with times of day as seconds, and the column in which they stood."""
+    """Convert times of day to seconds, and return the rows and the column of these times."""
     first = [clock_seconds(cell) for cell in _cells(rows[0], separator)] if rows else []
     at = next((i for i, seconds in enumerate(first) if seconds is not None), None)
     if at is None:
@@ -149,7 +149,7 @@ def _is_number(cell: str, separator: str) -> bool:
 
 
 def _decimal_commas(header: list[str] | None, rows: list[str]) -> bool:
-    """Whether the one comma a row is a decimal mark: under one name, or before digits such as 05."""
+    """Return whether each row's one comma is a decimal mark: under one name, or before digits like 05."""
     if any(row.count(",") != 1 or "." in row for row in rows[:1000]):
         return False
     if header is not None:
@@ -158,8 +158,9 @@ def _decimal_commas(header: list[str] | None, rows: list[str]) -> bool:
 
 
 def _time_column(table: _Table) -> int | None:
-    """The column of times of day or named as a time; else the first of several, where it always increases and
-    does not count."""
+    """Find the column of times of day or with a time name; else the first of several columns if it always
+    increases and is not a sample count.
+    """
     if table.clock is not None:
         return table.clock
     for i, name in enumerate(table.names or ()):
@@ -171,7 +172,7 @@ def _time_column(table: _Table) -> int | None:
 
 
 def _count_column(table: _Table) -> int | None:
-    """The column of sample numbers: named so, or without a header the first of several, if it is n, n+1, …"""
+    """Find the column of sample numbers: by name, or without a header a first column n, n+1, …"""
     for i, name in enumerate(table.names or ()):
         if name.lower() in _COUNT_NAMES:
             return i
@@ -180,7 +181,7 @@ def _count_column(table: _Table) -> int | None:
 
 
 def _name_and_unit(name: str) -> tuple[str, str | None]:
-    """ "time [ms]" → ("time", "ms"), "t_s" → ("t", "s"), "II" → ("II", None)."""
+    """Split a column name: "time [ms]" → ("time", "ms"), "t_s" → ("t", "s"), "II" → ("II", None)."""
     match = _UNIT_SUFFIX.fullmatch(name)
     if match is None:
         return name, None
@@ -188,11 +189,11 @@ def _name_and_unit(name: str) -> tuple[str, str | None]:
 
 
 def _seconds(path: Path, table: _Table, at: int) -> FloatArray:
-    """The times in s, by the unit that the column's name states, else by the one that its steps fit."""
+    """Convert the times to s with the unit in the column's name, else the one that fits their steps."""
     times, name = table.values[:, at], table.names[at] if table.names else ""
     if (np.abs(times) > _LATEST).any():
         raise UnreadableFileError(
-            f"{path}: its times reach {np.nanmax(np.abs(times)):.3g}; needed those of a clock"
+            f"{path}: its times reach {np.nanmax(np.abs(times)):.3g}; needed times in s, ms, µs or ns"
         )
     if at == table.clock:
         return past_midnight(times)
@@ -202,21 +203,21 @@ def _seconds(path: Path, table: _Table, at: int) -> FloatArray:
         step_s = step / _IN_ONE_SECOND[stated]
         if step_s > _LONGEST_STEP_S or 0 < step_s < _SHORTEST_STEP_S:
             raise UnreadableFileError(
-                f"{path}: its times step by {step:g} {stated}, as '{name}' says; no ECG is sampled at "
-                f"{1 / step_s:.3g} Hz: name the unit that it is"
+                f"{path}: its times step by {step:g} {stated} (column '{name}'); no ECG is sampled at "
+                f"{1 / step_s:.3g} Hz: correct the unit in the header"
             )
         return times / _IN_ONE_SECOND[stated]
     for unit in ("s", "ms", "us", "ns"):
         if step / _IN_ONE_SECOND[unit] <= _LONGEST_STEP_S:
             if unit != "s":
-                log.warning("%s: its times step by %g, so they are taken as %s", path, step, unit)
+                log.warning("%s: its times step by %g, so they are read as %s", path, step, unit)
             return times / _IN_ONE_SECOND[unit]
     raise UnreadableFileError(f"{path}: times step by {step:g}; name their unit in the header, as in t_ms")
 
 
 def _leads_and_unit(path: Path, names: list[str]) -> tuple[tuple[str, ...], str]:
-    found = [_name_and_unit(name) for name in names]
-    units = {"mV" if unit is None or unit.lower() == "mv" else unit for _, unit in found}
+    leads = [_name_and_unit(name) for name in names]
+    units = {"mV" if unit is None or unit.lower() == "mv" else unit for _, unit in leads}
     if len(units) > 1:
         raise UnreadableFileError(f"{path}: leads in different units ({', '.join(sorted(units))}); use one")
-    return tuple(label for label, _ in found), units.pop()
+    return tuple(label for label, _ in leads), units.pop()

@@ -21,14 +21,15 @@ _DELAY = re.compile(r"#\s*delay_s\s+(\S+)")
 def read_beat_source(
     spec: str, *, rate_hz: float | None = None, delay_s: float | None = None
 ) -> Signal | TriggerTimes:
-    """An ECG (`read_ecg`), or with `trigger:PATH` the pulses of a trigger (`read_triggers`).
+    """Read an ECG (`read_ecg`), or with `trigger:PATH` trigger pulses (`read_triggers`).
 
     Args:
-        spec: names it.
+        spec: an ECG, or `trigger:PATH`.
         rate_hz: sampling rate of an ECG table without times.
-        delay_s: of a trigger.
+        delay_s: of the pulses of a trigger after the R peak.
     Raises:
-        UnreadableFileError, InvalidInputError, MissingDependencyError: as these, or an argument of the other.
+        UnreadableFileError, InvalidInputError, MissingDependencyError: as these two, or an argument that
+            belongs to the other.
     """
     if spec.startswith(TRIGGER_PREFIX):
         if rate_hz is not None:
@@ -42,12 +43,12 @@ def read_beat_source(
 
 
 def read_triggers(path: Path | str, delay_s: float | None = None) -> TriggerTimes:
-    """Times of trigger pulses.
+    """Read times of trigger pulses.
 
     Args:
-        path: text file, one time (s) a line; the first line may be a header, and a line `# delay_s 0.03` says
-            how long after the R peak the device fires.
-        delay_s: the same, in place of what the file says.
+        path: text file, one time (s) per line; the first line may be a header, and a line `# delay_s 0.03`
+            states the delay after the R peak.
+        delay_s: replaces the delay that the file states.
     Raises:
         UnreadableFileError: absent, empty, a line that is not one number, or times out of order.
     """
@@ -58,7 +59,7 @@ def read_triggers(path: Path | str, delay_s: float | None = None) -> TriggerTime
     if rows and not _is_number(rows[0][1]):
         rows = rows[1:]
     if not rows:
-        raise UnreadableFileError(f"{path} holds no trigger time; needed one time in seconds a line")
+        raise UnreadableFileError(f"{path} holds no trigger time; needed one time in seconds per line")
     bad = [row for row in rows if not _is_number(row[1])]
     if bad or not all(_is_number(text) for text in stated):
         number, line = bad[0] if bad else (1 + lines.index(f"# delay_s {stated[0]}"), stated[0])
@@ -72,7 +73,7 @@ def read_triggers(path: Path | str, delay_s: float | None = None) -> TriggerTime
 
 
 def write_triggers(trigger: TriggerTimes, path: Path | str) -> None:
-    """Write a trigger as `read_triggers` reads it, every digit kept.
+    """Write a trigger in the format of `read_triggers`, with every digit.
 
     Raises:
         OutputError: not writable.

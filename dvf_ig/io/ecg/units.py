@@ -1,4 +1,4 @@
-"""Samples of an ECG in mV, from the units that recorders write."""
+"""Convert samples of an ECG to mV from the units that recorders write."""
 
 from pathlib import Path
 
@@ -11,7 +11,7 @@ _TO_MV = {"mv": 1.0, "uv": 1e-3, "µv": 1e-3, "μv": 1e-3, "v": 1e3}
 
 
 def in_millivolts(path: Path, samples: FloatArray, units: list[str]) -> FloatArray:
-    """(n, leads) samples in mV.
+    """Convert (n, leads) samples to mV.
 
     Args:
         units: of each lead.

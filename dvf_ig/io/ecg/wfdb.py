@@ -1,4 +1,4 @@
-"""WFDB recordings, through the package of the `ecg` extra."""
+"""Read WFDB recordings through the package of the `ecg` extra."""
 
 import importlib
 import warnings
@@ -30,18 +30,18 @@ _DAMAGE = (
     AssertionError,
     MemoryError,
 )
-"""What the package raises on damaged files."""
+"""Exceptions that the package raises on damaged files."""
 
 
 UNIT = "mV"
-"""Of a signal that states none, as of a lead that no segment holds (WFDB header(5))."""
+"""Unit of a signal that states none, as of a lead that no segment holds (WFDB header(5))."""
 
 
 def read_wfdb(record: Path) -> Signal:
-    """All leads of a WFDB record in mV; the record is named without suffix.
+    """Read all leads of a WFDB record, named without suffix, in mV.
 
-    A signal without a gain is taken at 200 units in a mV (WFDB header(5)), with a warning. A lead that no
-    segment holds has NaN alone; one without a name is called "signal 0" and so on.
+    A signal without a gain is read at 200 units per mV (WFDB header(5)), with a warning. A lead that no
+    segment holds is all NaN; a lead without a name becomes "signal 0" and so on.
 
     Raises:
         MissingDependencyError: the package wfdb is absent.
@@ -52,10 +52,10 @@ def read_wfdb(record: Path) -> Signal:
     header = read_record_header(record)
     for file in header.files:
         refuse_lfs_pointer(file)
-    if header.stated is not None and header.held is not None and header.held < header.stated:
+    if header.stated is not None and header.available is not None and header.available < header.stated:
         raise UnreadableFileError(
-            f"{record}: not a readable WFDB record (truncated: {header.held} of {header.stated} samples); "
-            "copy it again"
+            f"{record}: not a readable WFDB record (truncated: {header.available} of {header.stated} "
+            "samples); copy it again"
         )
     try:
         with _quiet():
@@ -74,7 +74,7 @@ def read_wfdb(record: Path) -> Signal:
 
 
 def existing_record(record: Path) -> Path:
-    """The record's path without suffix, checked before wfdb could look for it elsewhere."""
+    """Return the record's path without suffix, after checking that its files exist."""
     if record.suffix in (".hea", ".dat", ".atr"):
         record = record.with_suffix("")
     if not Path(f"{record}.hea").is_file():
@@ -86,7 +86,7 @@ def existing_record(record: Path) -> Path:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Silence what the package's own dependencies warn about; a user cannot act on it."""
+    """Silence warnings of the package's own dependencies; a user cannot act on them."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         yield

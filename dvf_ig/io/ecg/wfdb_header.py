@@ -1,4 +1,4 @@
-"""The header of a WFDB record, checked before the package wfdb reads the samples.
+"""Check the header of a WFDB record before the package wfdb reads the samples.
 
 Source: WFDB header(5): a record line "name[/segments] signals rate samples …", then a line for each signal
 "file format gain …", or for each segment "name samples".
@@ -18,7 +18,7 @@ from dvf_ig.io.reading import read_text
 
 MOST_LEADS = 512
 MOST_GAPS = 100
-"""A record of segments states at most so many times the samples that these hold."""
+"""Largest ratio of the samples that a record of segments states to those that its segments hold."""
 _BYTES = {
     "8": Fraction(1),
     "16": Fraction(2),
@@ -34,7 +34,7 @@ _BYTES = {
     "516": None,
     "524": None,
 }
-"""Of a sample by format; None where it is compressed."""
+"""Bytes per sample by format; None if compressed."""
 _NUMBER = r"\d{1,6}(?:\.\d{1,12})?"
 _RECORD = re.compile(
     rf"(\S+?)(?:/(\d{{1,5}}))?(?:\s+(\d{{1,4}}))(?:\s+({_NUMBER})(?:/\S+)?(?:\s+(\d{{1,12}})\b.*)?)?"
@@ -44,7 +44,7 @@ _SIGNAL = re.compile(
     r"(\S+)\s+(\d{1,3})(?:x(\d{1,4}))?(?::(\d{1,9}))?(?:\+(\d{1,9}))?"
     rf"(?:\s+({_GAIN})(?:\(-?\d{{1,10}}\))?(?:/\S*)?(?:\s.*)?)?"
 )
-"""File, format, samples in a frame, skew in frames, offset in bytes, gain."""
+"""Fields of a signal line: file, format, samples per frame, skew in frames, offset in bytes, gain."""
 _SEGMENT = re.compile(r"(\S+)\s+(\d{1,12})")
 
 log = logging.getLogger(__name__)
@@ -52,19 +52,19 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class RecordHeader:
-    """What of a record's header decides how it is read.
+    """Fields of a record's header that decide how it is read.
 
     Attributes:
         files: the header, then the files that it names, in order.
         rate_hz: as stated.
-        stated: samples of each lead; None where the header does not say.
-        held: whole samples of each lead in the files; None where these are compressed, or of segments.
+        stated: samples per lead; None if the header does not state it.
+        available: complete samples per lead in the files; None for compressed files or segments.
     """
 
     files: tuple[Path, ...]
     rate_hz: float
     stated: int | None
-    held: int | None
+    available: int | None
 
 
 def read_record_header(record: Path) -> RecordHeader:
@@ -89,7 +89,7 @@ def read_record_header(record: Path) -> RecordHeader:
 
 
 def read_rate_and_length(record: Path) -> tuple[float, int | None]:
-    """Samples a second and samples of each lead, as the header of a record says; no other file is looked for.
+    """Read samples per second and samples per lead from a record's header alone.
 
     Raises:
         UnreadableFileError: absent, or not a header.
@@ -99,37 +99,37 @@ def read_rate_and_length(record: Path) -> tuple[float, int | None]:
 
 
 def _record_line(header: Path) -> tuple[re.Match[str], list[str]]:
-    """The record line taken apart, within what an ECG can be, and the lines after it."""
+    """Parse the record line, check its limits, and return the lines after it."""
     text = read_text(header, "a WFDB header", limits.SETTINGS_BYTES)
     lines = [line.strip() for line in text.splitlines() if line.strip() and line.lstrip()[0] != "#"]
-    found = _RECORD.fullmatch(lines[0]) if lines else None
-    if found is None:
+    match = _RECORD.fullmatch(lines[0]) if lines else None
+    if match is None:
         shown = lines[0][:60] if lines else "empty"
         raise UnreadableFileError(
             f"{header}: not a readable WFDB header, its record line is '{shown}'; copy it again"
         )
-    rate_hz, leads = float(found[4] or 250.0), int(found[3])
+    rate_hz, leads = float(match[4] or 250.0), int(match[3])
     if not 0 < rate_hz <= 1e5 or not 1 <= leads <= MOST_LEADS:
         raise UnreadableFileError(f"{header} states {leads} leads at {rate_hz:g} Hz; copy it again")
-    limits.require_count(int(found[5] or 0) * leads, limits.SAMPLES, "samples")
-    return found, lines[1:]
+    limits.require_count(int(match[5] or 0) * leads, limits.SAMPLES, "samples")
+    return match, lines[1:]
 
 
 def _of_segments(header: Path, lines: list[str], rate_hz: float, stated: int | None) -> tuple[Path, ...]:
-    """The files of every segment, which has a header of its own."""
+    """List the files of every segment, each of which has its own header."""
     segments = [_SEGMENT.fullmatch(line) for line in lines]
     if not all(segments):
-        shown = next(line for line, found in zip(lines, segments, strict=True) if found is None)
+        shown = next(line for line, match in zip(lines, segments, strict=True) if match is None)
         raise UnreadableFileError(f"{header}: the line of a segment is '{shown[:60]}'; copy it again")
-    lengths = {found[1]: int(found[2]) for found in segments if found is not None}
-    total = sum(int(found[2]) for found in segments if found is not None)
+    lengths = {match[1]: int(match[2]) for match in segments if match is not None}
+    total = sum(int(match[2]) for match in segments if match is not None)
     if stated is not None and total != stated:
         raise UnreadableFileError(f"{header} states {stated} samples, its segments {total}; copy it again")
     limits.require_count(total, limits.SAMPLES, "samples")
-    held = total - sum(int(found[2]) for found in segments if found is not None and found[1] == "~")
-    if total > MOST_GAPS * held:
+    present = total - sum(int(match[2]) for match in segments if match is not None and match[1] == "~")
+    if total > MOST_GAPS * present:
         raise UnreadableFileError(
-            f"{header} states {total} samples, of which its segments hold {held}; copy it again"
+            f"{header} states {total} samples, but its segments hold {present}; copy it again"
         )
     files: list[Path] = []
     for segment, length in lengths.items():
@@ -155,31 +155,31 @@ def _of_segments(header: Path, lines: list[str], rate_hz: float, stated: int | N
 
 
 def _of_signals(header: Path, lines: list[str], stated: int | None) -> tuple[tuple[Path, ...], int | None]:
-    """The signal files in order, and whole samples of each lead that all of them hold."""
+    """List the signal files in order, and count the complete samples per lead in all of them."""
     frames: dict[Path, Fraction | None] = {}
     offsets: dict[Path, int] = {}
     uncalibrated: list[int] = []
     each, skew = 0, 0
     for number, line in enumerate(lines):
-        found = _SIGNAL.fullmatch(line)
-        if found is None or found[2] not in _BYTES or (count := int(found[3] or 1)) < 1:
+        match = _SIGNAL.fullmatch(line)
+        if match is None or match[2] not in _BYTES or (count := int(match[3] or 1)) < 1:
             raise UnreadableFileError(f"{header}: the line of a signal is '{line[:60]}'; copy it again")
-        path, size = file_within(header.parent, found[1], header), _BYTES[found[2]]
+        path, size = file_within(header.parent, match[1], header), _BYTES[match[2]]
         before = frames.get(path, Fraction(0))
         frames[path] = None if size is None or before is None else before + size * count
-        offsets[path] = int(found[5] or 0)
-        each, skew = each + count, max(skew, int(found[4] or 0))
-        gain = float(found[6] or 0.0)
+        offsets[path] = int(match[5] or 0)
+        each, skew = each + count, max(skew, int(match[4] or 0))
+        gain = float(match[6] or 0.0)
         if not math.isfinite(gain):
-            raise UnreadableFileError(f"{header}: the gain of a signal is {found[6]}; copy it again")
+            raise UnreadableFileError(f"{header}: the gain of a signal is {match[6]}; copy it again")
         if gain == 0.0:
             uncalibrated.append(number)
-    held = [
+    available = [
         None if frame is None else max(int((path.stat().st_size - offsets[path]) / frame), 0)
         for path, frame in frames.items()
     ]
-    known = [count for count in held if count is not None]
-    length = min(known, default=0) if stated is None else stated
+    counts = [count for count in available if count is not None]
+    length = min(counts, default=0) if stated is None else stated
     limits.require_count(length * each, limits.SAMPLES, "samples")
     if skew and skew >= length:
         raise UnreadableFileError(
@@ -187,9 +187,9 @@ def _of_signals(header: Path, lines: list[str], stated: int | None) -> tuple[tup
         )
     if uncalibrated:
         log.warning(
-            "%s states no gain of signal %s: 200 units in a mV are taken, as WFDB says; its times are right, "
-            "its amplitude was not calibrated",
+            "%s states no gain for signal %s: the WFDB default of 200 units per mV is assumed; its times are "
+            "right, its amplitude is not calibrated",
             header,
             ", ".join(map(str, uncalibrated)),
         )
-    return tuple(frames), min(known) if len(known) == len(held) else None
+    return tuple(frames), min(counts) if len(counts) == len(available) else None

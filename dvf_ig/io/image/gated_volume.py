@@ -1,6 +1,6 @@
-"""Gated 3-D ultrasound from image files: when in the cycle it was taken, its grey levels, what it shows.
+"""Read gated 3-D ultrasound from image files: its time in the cycle, grey levels and visible region.
 
-The header of a file places it: its LPS coordinates, in mm, are those of the tracker.
+The LPS coordinates of a file's header, in mm, are tracker coordinates.
 """
 
 import re
@@ -22,15 +22,16 @@ from .volume import image_dimension, read_volume
 
 FRAME = "tracker"
 SAME_SECTOR = 0.95
-"""Dice coefficient of what two images show from which they show one sector. In calm and poor synthetic images
-of one transducer it is 0.998 or more."""
+"""Dice coefficient of two visible regions from which they count as one sector; it is 0.998 or more in
+synthetic images of one transducer.
+"""
 _PLACE = re.compile(r"(.+)([@=])([^@=]*)")
 _SEQUENCE_MARK = b"Seq_Frame"
 
 
 @dataclass(frozen=True, slots=True)
 class GatedVolumeFile:
-    """A file and when its image was taken: either its place in the cycle or its time is known.
+    """A file and when its image was taken: either a phase or a time.
 
     Attributes:
         phase: fraction of the RR interval since the R peak, [0, 1).
@@ -43,7 +44,7 @@ class GatedVolumeFile:
 
 
 def gated_volume_files(texts: Sequence[str]) -> tuple[GatedVolumeFile, ...]:
-    """Files named FILE@PHASE or FILE=SECONDS, in their order.
+    """Parse files named FILE@PHASE or FILE=SECONDS, in order.
 
     Raises:
         InvalidInputError: neither of the two, a phase outside [0, 1), no number, or a file named twice.
@@ -53,30 +54,29 @@ def gated_volume_files(texts: Sequence[str]) -> tuple[GatedVolumeFile, ...]:
     for file in files:
         resolved = file.path.resolve()
         if resolved in seen:
-            raise InvalidInputError(f"{file.path} is named twice; one volume has one place in the cycle")
+            raise InvalidInputError(f"{file.path} is named twice; a volume has one phase")
         seen.add(resolved)
     return files
 
 
 def _gated_volume_file(text: str) -> GatedVolumeFile:
-    found = _PLACE.fullmatch(text)
+    match = _PLACE.fullmatch(text)
     try:
-        if found is None:
+        if match is None:
             raise ValueError
-        path, number = Path(found[1]), float(found[3])
+        path, number = Path(match[1]), float(match[3])
     except ValueError as exc:
         raise InvalidInputError(
-            f"'{text}' does not say when in the cycle it was taken; write FILE@PHASE, a fraction of the RR "
+            f"'{text}' does not say its phase; write FILE@PHASE, a fraction of the RR "
             "interval such as us.nrrd@0.35, or FILE=SECONDS with an ECG"
         ) from exc
-    if found[2] == "=":
+    if match[2] == "=":
         if not np.isfinite(number):
             raise InvalidInputError(f"'{text}': the time is {number} s; needed a finite one")
         return GatedVolumeFile(path, t_s=number)
     if not 0.0 <= number < 1.0:
         raise InvalidInputError(
-            f"'{text}': the place in the cycle is {number:g}; needed a fraction of the RR interval, 0 to "
-            "below 1"
+            f"'{text}': the phase is {number:g}; needed a fraction of the RR interval, 0 to below 1"
         )
     return GatedVolumeFile(path, phase=number)
 
@@ -85,12 +85,12 @@ def read_gated_volumes(paths: Sequence[Path], model_phases: Sequence[float]) -> 
     """Read gated 3-D ultrasound images in the frame "tracker".
 
     Grey levels are log-compressed, 0 to 255 in any pixel type, or 0 to 1 in a floating-point image; NaN is
-    black. What was insonified is found in the images (`insonified_voxels`). Images of one size whose sectors
-    agree to SAME_SECTOR come from one transducer: what one of them shows was insonified in all.
+    black. The insonified region is taken from the images (`insonified_voxels`). Images of one size whose
+    sectors agree to SAME_SECTOR come from one transducer and share the union of their regions.
 
     Args:
         paths: NIfTI, NRRD or MetaImage whose LPS coordinates are the tracker's; voxels of any edges.
-        model_phases: where in the model's cycle each was taken, [0, 1).
+        model_phases: phase of each in the model's cycle, [0, 1).
     Raises:
         UnreadableFileError: absent, damaged, a sequence, 4-D, other grey levels, or black throughout.
     """
@@ -104,10 +104,10 @@ def read_gated_volumes(paths: Sequence[Path], model_phases: Sequence[float]) -> 
 
 
 def insonified_voxels(grey: AnyArray) -> BoolArray:
-    """(nx, ny, nz) voxels that lie between non-zero ones along an axis, repeatedly: dark blood among them.
+    """Mark (nx, ny, nz) voxels between non-zero ones along an axis, repeatedly: includes dark blood.
 
-    Of the sector of a phased or matrix array, which is convex, it finds all but corners that show nothing;
-    the black around the sector is left out on a grid of any direction.
+    The sector of a phased or matrix array is convex, so all of it but black corners is marked; the black
+    surround is excluded for any grid direction.
     """
     seen = np.asarray(grey != 0)
     count = -1
@@ -119,23 +119,23 @@ def insonified_voxels(grey: AnyArray) -> BoolArray:
     return seen
 
 
-def _common_sectors(grids: Sequence[Grid], found: Sequence[BoolArray]) -> list[BoolArray]:
-    """The insonified voxels of each image, with those of the images that share its sector."""
-    counts = [int(np.count_nonzero(mask)) for mask in found]
+def _common_sectors(grids: Sequence[Grid], masks: Sequence[BoolArray]) -> list[BoolArray]:
+    """Merge the insonified voxels of images that share a sector."""
+    counts = [int(np.count_nonzero(mask)) for mask in masks]
 
     def share_sector(i: int, j: int) -> bool:
-        alike = grids[i].shape == grids[j].shape and np.allclose(
+        same_grid = grids[i].shape == grids[j].shape and np.allclose(
             grids[i].spacing_mm, grids[j].spacing_mm, rtol=1e-3
         )
-        both = int(np.count_nonzero(found[i] & found[j])) if alike else 0
+        both = int(np.count_nonzero(masks[i] & masks[j])) if same_grid else 0
         return 2 * both >= SAME_SECTOR * (counts[i] + counts[j])
 
     unions: dict[tuple[int, ...], BoolArray] = {}
     out = []
-    for i, mask in enumerate(found):
-        sharing = tuple(j for j in range(len(found)) if j == i or share_sector(i, j))
+    for i, mask in enumerate(masks):
+        sharing = tuple(j for j in range(len(masks)) if j == i or share_sector(i, j))
         if len(sharing) > 1 and sharing not in unions:
-            unions[sharing] = insonified_voxels(np.logical_or.reduce([found[j] for j in sharing]))
+            unions[sharing] = insonified_voxels(np.logical_or.reduce([masks[j] for j in sharing]))
         out.append(unions.get(sharing, mask))
     return out
 
@@ -155,24 +155,23 @@ def _require_one_volume(path: Path) -> None:
         head = file.read(65536)
     if ".igs." in path.name.lower() or _SEQUENCE_MARK in head:
         raise UnreadableFileError(
-            f"{path} is a tracked sequence of planes, not a 3-D image; needed one gated volume a file"
+            f"{path} is a tracked sequence of planes, not a 3-D image; needed one gated volume per file"
         )
     if image_dimension(path) == 4:
         raise UnreadableFileError(
-            f"{path} holds several volumes; split it into one file a volume, and say of each when in the "
-            "cycle it was taken"
+            f"{path} holds several volumes; split it into one file per volume, and give the phase of each"
         )
 
 
 def _grey_levels(path: Path, values: AnyArray) -> NDArray[np.uint8]:
     real = values.dtype.kind == "f"
-    known = np.nan_to_num(values, nan=0.0, posinf=np.inf, neginf=-np.inf) if real else values
-    low, high = float(known.min()), float(known.max())
+    finite = np.nan_to_num(values, nan=0.0, posinf=np.inf, neginf=-np.inf) if real else values
+    low, high = float(finite.min()), float(finite.max())
     if low < 0 or high > 255:
         raise UnreadableFileError(
             f"{path} holds values from {low:g} to {high:g}; needed log-compressed grey levels of 0 to 255, "
             "or 0 to 1 in a floating-point image: rescale it"
         )
     if not real:
-        return np.asarray(known, dtype=np.uint8)
-    return np.asarray(np.rint(known * 255.0 if high <= 1.0 else known), dtype=np.uint8)
+        return np.asarray(finite, dtype=np.uint8)
+    return np.asarray(np.rint(finite * 255.0 if high <= 1.0 else finite), dtype=np.uint8)

@@ -1,4 +1,4 @@
-"""What the header of a MetaImage or NRRD file says of its voxels: how they are stored, where they lie."""
+"""Storage and geometry of voxels as the header of a MetaImage or NRRD file describes them."""
 
 import re
 from dataclasses import dataclass, field
@@ -12,17 +12,17 @@ from dvf_ig.io import limits
 
 _BLOCK = 1 << 18
 _LARGEST = 1e12
-"""No number that places an image is larger; products of those that are overflow."""
+"""Largest number in an image's geometry; products of larger ones overflow."""
 
 
 @dataclass(frozen=True, slots=True)
 class Storage:
-    """Where the bytes of the voxels are.
+    """Location of the voxel bytes.
 
     Attributes:
-        files: separate files, in order; none where the voxels follow the header.
-        offset: where they begin in the header's own file.
-        skip: bytes to leave out at the beginning of a separate file; None takes its last bytes.
+        files: separate files, in order; empty if the voxels follow the header.
+        offset: of the voxels in the header's own file, bytes.
+        skip: bytes to skip at the start of a separate file; None reads its last bytes.
         compressed: zlib or gzip.
     """
 
@@ -38,10 +38,10 @@ class ImageHeader:
     """An image as its file describes it; lengths in mm, LPS.
 
     Attributes:
-        sizes: of the stored axes, the fastest first; without the axis of several values a voxel.
+        sizes: of the stored axes, the fastest first, without the axis of values per voxel.
         dtype: of a value, with its byte order.
         values_per_voxel: more than 1 for vectors and colours.
-        phase_axis: which stored axis runs over phases; None where the image is not 4-D.
+        phase_axis: which stored axis runs over phases; None if the image is not 4-D.
         origin_mm, spacing_mm, direction: (3,), (3,), (3, 3) of the three axes in space, as stored; column a
             of `direction` is that of axis a.
         storage: where the voxels are.
@@ -60,7 +60,7 @@ class ImageHeader:
 
     @property
     def bytes(self) -> int:
-        """Of all voxels, unpacked."""
+        """Size of all voxels, uncompressed."""
         count = self.values_per_voxel * self.dtype.itemsize
         for size in self.sizes:
             count *= size
@@ -68,7 +68,7 @@ class ImageHeader:
 
 
 def read_until(path: Path, end: re.Pattern[bytes]) -> tuple[bytes, re.Match[bytes] | None]:
-    """The beginning of a file up to a mark, and the mark; None where HEADER_BYTES hold none."""
+    """Read the start of a file up to a mark, and the mark; None if HEADER_BYTES hold none."""
     data = bytearray()
     with path.open("rb") as stream:
         while len(data) <= limits.HEADER_BYTES and (block := stream.read(max(_BLOCK, len(data)))):
@@ -81,10 +81,10 @@ def read_until(path: Path, end: re.Pattern[bytes]) -> tuple[bytes, re.Match[byte
 
 
 def whole_numbers(path: Path, name: str, text: str, least: int, most: int) -> tuple[int, ...]:
-    """The integers of a field, each from `least` to `most`.
+    """Parse the integers of a field, each from `least` to `most`.
 
     Raises:
-        UnreadableFileError: others, none, or too many.
+        UnreadableFileError: other values, none, or too many.
     """
     words = text.split()
     if 1 <= len(words) <= 16 and all(re.fullmatch(r"[-+]?\d{1,18}", word) for word in words):
@@ -97,10 +97,10 @@ def whole_numbers(path: Path, name: str, text: str, least: int, most: int) -> tu
 
 
 def real_numbers(path: Path, name: str, text: str, count: int) -> FloatArray:
-    """(count,) finite numbers of a field.
+    """Parse (count,) finite numbers of a field.
 
     Raises:
-        UnreadableFileError: another count, or none that are finite.
+        UnreadableFileError: another count, or a number that is not finite.
     """
     try:
         values = np.array([float(word) for word in text.split()[: count + 1]])
@@ -114,7 +114,7 @@ def real_numbers(path: Path, name: str, text: str, count: int) -> FloatArray:
 
 
 def sides_and_directions(path: Path, axes_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(3,) side lengths of voxels and (3, 3) directions of the axes, which are the columns of `axes_mm`.
+    """Split the columns of `axes_mm` into (3,) voxel sides and (3, 3) directions.
 
     Raises:
         UnreadableFileError: an axis without length.
@@ -126,13 +126,13 @@ def sides_and_directions(path: Path, axes_mm: FloatArray) -> tuple[FloatArray, F
 
 
 def three_dimensional(path: Path, matrix: FloatArray, vector: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The part in space of an (n, n) matrix of axes and an (n,) origin, time being the last where n is 4.
+    """Return the spatial part of an (n, n) matrix and an (n,) origin; time is the last axis if n is 4.
 
     Raises:
         UnreadableFileError: space and time are mixed.
     """
     if len(vector) == 4 and max(np.abs(matrix[:3, 3]).max(), np.abs(matrix[3, :3]).max()) > 1e-9:
         raise UnreadableFileError(
-            f"{path}: its axes of space and time are mixed; save it with time as an axis of its own"
+            f"{path}: its axes of space and time are mixed; save it with a separate time axis"
         )
     return matrix[:3, :3], vector[:3]

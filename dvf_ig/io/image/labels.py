@@ -1,4 +1,4 @@
-"""Labels that go with a 4-D image: of its end-diastole alone, or of every phase."""
+"""Read labels of a 4-D image: of end-diastole alone, or of every phase."""
 
 from pathlib import Path
 
@@ -18,12 +18,12 @@ PLACE_TOLERANCE_MM = 0.05
 def read_cine_labels(
     path: Path | str, image: VolumeSeries, ed_phase: int
 ) -> tuple[Volume, VolumeSeries | None]:
-    """Labels of end-diastole, and those of every phase where the file has them.
+    """Read labels of end-diastole, and those of every phase if the file has them.
 
     Args:
         path: a 3-D label image of end-diastole, a segmentation of 3D Slicer (`.seg.nrrd`), or a 4-D image
-            with one phase or all of the image's. It may be cropped, and its axes may run otherwise, as long
-            as each of its voxels is one of the image's.
+            with one phase or all phases of the image. It may be cropped, and its axes may be permuted or
+            reversed, as long as its voxels coincide with voxels of the image.
         image: the 4-D image that they belong to.
         ed_phase: which phase of it end-diastole is.
     Raises:
@@ -48,7 +48,7 @@ def read_cine_labels(
 
 
 def read_labels(path: Path | str, frame: str = "mr") -> tuple[Volume, ...]:
-    """A label image: one volume of a 3-D image or a segmentation of 3D Slicer, one a phase of a 4-D image.
+    """Read a label image: one volume of a 3-D image or 3D Slicer segmentation, one per phase of a 4-D image.
 
     Raises:
         UnreadableFileError: not a readable image.
@@ -59,13 +59,13 @@ def read_labels(path: Path | str, frame: str = "mr") -> tuple[Volume, ...]:
 
 
 def read_label_names(path: Path | str) -> tuple[tuple[int, str], ...]:
-    """Label and name of each segment of a segmentation of 3D Slicer; none of any other readable image."""
+    """Read label and name of each segment of a 3D Slicer segmentation; empty for any other image."""
     segments = _segments(Path(path))
     return tuple(zip(segment_values(segments), (s.name for s in segments), strict=True))
 
 
 def _read(path: Path, frame: str) -> tuple[Grid, AnyArray]:
-    """Grid and (phases, x, y, z) labels."""
+    """Read the grid and (phases, x, y, z) labels."""
     dimension = image_dimension(path)
     grid, values = read_array(path, frame, dimension)
     layers = values[None] if dimension == 3 else values
@@ -80,7 +80,7 @@ def _segments(path: Path) -> tuple[Segment, ...]:
 
 
 def _on_grid(path: Path, labels: Grid, values: AnyArray, image: Grid) -> AnyArray:
-    """(phases, x, y, z) labels on the image's grid; 0 where they were cropped."""
+    """Place labels on the image's grid as (phases, x, y, z); 0 outside a crop."""
     turn = np.rint(np.linalg.solve(image.axes_mm, labels.axes_mm))
     if not (np.abs(turn).sum(axis=0) == 1).all() or not (np.abs(turn).sum(axis=1) == 1).all():
         raise InvalidInputError(
@@ -94,7 +94,7 @@ def _on_grid(path: Path, labels: Grid, values: AnyArray, image: Grid) -> AnyArra
     apart = float(np.abs(labels.to_mm(corners) - image.to_mm(index)).max())
     if apart > PLACE_TOLERANCE_MM:
         raise InvalidInputError(
-            f"the voxels of {path} lie up to {apart:.2f} mm from the 4-D image's; needed the same place "
+            f"the voxels of {path} lie up to {apart:.2f} mm from the 4-D image's; needed the same positions "
             "(resample the labels onto a phase of it)"
         )
     low, high = index.min(axis=0).astype(int), index.max(axis=0).astype(int) + 1

@@ -1,4 +1,4 @@
-"""The header of a MetaImage file (`.mha`, `.mhd`): lines "name = value", the last of them ElementDataFile."""
+"""Parse the header of a MetaImage file (`.mha`, `.mhd`): lines "name = value", ElementDataFile last."""
 
 import re
 from pathlib import Path
@@ -39,10 +39,10 @@ _SYNONYMS = {
 
 
 def read_metaimage_header(path: Path) -> ImageHeader:
-    """Parse the header; of the voxels, nothing is read.
+    """Parse the header without reading voxels.
 
     Raises:
-        UnreadableFileError: not MetaImage, a field that is absent or cannot be, or voxels stored as text or
+        UnreadableFileError: not MetaImage, a field that is absent or invalid, or voxels stored as text or
             outside its folder.
     """
     data, end = read_until(path, _END)
@@ -96,7 +96,7 @@ def _fields(path: Path, text: str) -> dict[str, str]:
             continue
         name = _SYNONYMS.get(name.strip(), name.strip())
         if not equals or name in fields:
-            wrong = "stands there twice" if equals else "is not 'name = value'"
+            wrong = "occurs twice" if equals else "is not 'name = value'"
             raise UnreadableFileError(f"{path}: header line '{line.strip()[:60]}' {wrong}; copy it again")
         fields[name] = value.strip()
     return fields
@@ -110,7 +110,7 @@ def _is_true(path: Path, fields: dict[str, str], name: str) -> bool:
 
 
 def _geometry(path: Path, fields: dict[str, str], count: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Origin, spacing and direction in space; those of fewer than three axes play no part."""
+    """Parse origin, spacing and direction in space; unused for fewer than three axes."""
     if count < 3:
         return np.zeros(3), np.ones(3), np.eye(3)
     ones, zeros = " ".join(["1"] * count), " ".join(["0"] * count)

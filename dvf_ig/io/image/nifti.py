@@ -1,4 +1,4 @@
-"""The header of a NIfTI file, of which those are refused that ITK reads wrongly: damaged, sheared."""
+"""Parse NIfTI headers, and refuse those that ITK reads wrongly: damaged or sheared."""
 
 import gzip
 import math
@@ -46,7 +46,7 @@ _FIELDS = {
         "units": ("i", 500),
     },
 }
-"""By header size (NIfTI-1, -2): form and position of each field."""
+"""Format and position of each field by header size (NIfTI-1, -2)."""
 _TYPES = {
     2: "u1",
     4: "i2",
@@ -59,7 +59,7 @@ _TYPES = {
     1024: "i8",
     1280: "u8",
 }
-"""The real data types: integers of 8 to 64 bit, float32, float64."""
+"""Supported data types: integers of 8 to 64 bit, float32, float64."""
 _GZIP = b"\x1f\x8b"
 _UNITS = {1: "m", 3: "micrometres"}
 
@@ -67,12 +67,12 @@ _UNITS = {1: "m", 3: "micrometres"}
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class NiftiHeader:
-    """What matters here of a NIfTI-1 or -2 header.
+    """Fields of a NIfTI-1 or -2 header that are used here.
 
     Attributes:
-        sizes: of the axes, the fastest first, without last ones of one voxel beyond the third, as ITK has it.
+        sizes: of the axes, the fastest first, without trailing ones of one voxel after the third, as in ITK.
         dtype: of a voxel, with its byte order.
-        axes: (3, 3) of the sform; None where it is not used.
+        axes: (3, 3) of the sform; None if it is not used.
         offset: bytes before the first voxel, in the file that holds them.
         scaling: slope and intercept of the values; a slope of 0 means none.
     """
@@ -85,18 +85,17 @@ class NiftiHeader:
 
 
 def nifti_files(path: Path) -> tuple[Path, ...]:
-    """The other file of a pair (`.hdr`, `.img`), whichever of the two was named."""
+    """Return the other file of a pair (`.hdr`, `.img`)."""
     other = {".hdr": ".img", ".img": ".hdr"}.get(path.suffix.lower())
     return () if other is None else (path.with_suffix(other),)
 
 
 def read_nifti_header(path: Path) -> NiftiHeader:
-    """Check the header of a NIfTI file; of the voxels, nothing is read.
+    """Check the header of a NIfTI file without reading voxels.
 
     Raises:
-        UnreadableFileError: not NIfTI, truncated, sizes, types, units or geometry that no image of a heart
-            has, or an sform (where its code is set) whose axes are not orthogonal; then the message holds a
-            command that repairs the file.
+        UnreadableFileError: not NIfTI, truncated, implausible sizes, types, units or geometry, or an sform
+            (if its code is set) whose axes are not orthogonal; then the message gives a repair command.
     """
     pair = nifti_files(path)
     header_file = path if path.suffix.lower() != ".img" else pair[0]
@@ -111,25 +110,25 @@ def read_nifti_header(path: Path) -> NiftiHeader:
 
 
 def read_nifti_voxels(path: Path, header: NiftiHeader) -> AnyArray:
-    """Values indexed [x, y, z] or [x, y, z, phase], scaled as the header says, then as float32 or float64.
+    """Read values indexed [x, y, z] or [x, y, z, phase]; values that the header scales become floats.
 
     Raises:
-        UnreadableFileError: truncated, or damaged where packed.
+        UnreadableFileError: truncated, or its compressed data is damaged.
     """
     voxels = path if path.suffix.lower() != ".hdr" else nifti_files(path)[0]
     needed = header.offset + math.prod(header.sizes) * header.dtype.itemsize
     data = read_bytes(voxels, "an image (NIfTI)")
     if data.startswith(_GZIP):
-        held: Any = inflated(path, data, needed, more=True)
+        content: Any = inflated(path, data, needed, more=True)
     else:
-        held = memoryview(data)[:needed]
-        require_size(path, len(held), needed)
-    values = np.frombuffer(held, header.dtype, offset=header.offset).reshape(header.sizes[::-1]).T
+        content = memoryview(data)[:needed]
+        require_size(path, len(content), needed)
+    values = np.frombuffer(content, header.dtype, offset=header.offset).reshape(header.sizes[::-1]).T
     return _scaled(values, *header.scaling)
 
 
 def _scaled(values: AnyArray, slope: float, intercept: float) -> AnyArray:
-    """Scaled to float32, or float64 of those; as they are where the slope is 0 or nothing would change.
+    """Scale values to float32 (float64 for float64), or return them unchanged if the scaling has no effect.
 
     Source: NIfTI-1, scl_slope.
     """
@@ -155,7 +154,7 @@ def _require_orthogonal(path: Path, axes: FloatArray) -> None:
 
 
 def _begin(path: Path, count: int) -> bytes:
-    """The first bytes of a file, unpacked."""
+    """Read the first bytes of a file, decompressed."""
     try:
         with gzip.open(path) if _is_packed(path) else path.open("rb") as stream:
             return stream.read(count)
@@ -185,7 +184,7 @@ def _parse(path: Path, start: bytes, *, single: bool) -> NiftiHeader:
 def _checked(
     path: Path, order: str, fields: dict[str, tuple[Any, ...]], begin: int, *, single: bool
 ) -> NiftiHeader:
-    """What the fields say; each of those that place or scale voxels is finite."""
+    """Check that all fields are plausible and finite, and build the header."""
     dims = [int(size) for size in fields["dim"]]
     count = dims[0]
     used = dims[1 : count + 1] if 1 <= count <= 7 else []
@@ -201,7 +200,7 @@ def _checked(
         )
     if fields["magic"] not in ([(b"n+1\0",), (b"n+2\0",)] if single else [(b"ni1\0",), (b"ni2\0",)]):
         raise UnreadableFileError(
-            f"{path} is not marked as NIfTI, or as the other form of it; convert it again"
+            f"{path} is not marked as NIfTI of its kind (single file or pair); convert it again"
         )
     sizes = np.array(fields["pixdim"][1 : min(count, 3) + 1])
     uses_qform, uses_sform = (code > 0 for code in fields["codes"])
@@ -214,8 +213,8 @@ def _checked(
     ]
     if not (np.abs(placed) < 1e12).all() or not ((sizes > 0) & (sizes < np.inf)).all():
         raise UnreadableFileError(
-            f"{path}: its header holds sizes of voxels ({sizes.tolist()}), a place or a scale that are not "
-            "finite, zero or less; convert it again"
+            f"{path}: its header holds voxel sizes ({sizes.tolist()}), an origin or a scale that are not "
+            "finite or not positive; convert it again"
         )
     unit = int(fields["units"][0]) & 7
     if unit in _UNITS:

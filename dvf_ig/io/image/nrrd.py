@@ -1,4 +1,4 @@
-"""The header of an NRRD file (`.nrrd`, `.nhdr`): lines "field: value" and "key:=value", then an empty one.
+"""Parse the header of an NRRD file (`.nrrd`, `.nhdr`): lines "field: value" and "key:=value".
 
 Source: teem.sourceforge.net/nrrd/format.html.
 """
@@ -47,18 +47,18 @@ _SPACES = {
     **dict.fromkeys(("right-anterior-superior", "ras"), (-1.0, -1.0, 1.0)),
     **dict.fromkeys(("left-anterior-superior", "las"), (1.0, -1.0, 1.0)),
 }
-"""What turns a space into LPS. With "-time" or "t" added, its fourth axis is time."""
+"""Signs that convert a space to LPS. With "-time" or "t" added, its fourth axis is time."""
 _DOMAIN_KINDS = ("domain", "space", "time", "???", "none")
 _MILLIMETRES = ("", "mm", "millimeter", "millimeters", "millimetre", "millimetres")
 _VECTOR = re.compile(r"none|\(([^()]*)\)")
 
 
 def read_nrrd_header(path: Path) -> ImageHeader:
-    """Parse the header; of the voxels, nothing is read.
+    """Parse the header without reading voxels.
 
     Raises:
-        UnreadableFileError: not NRRD, a field that is absent or cannot be, a space or unit that is not known,
-            or voxels stored in another encoding or outside its folder.
+        UnreadableFileError: not NRRD, a field that is absent or invalid, an unknown space or unit, or voxels
+            in an unsupported encoding or outside its folder.
     """
     data, end = read_until(path, _END)
     if len(data) > limits.HEADER_BYTES and end is None:
@@ -81,14 +81,16 @@ def read_nrrd_header(path: Path) -> ImageHeader:
     listed = len(sizes) == 4 and [kinds[a] for a in ranges] == ["list"]
     dropped = [] if listed else ranges
     if dropped not in ([], [0]):
-        raise UnreadableFileError(f"{path}: the values of a voxel do not lie side by side; save it again")
+        raise UnreadableFileError(
+            f"{path}: the values of a voxel are not stored next to each other; save it again"
+        )
     space_axes, phase = _axes(path, fields, kinds, listed=listed, dropped=dropped)
-    kept = [a for a in range(len(sizes)) if a not in dropped]
+    stored = [a for a in range(len(sizes)) if a not in dropped]
     return ImageHeader(
-        tuple(sizes[a] for a in kept),
+        tuple(sizes[a] for a in stored),
         _dtype(path, fields),
         sizes[dropped[0]] if dropped else 1,
-        None if phase is None else kept.index(phase),
+        None if phase is None else stored.index(phase),
         *_geometry(path, fields, space_axes, phase),
         _storage(path, fields, text, len(data) if end is None else end.end()),
         fields,
@@ -96,7 +98,7 @@ def read_nrrd_header(path: Path) -> ImageHeader:
 
 
 def _fields(path: Path, text: str) -> dict[str, str]:
-    """Fields by their names in lower case, and keys by theirs as they are."""
+    """Parse fields under their lower-case names, and keys under their own names."""
     lines = re.split(r"\r\n|\n|\r", text)
     if _MAGIC.fullmatch(lines[0]) is None:
         raise UnreadableFileError(f"{path} is not a readable image: it does not begin with NRRD000X")
@@ -104,19 +106,19 @@ def _fields(path: Path, text: str) -> dict[str, str]:
     for line in lines[1:]:
         if not line.strip() or line.startswith("#"):
             continue
-        found = re.match(r"([^:]+?):(=?)[ \t]*(.*)", line, re.DOTALL)
-        name = "" if found is None else found[1] if found[2] else _plain_name(found[1])
-        if found is None or name in fields:
-            if found is None and "data file" in fields:
+        match = re.match(r"([^:]+?):(=?)[ \t]*(.*)", line, re.DOTALL)
+        name = "" if match is None else match[1] if match[2] else _plain_name(match[1])
+        if match is None or name in fields:
+            if match is None and "data file" in fields:
                 continue  # names of a LIST
-            wrong = "is not 'field: value'" if found is None else "stands there twice"
+            wrong = "is not 'field: value'" if match is None else "occurs twice"
             raise UnreadableFileError(f"{path}: header line '{line.strip()[:60]}' {wrong}; copy it again")
-        fields[name] = found[3].strip()
+        fields[name] = match[3].strip()
     return fields
 
 
 def _plain_name(name: str) -> str:
-    """ "datafile" → "data file", as NRRD allows some names without their blank."""
+    """Normalise a field name: NRRD allows some names without their blank, such as "datafile"."""
     plain = name.strip().lower()
     joined = {"datafile": "data file", "lineskip": "line skip", "byteskip": "byte skip"}
     return joined.get(plain, plain)
@@ -139,12 +141,14 @@ def _storage(path: Path, fields: dict[str, str], text: str, end: int) -> Storage
     if encoding not in ("raw", "gzip", "gz"):
         raise UnreadableFileError(f"{path}: encoding is '{encoding[:20]}'; save it as raw or gzip")
     if fields.get("line skip", "0") != "0":
-        raise UnreadableFileError(f"{path}: its voxels follow lines of another header; save it as NRRD again")
+        raise UnreadableFileError(
+            f"{path}: its voxels follow another header (line skip); save it as NRRD again"
+        )
     skip = whole_numbers(path, "byte skip", fields.get("byte skip", "0"), -1, limits.HEADER_BYTES)[0]
     compressed = encoding != "raw"
     if compressed and skip:
         raise UnreadableFileError(
-            f"{path}: byte skip goes with raw voxels, these are {encoding}; save it again"
+            f"{path}: byte skip applies to raw voxels, but these are {encoding}; save it again"
         )
     names = re.split(r"(?im)^data ?file:.*$", text)[-1]
     files = named_voxel_files(path, fields.get("data file", "LOCAL"), lambda: names)
@@ -154,13 +158,13 @@ def _storage(path: Path, fields: dict[str, str], text: str, end: int) -> Storage
 def _axes(
     path: Path, fields: dict[str, str], kinds: list[str], *, listed: bool, dropped: list[int]
 ) -> tuple[list[int], int | None]:
-    """The three stored axes in space, and the one that runs over phases."""
+    """Find the three stored axes in space, and the one that runs over phases."""
     axes = [a for a in range(len(kinds)) if a not in dropped]
     if len(axes) > 4:
         raise UnreadableFileError(f"{path} has {len(axes)} axes; needed 3, or 4 with phases")
     if len(axes) < 4:
         return axes if len(axes) == 3 else [], None
-    vectors = [found[1] for found in _VECTOR.finditer(fields.get("space directions", ""))]
+    vectors = [match[1] for match in _VECTOR.finditer(fields.get("space directions", ""))]
     none = [a for a, vector in enumerate(vectors) if vector is None]
     marked = [a for a in axes if kinds[a] == ("list" if listed else "time")] or none or [axes[-1]]
     return [a for a in axes if a != marked[0]], marked[0]
@@ -169,7 +173,7 @@ def _axes(
 def _geometry(
     path: Path, fields: dict[str, str], axes: list[int], phase: int | None
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Origin, spacing and direction in LPS, mm."""
+    """Parse origin, spacing and direction in LPS, mm."""
     if not axes:
         return np.zeros(3), np.ones(3), np.eye(3)
     if "space" not in fields and "space dimension" not in fields:
@@ -194,9 +198,9 @@ def _geometry(
 
 
 def _direction(path: Path, fields: dict[str, str], axis: int, count: int) -> FloatArray:
-    """(count,) one step along a stored axis, mm."""
+    """Parse one step along a stored axis, (count,), mm."""
     text = fields.get("space directions", "")
-    vectors = [found[1] for found in _VECTOR.finditer(text)]
+    vectors = [match[1] for match in _VECTOR.finditer(text)]
     vector = vectors[axis] if axis < len(vectors) and not _VECTOR.sub("", text).strip() else None
     return real_numbers(
         path, "space directions", "none" if vector is None else vector.replace(",", " "), count
@@ -205,21 +209,21 @@ def _direction(path: Path, fields: dict[str, str], axis: int, count: int) -> Flo
 
 def _origin(path: Path, fields: dict[str, str], count: int) -> FloatArray:
     text = fields.get("space origin", f"({','.join(['0'] * count)})")
-    found = _VECTOR.fullmatch(text)
-    inside = text if found is None or found[1] is None else found[1].replace(",", " ")
+    match = _VECTOR.fullmatch(text)
+    inside = text if match is None or match[1] is None else match[1].replace(",", " ")
     return real_numbers(path, "space origin", inside, count)
 
 
 def _without_space(
     path: Path, fields: dict[str, str], axes: list[int]
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """A file that gives the spacing alone: its axes are taken as LPS."""
+    """Parse a file that states only the spacing; its axes are assumed to be LPS."""
     _require_millimetres(path, "units", fields, axes)
     words = fields.get("spacings", "").split()
     chosen = " ".join(words[a] for a in axes if a < len(words)) or "1 1 1"
     begins = fields.get("axis mins", fields.get("axismins", "")).lower().split()
     first = " ".join("0" if a >= len(begins) or begins[a] == "nan" else begins[a] for a in axes)
-    log.warning("%s does not say where its axes point: they are taken as left, posterior, superior", path)
+    log.warning("%s does not state the direction of its axes: left, posterior, superior are assumed", path)
     spacing = real_numbers(path, "spacings", chosen, 3)
     origin = real_numbers(path, "axis mins", first, 3)
     return origin, *sides_and_directions(path, np.diag(spacing))

@@ -1,4 +1,4 @@
-"""Seeds for segmentation: 3D Slicer markups whose labels say what each point lies in, or plain JSON."""
+"""Read seeds for segmentation: 3D Slicer markups labelled with the region of each point, or plain JSON."""
 
 import re
 from pathlib import Path
@@ -30,12 +30,12 @@ def read_seeds(path: Path | str, frame: str = "mr") -> Seeds:
     """
     path = Path(path)
     with reading(path, "a file of seeds"):
-        found = (
+        points = (
             _of_markups(path) if _is_markups(path) else _of_lists(path, read_json(path, "a file of seeds"))
         )
-        for kind, xyz in found.items():
+        for kind, xyz in points.items():
             limits.require_lengths(xyz, f"a seed of '{kind}'")
-        heart, background, cavity = (Points(frame, found[kind]) for kind in KINDS)
+        heart, background, cavity = (Points(frame, points[kind]) for kind in KINDS)
         return Seeds(heart, background, cavity)
 
 
@@ -56,18 +56,18 @@ def _of_markups(path: Path) -> dict[str, FloatArray]:
 
 def _of_lists(path: Path, document: Any) -> dict[str, FloatArray]:
     if not isinstance(document, dict):
-        raise UnreadableFileError(f"{path} is not a file of seeds; needed an object of lists of points")
-    found = {kind: np.zeros((0, 3)) for kind in KINDS}
+        raise UnreadableFileError(f"{path} is not a file of seeds; needed an object with lists of points")
+    seeds = {kind: np.zeros((0, 3)) for kind in KINDS}
     for name, points in document.items():
         try:
-            found[_kind(path, name)] = np.array(points, dtype=np.float64).reshape(-1, 3)
+            seeds[_kind(path, name)] = np.array(points, dtype=np.float64).reshape(-1, 3)
         except (TypeError, ValueError, OverflowError) as exc:
             if isinstance(exc, UnreadableFileError):
                 raise
             raise UnreadableFileError(
                 f"{path}: the points of '{name}' are not rows of x, y, z in mm"
             ) from exc
-    return found
+    return seeds
 
 
 def _kind(path: Path, name: str) -> str:

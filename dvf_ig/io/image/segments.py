@@ -1,4 +1,4 @@
-"""Segments of a 3D Slicer segmentation (`.seg.nrrd`): which value in which layer is which."""
+"""Read the segments of a 3D Slicer segmentation (`.seg.nrrd`): the layer and value of each."""
 
 import logging
 from collections.abc import Mapping
@@ -15,12 +15,12 @@ from .header import whole_numbers
 log = logging.getLogger(__name__)
 
 MOST_VALUE = (1 << 16) - 1
-"""Of a label."""
+"""Largest label value."""
 
 
 @dataclass(frozen=True, slots=True)
 class Segment:
-    """A segment's name, its layer (segments that may overlap lie in several) and its value there."""
+    """A segment's name, layer (overlapping segments are in different layers) and value in that layer."""
 
     name: str
     layer: int
@@ -28,34 +28,34 @@ class Segment:
 
 
 def segments_of(path: Path, fields: Mapping[str, str]) -> tuple[Segment, ...]:
-    """The segments that an image's header lists; none where it is no segmentation of 3D Slicer.
+    """List the segments in an image's header; empty if it is not a 3D Slicer segmentation.
 
     Source: Slicer's vtkMRMLSegmentationStorageNode, keys Segment<N>_Name, _Layer and _LabelValue.
 
     Raises:
-        UnreadableFileError: a layer or a value that is no number.
+        UnreadableFileError: a layer or a value that is not a number.
     """
-    found: list[Segment] = []
-    while f"Segment{len(found)}_LabelValue" in fields:
-        n = len(found)
+    segments: list[Segment] = []
+    while f"Segment{len(segments)}_LabelValue" in fields:
+        n = len(segments)
         layer, value = (
             whole_numbers(path, f"Segment{n}_{name}", fields.get(f"Segment{n}_{name}") or "0", 0, MOST_VALUE)
             for name in ("Layer", "LabelValue")
         )
-        found.append(Segment(fields.get(f"Segment{n}_Name") or f"segment {n}", layer[0], value[0]))
-    return tuple(found)
+        segments.append(Segment(fields.get(f"Segment{n}_Name") or f"segment {n}", layer[0], value[0]))
+    return tuple(segments)
 
 
 def segment_values(segments: tuple[Segment, ...]) -> tuple[int, ...]:
-    """The label of each segment in one image of all: its own value, or n + 1 where two have the same."""
+    """Assign each segment its label in a merged image: its own value, or n + 1 if two values are equal."""
     values = tuple(segment.value for segment in segments)
     return values if len(set(values)) == len(values) else tuple(range(1, len(segments) + 1))
 
 
 def merged_segments(path: Path, layers: AnyArray, segments: tuple[Segment, ...]) -> AnyArray:
-    """(x, y, z) one label image of all segments, with their own values where these differ.
+    """Merge all segments into one (x, y, z) label image, with their own values if these differ.
 
-    Where two segments have one value in different layers, segment n gets n + 1; which is which is logged.
+    If two segments share a value in different layers, segment n gets n + 1; the numbers are logged.
 
     Args:
         layers: (layers, x, y, z).

@@ -1,4 +1,4 @@
-"""When the phases of a 4-D data set were taken: our `timing.json`, and bivme's with trigger times a slice."""
+"""Read phase times of a 4-D data set: our `timing.json`, or bivme's file with trigger times per slice."""
 
 from pathlib import Path
 from typing import Any
@@ -21,11 +21,11 @@ def read_timing(
     image: str | None = None,
     rr_s: float | None = None,
 ) -> CycleTiming:
-    """Timing of `phases` phases.
+    """Read the timing of `phases` phases.
 
     Args:
-        path: the timing file; None looks for `timing.json` in `beside`, and where there is none puts phase i
-            at i/N, marked as assumed.
+        path: the timing file; None looks for `timing.json` in `beside`; otherwise phase i is at i/N,
+            marked as assumed.
         beside: folder of the data.
         phases: how many phases the data have.
         image: name of the image file, for a timing file that lists several.
@@ -50,7 +50,7 @@ def read_timing(
 
 
 def timing_document(timing: CycleTiming) -> dict[str, Any]:
-    """The JSON object that `timing_from_document` reads back exactly."""
+    """Build the JSON object that `timing_from_document` reads back exactly."""
     return {
         "fractions": timing.fractions.tolist(),
         "rr_s": timing.rr_s,
@@ -60,12 +60,12 @@ def timing_document(timing: CycleTiming) -> dict[str, Any]:
 
 
 def write_timing(timing: CycleTiming, path: Path | str) -> None:
-    """Write a timing file: fractions, rr_s, and what of it was assumed."""
+    """Write a timing file: fractions, rr_s, and which of them were assumed."""
     write_json(path, timing_document(timing))
 
 
 def timing_from_document(path: Path, document: Any) -> CycleTiming:
-    """A CycleTiming from `{"fractions": [...], "rr_s": …}`."""
+    """Build a CycleTiming from `{"fractions": [...], "rr_s": …}`."""
     if not isinstance(document, dict) or not {"fractions", "rr_s"} <= document.keys():
         raise UnreadableFileError(
             f'{path} is not a timing file; needed {{"fractions": [...], "rr_s": ...}}, or trigger times'
@@ -99,7 +99,7 @@ def _parse(path: Path, document: Any, image: str | None) -> CycleTiming:
 
 
 def _from_triggers(path: Path, entry: dict[str, Any]) -> CycleTiming:
-    """Mean over slices of trigger time / RR, each slice having been acquired at its own RR; mean RR."""
+    """Average trigger time / RR over slices, each acquired at its own RR; average the RR."""
     try:
         trigger_s = np.atleast_2d(np.array(entry["trigger_ms"], dtype=np.float64)) / 1000.0
         rr_s = np.array(entry["RR_ms"], dtype=np.float64) / 1000.0

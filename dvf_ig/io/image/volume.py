@@ -1,4 +1,4 @@
-"""3-D and cyclic 4-D images: MetaImage and NRRD read here, NIfTI and DICOM by SimpleITK; LPS, mm."""
+"""Read 3-D and cyclic 4-D images in LPS, mm: MetaImage and NRRD here, NIfTI and DICOM through SimpleITK."""
 
 from pathlib import Path
 from typing import Any
@@ -30,7 +30,7 @@ NIFTI_SUFFIXES = (".nii", ".nii.gz", ".hdr", ".img")
 
 
 def read_volume(path: Path | str, frame: str = "mr") -> Volume:
-    """Read a 3-D image; its pixel type is kept.
+    """Read a 3-D image with its pixel type.
 
     A left-handed grid (common in NIfTI) is turned right-handed by reversing its last axis, which moves no
     voxel in space.
@@ -52,8 +52,8 @@ def read_volume_series(
 
     Args:
         path: NIfTI, NRRD or MetaImage, or a folder of DICOM images (`read_dicom_cine`).
-        timing: when each phase was taken, or a timing file; None takes the trigger times of DICOM images,
-            else `timing.json` beside the image, else phase i at i/N of an RR of 1.0 s, both marked as
+        timing: phase times, or a timing file; None uses the trigger times of DICOM images, else
+            `timing.json` in the image's folder, else phase i at i/N of an RR of 1.0 s, both marked as
             assumed.
         frame: name of the image's LPS frame.
     Raises:
@@ -75,7 +75,7 @@ def read_volume_series(
 
 
 def image_dimension(path: Path | str) -> int:
-    """3 or 4, from the header alone; a folder of DICOM images has 4.
+    """Return 3 or 4, from the header alone; 4 for a folder of DICOM images.
 
     Raises:
         UnreadableFileError: absent, not an image, or of another dimension.
@@ -94,10 +94,10 @@ def image_dimension(path: Path | str) -> int:
 
 
 def image_header(path: Path) -> ImageHeader | None:
-    """The header of a MetaImage or NRRD file, told apart by content and ending; None where it is NIfTI.
+    """Parse the header of a MetaImage or NRRD file by content and ending; None for NIfTI.
 
     Raises:
-        UnreadableFileError: damaged, or none of these.
+        UnreadableFileError: damaged, or another format.
     """
     name = path.name.lower()
     with path.open("rb") as stream:
@@ -123,7 +123,7 @@ def write_volume(volume: Volume, path: Path | str) -> None:
 
 
 def write_volume_series(series: VolumeSeries, path: Path | str) -> None:
-    """Write a cyclic 4-D image, compressed; the phase times are not in it (see `write_timing`).
+    """Write a cyclic 4-D image, compressed, without its phase times (see `write_timing`).
 
     Raises:
         OutputError: as `write_volume`.
@@ -136,7 +136,7 @@ def write_volume_series(series: VolumeSeries, path: Path | str) -> None:
 
 
 def read_array(path: Path, frame: str, dimension: int) -> tuple[Grid, AnyArray]:
-    """Grid and values, indexed [x, y, z] or [phase, x, y, z].
+    """Read grid and values, indexed [x, y, z] or [phase, x, y, z].
 
     3D Slicer stores sequences and layers of segments as NRRD with a list of values at each voxel; such a list
     is the fourth dimension.
@@ -151,7 +151,7 @@ def read_array(path: Path, frame: str, dimension: int) -> tuple[Grid, AnyArray]:
         size, count = len(header.sizes), header.values_per_voxel
         if size != dimension or count != 1:
             raise UnreadableFileError(
-                f"{path} is {size}-D with {count} value(s) a voxel; needed {dimension}-D with one"
+                f"{path} is {size}-D with {count} value(s) per voxel; needed {dimension}-D with one"
             )
         _require_plausible(path, header.origin_mm, header.spacing_mm)
         values = read_voxels(path, header)
@@ -160,15 +160,15 @@ def read_array(path: Path, frame: str, dimension: int) -> tuple[Grid, AnyArray]:
 
 
 def _read_nifti(path: Path, frame: str, dimension: int) -> tuple[Grid, AnyArray]:
-    """As `read_array`."""
+    """Read a NIfTI image for `read_array`."""
     import SimpleITK
 
     header = read_nifti_header(path)
     if len(header.sizes) != dimension:
         raise UnreadableFileError(
-            f"{path} is {len(header.sizes)}-D with 1 value(s) a voxel; needed {dimension}-D with one"
+            f"{path} is {len(header.sizes)}-D with 1 value(s) per voxel; needed {dimension}-D with one"
         )
-    image = SimpleITK.ImageFileReader()  # where it lies in space, by rules that ITK knows best
+    image = SimpleITK.ImageFileReader()  # ITK resolves the position from qform and sform
     image.SetImageIO("NiftiImageIO")
     image.SetFileName(str(path))
     try:
@@ -176,7 +176,7 @@ def _read_nifti(path: Path, frame: str, dimension: int) -> tuple[Grid, AnyArray]
     except RuntimeError as exc:
         raise UnreadableFileError(f"{path} is not a readable image: {_itk_reason(exc)}") from exc
     if tuple(image.GetSize()) != header.sizes or image.GetNumberOfComponents() != 1:
-        raise UnreadableFileError(f"{path} holds several values a voxel; needed an image with one")
+        raise UnreadableFileError(f"{path} holds several values per voxel; needed an image with one")
     values = read_nifti_voxels(path, header)
     for file in nifti_files(path):
         record_file(file)
@@ -199,9 +199,9 @@ def _require_plausible(path: Path, origin: FloatArray, spacing: FloatArray) -> N
 def _exact(
     text: str, origin: FloatArray, spacing: FloatArray, direction: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """The geometry with the digits that a product of spacing and direction loses, where we recorded them.
+    """Restore the digits that a product of spacing and direction loses, if this program recorded them.
 
-    What was recorded counts only while it still agrees with the image's own header.
+    Recorded digits are used only if they agree with the image's own header.
     """
     try:
         numbers = np.array([float(part) for part in text.split()])
@@ -217,7 +217,7 @@ def _exact(
 def _right_handed(
     path: Path, frame: str, origin: FloatArray, spacing: FloatArray, direction: FloatArray, values: AnyArray
 ) -> tuple[Grid, AnyArray]:
-    """A grid with a proper rotation: a left-handed one has its last axis reversed."""
+    """Build a grid with a proper rotation; the last axis of a left-handed one is reversed."""
     if np.linalg.det(direction) < 0:
         origin = origin + direction[:, 2] * spacing[2] * (values.shape[-1] - 1)
         direction = direction * (1.0, 1.0, -1.0)
@@ -231,13 +231,13 @@ def _right_handed(
         )
     _require_finite(path, values)
     shape = (int(values.shape[-3]), int(values.shape[-2]), int(values.shape[-1]))
-    owned = in_c_order(values)  # a copy: `values` may be a view into an image that goes away
+    owned = in_c_order(values)  # a copy, because `values` may be a view of a temporary image
     owned.setflags(write=False)
     return Grid(frame, shape, origin, spacing, direction), owned
 
 
 def _require_finite(path: Path, values: AnyArray) -> None:
-    """In a 3-D image NaN stands for what was not imaged, as beside an ultrasound's fan; infinity for nothing.
+    """Refuse infinite voxels; NaN in a 3-D image marks what was not imaged.
 
     Raises:
         UnreadableFileError: a voxel is infinite or beyond GREY_VALUE, or NaN in a cyclic image.
@@ -284,6 +284,6 @@ def _write(image: Any, path: Path) -> None:
 
 
 def _itk_reason(exc: RuntimeError) -> str:
-    """The last line of ITK's message that says something, without source positions."""
+    """Return the last informative line of ITK's message, without source positions."""
     lines = [line.strip() for line in str(exc).splitlines() if line.strip()]
     return lines[-1].removeprefix("sitk::ERROR: ")[:200] if lines else "no reason given"

@@ -1,4 +1,4 @@
-"""The files in which an image's voxels are, where they are not in the file that was named."""
+"""Locate the voxel files of an image whose voxels are not in the file that was named."""
 
 import re
 from collections.abc import Callable
@@ -12,25 +12,25 @@ _PATTERN = re.compile(r"(\S*)%0?(\d?)d(\S*)[ \t]+(\d{1,9})[ \t]+(\d{1,9})(?:[ \t
 
 
 def named_voxel_files(header: Path, name: str, rest: Callable[[], str]) -> tuple[Path, ...]:
-    """The separate voxel files of an image, in order; none where the voxels follow the header.
+    """List the separate voxel files of an image, in order; empty if the voxels follow the header.
 
-    MetaImage and NRRD alike name one file, a pattern with numbers ("slice%03d.raw 1 20 1"), or LIST with one
-    name a line below.
+    MetaImage and NRRD both name one file, a pattern with numbers ("slice%03d.raw 1 20 1"), or LIST followed
+    by one name per line.
 
     Args:
         header: the file that names them.
-        name: as it does.
+        name: as written in the header.
         rest: the text after the name.
     Raises:
-        UnreadableFileError: a file that is absent, is none, or is not in the header's folder; or too many.
+        UnreadableFileError: a file is absent, is not a file, or is not in the header's folder; or too many.
     """
     if name.upper() == "LOCAL":
         return ()
-    found = _PATTERN.fullmatch(name)
+    match = _PATTERN.fullmatch(name)
     if re.fullmatch(r"LIST(\s+\d)?", name.upper()):
         names = [line.strip() for line in rest().splitlines() if line.strip()]
-    elif found is not None:
-        names = _numbered(header, found)
+    elif match is not None:
+        names = _numbered(header, match)
     else:
         names = [name]
     if not 0 < len(names) <= MOST_FILES:
@@ -39,7 +39,7 @@ def named_voxel_files(header: Path, name: str, rest: Callable[[], str]) -> tuple
 
 
 def _numbered(header: Path, pattern: re.Match[str]) -> list[str]:
-    """The names that a pattern with first, last and step stands for."""
+    """Expand a pattern with first, last and step into names."""
     before, width, after = pattern[1], int(pattern[2] or 0), pattern[3]
     numbers = range(int(pattern[4]), int(pattern[5]) + 1, max(int(pattern[6] or 1), 1))
     if len(numbers) > MOST_FILES:

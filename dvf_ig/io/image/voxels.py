@@ -1,4 +1,4 @@
-"""The voxels of a MetaImage or NRRD file, raw or packed; no more is read than its header promises."""
+"""Read the voxels of a MetaImage or NRRD file, raw or compressed, and no more than its header states."""
 
 from pathlib import Path
 
@@ -14,12 +14,12 @@ from dvf_ig.io.reading import refuse_lfs_pointer
 from .header import ImageHeader, Storage
 
 _AT_ONCE = 256
-"""Bytes: four lines of a processor's cache."""
+"""Bytes copied per step: four cache lines of a processor."""
 _MANY_SLICES = 64
 
 
 def read_voxels(path: Path, header: ImageHeader) -> AnyArray:
-    """Values indexed [x, y, z], or [phase, x, y, z] where one of the axes runs over phases.
+    """Read values indexed [x, y, z], or [phase, x, y, z] if one of the axes runs over phases.
 
     Raises:
         UnreadableFileError: more than VOXEL_BYTES, truncated, longer than the header says, or damaged.
@@ -27,13 +27,13 @@ def read_voxels(path: Path, header: ImageHeader) -> AnyArray:
     storage, needed = header.storage, header.bytes
     if needed > limits.VOXEL_BYTES:
         raise UnreadableFileError(
-            f"{path}: its header states {needed:.3g} bytes; at most {limits.VOXEL_BYTES:.3g} are read"
+            f"{path}: its header states {needed:.3g} bytes; at most {limits.VOXEL_BYTES:.3g} can be read"
         )
     for file in storage.files:
         refuse_lfs_pointer(file)
-    held = sum(file.stat().st_size for file in storage.files or (path,))
-    if needed > held * (MOST_PACKED if storage.compressed else 1):
-        require_size(path, held, needed)
+    stored_bytes = sum(file.stat().st_size for file in storage.files or (path,))
+    if needed > stored_bytes * (MOST_PACKED if storage.compressed else 1):
+        require_size(path, stored_bytes, needed)
     flat = (_unpacked if storage.compressed else _raw)(path, storage, needed)
     for file in storage.files:
         record_file(file)
@@ -43,10 +43,12 @@ def read_voxels(path: Path, header: ImageHeader) -> AnyArray:
 
 
 def _raw(path: Path, storage: Storage, needed: int) -> AnyArray:
-    """Raw voxels, of separate files an equal part each."""
+    """Read raw voxels; separate files hold an equal part each."""
     parts = storage.files or (path,)
     if needed % len(parts):
-        raise UnreadableFileError(f"{path}: {needed} bytes do not spread over {len(parts)} equal files")
+        raise UnreadableFileError(
+            f"{path}: {needed} bytes cannot be split over {len(parts)} equal files; save it again"
+        )
     share, flat = needed // len(parts), np.empty(needed, np.uint8)
     for part, target in zip(parts, flat.reshape(len(parts), share), strict=True):
         size = part.stat().st_size
@@ -70,10 +72,10 @@ def _unpacked(path: Path, storage: Storage, needed: int) -> AnyArray:
 
 
 def in_c_order(values: AnyArray) -> AnyArray:
-    """A copy whose last axis is contiguous, of (…, x, y, z) in any order.
+    """Copy (…, x, y, z) values in any memory order so that the last axis is contiguous.
 
-    Files hold x fastest, so that neighbours along z are a slice apart: where the slices are many, voxels are
-    copied so many along x at a time that what memory gives at once is used at once.
+    Files hold x fastest, so neighbours along z are a slice apart: with many slices, voxels are copied in
+    short runs along x that fill whole cache lines.
     """
     if values.shape[-1] < _MANY_SLICES:
         return np.array(values, order="C")

@@ -1,4 +1,4 @@
-"""Triangle meshes: OBJ, STL, PLY and VTP, in mm, LPS (files tagged SPACE=RAS are converted)."""
+"""Read and write triangle meshes: OBJ, STL, PLY and VTP, in mm, LPS (SPACE=RAS files are converted)."""
 
 import logging
 import re
@@ -30,11 +30,11 @@ _TO_LPS = np.array([-1.0, -1.0, 1.0])
 def read_mesh(path: Path | str, frame: str = "mr") -> Mesh:
     """Read a triangle mesh; polygons are split into fans, triangle strips into triangles.
 
-    Whatever else a file declares is refused if it may hold a part of the surface, or named in a logged
-    warning if it has no area (points, lines).
+    Other content is refused if it may hold a part of the surface; content without area (points, lines) is
+    listed in a logged warning.
 
-    Coordinates are LPS unless the file says SPACE=RAS, as 3D Slicer writes and assumes. STL vertices that
-    coincide exactly become one.
+    Coordinates are LPS unless the file states SPACE=RAS, as 3D Slicer does. STL vertices that coincide
+    exactly are merged.
 
     Args:
         path: `.obj`, `.stl`, `.ply` (ASCII or binary) or `.vtp` (ASCII, inline or appended, zlib or plain).
@@ -66,16 +66,16 @@ def write_mesh(mesh: Mesh, path: Path | str) -> None:
 
 
 def warn_of_left_out(path: Path, meshes: Iterable[RawMesh]) -> None:
-    """Log once what files at `path` declare beyond the surface."""
+    """Log once the content of the files at `path` that is not part of the surface."""
     for text in dict.fromkeys(", ".join(raw.left_out) for raw in meshes if raw.left_out):
-        log.warning("%s: %s hold no surface and are left out", path, text)
+        log.warning("%s: %s have no surface and are ignored", path, text)
 
 
 def decode_mesh(path: Path, data: bytes) -> RawMesh:
-    """Mesh from bytes in the format that the ending of `path` names; vertices in LPS.
+    """Decode a mesh in the format that the ending of `path` names; vertices in LPS.
 
     Raises:
-        UnreadableFileError: unknown ending, damaged or not understood content, or not one known SPACE.
+        UnreadableFileError: unknown ending, damaged or unsupported content, or an unknown or ambiguous SPACE.
     """
     decode = DECODERS.get(path.suffix.lower())
     if decode is None:

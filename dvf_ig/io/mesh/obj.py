@@ -1,4 +1,4 @@
-"""Wavefront OBJ: vertices and faces; normals, texture, names and materials do not change the surface."""
+"""Read and write Wavefront OBJ: vertices and faces; normals, texture, names and materials are ignored."""
 
 from collections.abc import Iterator
 
@@ -12,12 +12,12 @@ _HARMLESS = frozenset(
     {"vn", "vt", "vp", "g", "o", "s", "mg", "usemtl", "mtllib", "usemap", "maplib", "shadow_obj", "trace_obj"}
     | {"bevel", "c_interp", "d_interp", "lod"}
 )
-"""Lines that add no surface and change none."""
+"""Keywords of lines that do not affect the surface."""
 _WITHOUT_SURFACE = {"p": "points", "l": "lines"}
 
 
 def decode_obj(data: bytes) -> RawMesh:
-    """Mesh of an OBJ file; indices may be relative, faces may be polygons, a backslash continues a line."""
+    """Decode an OBJ file; indices may be relative, faces may be polygons, a backslash continues a line."""
     vertices: list[list[str]] = []
     faces: list[list[str]] = []
     counts_at_face: list[int] = []
@@ -35,7 +35,7 @@ def decode_obj(data: bytes) -> RawMesh:
             left_out[keyword] += 1
         elif keyword and keyword not in _HARMLESS:
             raise MeshFormatError(
-                f"{line.strip()[:40]!r}: '{keyword[:20]}' is not read and may hold a part of the surface; "
+                f"{line.strip()[:40]!r}: '{keyword[:20]}' is unsupported and may hold a part of the surface; "
                 "export the mesh as triangles (lines 'v' and 'f')"
             )
         if "#" in line:
@@ -52,7 +52,7 @@ def decode_obj(data: bytes) -> RawMesh:
 
 
 def _whole_lines(text: str) -> Iterator[str]:
-    """Lines; those of geometry continue after a backslash, names and comments do not."""
+    """Yield lines; geometry continues after a backslash, names and comments do not."""
     begun = ""
     for part in text_lines(text):
         line = begun + part
@@ -64,7 +64,7 @@ def _whole_lines(text: str) -> Iterator[str]:
 
 
 def _vertex(numbers: list[str], before: int) -> list[str]:
-    """x, y and z of a line `v x y z`, which a weight of 1, a colour or both may follow."""
+    """Return x, y and z of a line `v x y z`, optionally followed by a weight of 1, a colour or both."""
     if len(numbers) not in (3, 4, 6, 7) or (len(numbers) in (4, 7) and float(numbers[3]) != 1.0):
         raise MeshFormatError(
             f"vertex {before + 1} is '{' '.join(numbers)[:60]}'; needed x y z, and no weight but 1: export "
@@ -74,19 +74,19 @@ def _vertex(numbers: list[str], before: int) -> list[str]:
 
 
 def _corners(faces: list[list[str]], seen: IntArray) -> IntArray:
-    """Vertex indices from 0; `seen` has the number of vertices before each corner, for negative ones."""
-    given = np.array([int(corner) for face in faces for corner in face], dtype=np.int64)
-    corners = np.where(given < 0, given + seen, given - 1)
+    """Convert vertex indices to start at 0; `seen` counts the vertices before each corner."""
+    stated = np.array([int(corner) for face in faces for corner in face], dtype=np.int64)
+    corners = np.where(stated < 0, stated + seen, stated - 1)
     if (corners < 0).any():
         raise MeshFormatError(
-            f"a face refers to vertex {given[np.argmin(corners)]}; needed 1 for the first, or a negative "
+            f"a face refers to vertex {stated[np.argmin(corners)]}; needed 1 for the first, or a negative "
             "number that counts from the last vertex before the face: export the mesh again"
         )
     return corners
 
 
 def encode_obj(mesh: RawMesh) -> bytes:
-    """OBJ text with the SPACE tag in a comment and every digit of the vertices."""
+    """Encode OBJ text with the SPACE tag in a comment and every digit of the vertices."""
     lines = [f"# {mesh.note}"]
     lines += ["v {!r} {!r} {!r}".format(*row) for row in mesh.vertices.tolist()]
     lines += ["f {} {} {}".format(*row) for row in (mesh.triangles + 1).tolist()]

@@ -1,4 +1,4 @@
-"""PLY, ASCII and binary of either byte order: the elements `vertex` (x, y, z) and `face` (vertex lists)."""
+"""Read and write PLY, ASCII and binary of either byte order: elements `vertex` (x, y, z) and `face`."""
 
 import re
 from dataclasses import dataclass, field
@@ -25,9 +25,9 @@ _END_HEADER = re.compile(rb"[\r\n]end_header[ \t]*(\r\n|\n|\r)")
 _INDEX_LISTS = ("vertex_indices", "vertex_index")
 _WITHOUT_SURFACE = ("edge", "camera", "material")
 _SMALLEST_FACE = 4
-"""Bytes of a triangle whose count and indices have one byte each."""
+"""Bytes of a triangle with a count and indices of one byte each."""
 _Tables = dict[str, dict[str, list[AnyArray] | AnyArray]]
-"""Columns by element and property; a list has an array a row."""
+"""Columns by element and property; a list property has one array per row."""
 
 
 @dataclass(slots=True)
@@ -40,7 +40,7 @@ class _Element:
 
 
 def decode_ply(data: bytes) -> RawMesh:
-    """Mesh of a PLY file: all of its faces; what else it declares is named or refused."""
+    """Decode a PLY file: all of its faces; other elements are listed or refused."""
     end = _END_HEADER.search(data)
     if not data.startswith(b"ply") or end is None:
         raise MeshFormatError("not a PLY file (no 'ply' … 'end_header')")
@@ -62,7 +62,7 @@ def decode_ply(data: bytes) -> RawMesh:
 
 
 def encode_ply(mesh: RawMesh) -> bytes:
-    """Binary little-endian PLY with 64-bit coordinates and the SPACE tag in a comment."""
+    """Encode binary little-endian PLY with 64-bit coordinates and the SPACE tag in a comment."""
     header = (
         f"ply\nformat binary_little_endian 1.0\ncomment {mesh.note}\n"
         f"element vertex {len(mesh.vertices)}\n"
@@ -89,9 +89,11 @@ def _header(text: str) -> tuple[str, list[_Element], str]:
         elif words[:1] == ["property"]:
             elements[-1].properties.append((words[2], _type(words[1]), None))
         elif words:
-            raise MeshFormatError(f"its header has a line {line.strip()[:40]!r} that PLY does not know")
+            raise MeshFormatError(f"its header line {line.strip()[:40]!r} is not PLY; export the mesh again")
     if form not in ("ascii", "binary_little_endian", "binary_big_endian"):
-        raise MeshFormatError(f"PLY format '{form}' is not known")
+        raise MeshFormatError(
+            f"PLY format '{form}' is unknown; needed ascii, binary_little_endian or binary_big_endian"
+        )
     return form, elements, "\n".join(notes)
 
 
@@ -102,7 +104,7 @@ def _type(name: str) -> str:
 
 
 def _require_known(elements: list[_Element]) -> tuple[str, ...]:
-    """Elements that hold no surface, each with its count.
+    """List the elements without surface with their counts; refuse unknown elements.
 
     Raises:
         MeshFormatError: vertex or face absent or twice, or an element that may hold a part of the surface.
@@ -116,7 +118,7 @@ def _require_known(elements: list[_Element]) -> tuple[str, ...]:
             raise MeshFormatError(f"element '{element.name}' has a negative count or a property twice")
         if element.name not in ("vertex", "face", *_WITHOUT_SURFACE) and element.count:
             raise MeshFormatError(
-                f"{element.count} rows of '{element.name[:20]}' are not read and may hold a part of the "
+                f"{element.count} rows of '{element.name[:20]}' are not supported and may hold a part of the "
                 "surface; export the mesh as triangles (elements vertex and face)"
             )
     if missing := [axis for axis in "xyz" if axis not in _named(elements, "vertex")]:
@@ -125,13 +127,13 @@ def _require_known(elements: list[_Element]) -> tuple[str, ...]:
 
 
 def _named(elements: list[_Element], name: str) -> dict[str, tuple[str, str | None]]:
-    """Properties of an element: type, and the count type of a list."""
+    """Return the properties of an element: type, and the count type of a list."""
     element = next(e for e in elements if e.name == name)
     return {name: (kind, count_kind) for name, kind, count_kind in element.properties}
 
 
 def _index_list(elements: list[_Element]) -> str:
-    """Name of the list of the faces' corners, the only list of whole numbers that they may have."""
+    """Return the name of the list of face corners, the only integer list that faces may have."""
     face = _named(elements, "face")
     whole = [
         n for n, (kind, count_kind) in face.items() if count_kind and kind[0] != "f" and n != "texnumber"
@@ -185,7 +187,7 @@ def _length(count: int, element: _Element) -> int:
 
 
 def _binary_tables(body: memoryview, elements: list[_Element], order: str) -> tuple[_Tables, int]:
-    """Elements by name, and where the data after them start."""
+    """Read the elements by name, and return the position of the data after them."""
     tables: _Tables = {}
     at = 0
     for element in elements:
@@ -200,7 +202,7 @@ def _binary_tables(body: memoryview, elements: list[_Element], order: str) -> tu
 
 
 def _uniform_lengths(body: memoryview, at: int, element: _Element, order: str) -> tuple[int, ...] | None:
-    """Lengths of the list properties where every row has those of the first, else None."""
+    """Return the list lengths of the first row if every row has the same, else None."""
     if element.count == 0:
         return (0,) * sum(1 for *_, kind in element.properties if kind)
     _, _, lengths = _row(body, at, element, order)
@@ -240,7 +242,7 @@ def _ragged(
 def _row(
     body: memoryview, at: int, element: _Element, order: str
 ) -> tuple[dict[str, AnyArray], int, tuple[int, ...]]:
-    """One row read property by property: values, the position after it, and its list lengths."""
+    """Read one row property by property: values, the position after it, and its list lengths."""
     values: dict[str, AnyArray] = {}
     lengths: list[int] = []
     for name, kind, count_kind in element.properties:

@@ -1,4 +1,4 @@
-"""What the mesh formats exchange with `mesh`: arrays, and the text that may hold the SPACE tag."""
+"""Intermediate form of the mesh formats: arrays, and the text that may hold the SPACE tag."""
 
 from dataclasses import dataclass, field
 
@@ -15,14 +15,14 @@ class MeshFormatError(Exception):
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class RawMesh:
-    """A mesh as a file holds it.
+    """A mesh as stored in a file.
 
     Attributes:
-        vertices: (v, 3), in the space that `note` names.
+        vertices: (v, 3), in the space that `note` states.
         triangles: (m, 3) vertex indices from 0.
-        note: header or comment text, where "SPACE=LPS" or "SPACE=RAS" may stand.
+        note: header or comment text, which may contain "SPACE=LPS" or "SPACE=RAS".
         cell_flags: named values per triangle (VTP only).
-        left_out: what the file declares and a surface has no use for, each with its count: "3 lines".
+        left_out: content of the file that is not part of a surface, each with its count: "3 lines".
     """
 
     vertices: FloatArray
@@ -33,7 +33,7 @@ class RawMesh:
 
 
 def text_lines(text: str) -> list[str]:
-    """Lines that end with LF, CR LF or CR; other separators belong to names and comments."""
+    """Split lines at LF, CR LF or CR; other separators belong to names and comments."""
     return text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
 
 
@@ -42,7 +42,7 @@ def fan_triangles(polygons: IntArray, counts: IntArray) -> tuple[IntArray, IntAr
 
     Args:
         polygons: vertex indices, one polygon after the other.
-        counts: how many vertices each polygon has.
+        counts: number of vertices of each polygon.
     Returns:
         (m, 3) triangles and (m,) the polygon each comes from.
     Raises:
@@ -54,7 +54,7 @@ def fan_triangles(polygons: IntArray, counts: IntArray) -> tuple[IntArray, IntAr
 
 
 def strip_triangles(strips: IntArray, counts: IntArray) -> tuple[IntArray, IntArray]:
-    """Split triangle strips, in which every second triangle is turned; see `fan_triangles`."""
+    """Split triangle strips, in which every second triangle is reversed; see `fan_triangles`."""
     first, step, owner = _triangle_steps(counts, "triangle strip")
     turned = step % 2
     columns = [strips[first + step], strips[first + step + 1 + turned], strips[first + step + 2 - turned]]
@@ -62,7 +62,7 @@ def strip_triangles(strips: IntArray, counts: IntArray) -> tuple[IntArray, IntAr
 
 
 def _triangle_steps(counts: IntArray, what: str) -> tuple[IntArray, IntArray, IntArray]:
-    """Per triangle: where its cell starts, its number in the cell, and the cell."""
+    """Return for each triangle the start of its cell, its number in the cell, and the cell."""
     short = np.flatnonzero(counts < 3)
     if len(short):
         raise MeshFormatError(
@@ -76,10 +76,10 @@ def _triangle_steps(counts: IntArray, what: str) -> tuple[IntArray, IntArray, In
 
 
 def whole_indices(values: AnyArray, vertices: int, what: str) -> IntArray:
-    """Vertex indices as integers.
+    """Convert vertex indices to integers.
 
     Raises:
-        MeshFormatError: one that is no whole number, or not that of one of the `vertices`.
+        MeshFormatError: an index is not a whole number, or not below `vertices`.
     """
     if np.issubdtype(values.dtype, np.integer):
         wrong = (values < 0) | (values >= vertices)
@@ -94,18 +94,18 @@ def whole_indices(values: AnyArray, vertices: int, what: str) -> IntArray:
 
 
 def left_after(data: bytes | memoryview, declared: str, record_bytes: int) -> tuple[str, ...]:
-    """What to say of the bytes after the last declared triangle, which cannot hold another one.
+    """Describe the bytes after the last declared triangle, which cannot hold another one.
 
     Args:
-        declared: what the header states, for the message.
-        record_bytes: of one triangle.
+        declared: the count that the header states, for the message.
+        record_bytes: size of one triangle.
     Raises:
-        MeshFormatError: bytes enough for a triangle, and not all of them zero.
+        MeshFormatError: enough bytes for a triangle that are not all zero.
     """
     count = len(data)
     if count >= record_bytes and bytes(data).strip(b"\0\r\n\t "):
         raise MeshFormatError(
-            f"{count} bytes follow the {declared} of its header, room for {count // record_bytes} more: "
+            f"{count} bytes follow the {declared} of its header, enough for {count // record_bytes} more: "
             "export the whole surface as one mesh"
         )
     return (f"{count} bytes after the {declared}",) if count else ()

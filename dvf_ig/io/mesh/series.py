@@ -1,4 +1,4 @@
-"""A surface through the cycle, one mesh file a phase: in a folder, or in an archive that is read in place."""
+"""Read and write a surface through the cycle: a mesh file per phase, in a folder or in an archive."""
 
 import lzma
 import re
@@ -26,17 +26,17 @@ from .vtp import encode_vtp
 
 UNKNOWN_PATIENT = "unknown"
 MOST_MEMBERS = 10_000
-"""Meshes in an archive; ours have 20 phases of up to ten surfaces."""
+"""Most meshes in an archive; typical archives have 20 phases of up to ten surfaces."""
 _TAR_END = 1 << 20
-"""Bytes looked at after the last member; an archive is padded with zeros to a multiple of 10 240."""
+"""Bytes checked after the last member; an archive is padded with zeros to a multiple of 10 240."""
 _CAP = "Cap"
 _PHASE_FILE = re.compile(r"(?!\._)(.+?)_?(\d+)\.(obj|stl|ply|vtp)", re.IGNORECASE)
-"""Not the AppleDouble files that macOS puts beside each file in an archive."""
+"""File name of a phase; excludes the AppleDouble files ("._…") that macOS adds to archives."""
 
 
 @dataclass(frozen=True, slots=True)
 class _PhaseFile:
-    """One mesh file: where it is said to be, what its name says, and how to get its bytes."""
+    """One mesh file: its displayed path, the parts of its name, and a function that reads it."""
 
     path: Path
     stem: str
@@ -53,19 +53,19 @@ def read_surface_series(
 ) -> SurfaceSeries:
     """Read the files `<patient>_<NAME>_<number>.<obj|stl|ply|vtp>` of one surface, in order of their number.
 
-    Names that begin with "._", which macOS adds beside its files, are passed over.
+    Names that begin with "._", which macOS adds, are skipped.
 
     Args:
         folder: holds the files (also in sub-folders), or one tar archive of them, which is read in place.
         name: which surface.
-        timing_file: phase times or their file (see `read_timing`); None takes `timing.json` in the folder,
+        timing_file: phase times or their file (see `read_timing`); None uses `timing.json` in the folder,
             else phase i is at i/N of an RR of 1.0 s, both marked as assumed.
         rr_s: RR interval that overrides the file's.
         frame: name of the meshes' LPS frame.
     Returns:
-        the series; the patient id is what stands before the surface's name, "unknown" where nothing does.
+        the series; the patient id is the prefix of the surface's name, "unknown" without one.
     Raises:
-        UnreadableFileError: no such surface (the message lists those there are), a phase missing, or phases
+        UnreadableFileError: no such surface (the message lists the others), a phase missing, or phases
             that do not share vertices and triangles.
     """
     folder = Path(folder)
@@ -94,7 +94,7 @@ def read_surface_series(
 
 
 def surface_names(folder: Path | str) -> list[str]:
-    """Names of the surfaces in a folder or in its archive, without the patient they all start with."""
+    """List the surfaces in a folder or in its archive, without their common prefix (the patient)."""
     folder = Path(folder)
     with reading(folder, "a folder of surfaces"):
         return _surface_names(_phase_files(folder))
@@ -104,12 +104,12 @@ def write_surface_series(series: SurfaceSeries, folder: Path | str, *, timing: b
     """Write `<NAME>_<phase>.vtp` for each phase (LPS, every digit, caps as cell data) and `timing.json`.
 
     Raises:
-        InvalidInputError: a surface name that cannot stand in a file name.
+        InvalidInputError: a surface name that is not valid in a file name.
         OutputError: not writable.
     """
     folder = Path(folder)
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9 .+-]*(_[A-Za-z0-9 .+-]+)*", series.name):
-        raise InvalidInputError(f"surface name '{series.name}' cannot stand in a file name; rename it")
+        raise InvalidInputError(f"surface name '{series.name}' is not valid in a file name; rename it")
     make_folder(folder)
     for i, vertices in enumerate(series.vertices_mm):
         raw = RawMesh(vertices, series.triangles, "SPACE=LPS", {_CAP: series.caps})
@@ -119,11 +119,11 @@ def write_surface_series(series: SurfaceSeries, folder: Path | str, *, timing: b
 
 
 def _phase_files(folder: Path) -> list[_PhaseFile]:
-    """Every mesh file with a number: beside each other, else in sub-folders, else in the one archive."""
+    """List the numbered mesh files: in the folder, else in its sub-folders, else in its one archive."""
     for paths in (folder.iterdir(), folder.rglob("*")):
-        found = [f for path in sorted(paths) if path.is_file() and (f := _on_disk(path))]
-        if found:
-            return found
+        files = [f for path in sorted(paths) if path.is_file() and (f := _on_disk(path))]
+        if files:
+            return files
     archives = sorted(p for p in folder.iterdir() if p.name.lower().endswith((".tar.gz", ".tgz", ".tar")))
     if len(archives) > 1:
         raise UnreadableFileError(
@@ -156,7 +156,7 @@ def _in_archive(archive: Path) -> list[_PhaseFile]:
 
 
 def _contents(archive: Path, tar: tarfile.TarFile) -> dict[str, bytes]:
-    """The mesh files of an archive, of at most VOXEL_BYTES together."""
+    """Read the mesh files of an archive, at most VOXEL_BYTES together."""
     contents: dict[str, bytes] = {}
     total = 0
     for member in tar:
@@ -175,13 +175,13 @@ def _contents(archive: Path, tar: tarfile.TarFile) -> dict[str, bytes]:
 
 
 def _require_end(archive: Path, tar: tarfile.TarFile) -> None:
-    """Refuse an archive that is cut off after a member, or followed by another: members would be missed."""
+    """Refuse an archive that is truncated after a member, or followed by another: members would be missed."""
     if tar.fileobj is None:
         raise UnreadableFileError(f"{archive} was closed while it was read")
     tar.fileobj.seek(tar.offset)
     end = tar.fileobj.read(_TAR_END)
     if len(end) < tarfile.BLOCKSIZE or end.strip(b"\0"):
-        raise UnreadableFileError(f"{archive} has no proper end: it is cut off or damaged; copy it again")
+        raise UnreadableFileError(f"{archive} has no proper end: it is truncated or damaged; copy it again")
 
 
 def _constant(data: bytes) -> Callable[[], bytes]:
@@ -189,29 +189,29 @@ def _constant(data: bytes) -> Callable[[], bytes]:
 
 
 def _files_of(folder: Path, files: list[_PhaseFile], name: str) -> tuple[str, list[_PhaseFile]]:
-    """The patient and the phases of one surface, in order."""
+    """Return the patient and the phases of one surface, in order."""
     chosen = [file for file in files if file.stem == name]
     chosen = chosen or [file for file in files if file.stem.endswith(f"_{name}")]
     if not chosen:
-        listed = ", ".join(_surface_names(files)) or "none at all"
+        listed = ", ".join(_surface_names(files)) or "none"
         raise UnreadableFileError(f"{folder} has no surface '{name}'; it has {listed}")
     patients = sorted({file.stem.removesuffix(name).rstrip("_") for file in chosen})
     if len(patients) > 1:
         listed = ", ".join(f"{p}_{name}" for p in patients)
-        raise UnreadableFileError(f"{folder}: '{name}' means several surfaces ({listed}); name one in full")
+        raise UnreadableFileError(f"{folder}: '{name}' matches several surfaces ({listed}); name one in full")
     chosen.sort(key=lambda file: file.number)
     numbers = [file.number for file in chosen]
     expected = list(range(numbers[0], numbers[0] + len(numbers)))
     if numbers != expected:
         odd = sorted(set(expected) ^ set(numbers)) or sorted({n for n in numbers if numbers.count(n) > 1})
         raise UnreadableFileError(
-            f"{folder}: the phases of '{name}' are not numbered one after the other (see number {odd[0]})"
+            f"{folder}: the phases of '{name}' are not consecutive (see number {odd[0]}); rename the files"
         )
     return patients[0] or UNKNOWN_PATIENT, chosen
 
 
 def _surface_names(files: list[_PhaseFile]) -> list[str]:
-    """Names of the surfaces, without what all of them start with (the patient)."""
+    """List the surfaces without the prefix that all of them share (the patient)."""
     stems = sorted({file.stem for file in files})
     parts = [stem.split("_") for stem in stems]
     shared = 0

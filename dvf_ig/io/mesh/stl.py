@@ -1,4 +1,4 @@
-"""STL, ASCII and binary: triangles without shared vertices, whose exactly coinciding vertices are merged."""
+"""Read and write STL, ASCII and binary: triangles whose exactly coinciding vertices are merged."""
 
 import re
 
@@ -20,13 +20,13 @@ _FOLLOWS = {
     "endfacet": ("facet", "endsolid"),
     "endsolid": ("solid",),
 }
-"""Keywords of ASCII lines, and those that may come next; after the third vertex, endloop."""
+"""Keywords of ASCII lines with those that may follow; after the third vertex, endloop."""
 
 
 def decode_stl(data: bytes) -> RawMesh:
-    """Mesh of an STL file: all solids of an ASCII file, the one of a binary file.
+    """Decode an STL file: all solids of an ASCII file, the one of a binary file.
 
-    A binary file may also begin with "solid"; its size or a byte of zero shows that it is binary.
+    A binary file may also begin with "solid"; its size or a zero byte identifies it.
     """
     if len(data) >= _HEADER_BYTES + 4:
         count = int.from_bytes(data[_HEADER_BYTES : _HEADER_BYTES + 4], "little")
@@ -43,7 +43,7 @@ def decode_stl(data: bytes) -> RawMesh:
 
 
 def _decode_ascii(data: bytes) -> RawMesh:
-    """Every line is one of the format's, in its order; keywords in any case."""
+    """Decode ASCII STL; every line must be valid and in order, keywords in any case."""
     lines = text_lines(data.decode("latin-1"))
     rows = [(number, words) for number, line in enumerate(lines, 1) if (words := line.split())]
     if not rows or rows[0][1][0].lower() != "solid":
@@ -67,13 +67,13 @@ def _decode_ascii(data: bytes) -> RawMesh:
         expected = ("endloop",) if keyword == "vertex" and len(corners) % 3 == 0 else _FOLLOWS[keyword]
     if keyword != "endsolid":
         raise MeshFormatError(
-            f"{len(corners)} vertices of triangles and no proper end; the file is truncated"
+            f"{len(corners)} vertices and no proper end; the file is truncated: copy it again"
         )
     return _welded(np.array(corners, dtype=np.float64).reshape(-1, 3, 3), "\n".join(notes))
 
 
 def _welded(corners: FloatArray, note: str, left_out: tuple[str, ...] = ()) -> RawMesh:
-    """Merge equal corners; numbering follows first appearance, so that corresponding files stay alike."""
+    """Merge equal corners, numbered by first appearance so that corresponding files keep equal numbering."""
     if not np.isfinite(corners).all():
         raise MeshFormatError("a corner is not finite; export it again")
     points = corners.reshape(-1, 3).astype(np.float64)
@@ -85,7 +85,7 @@ def _welded(corners: FloatArray, note: str, left_out: tuple[str, ...] = ()) -> R
 
 
 def encode_stl(mesh: RawMesh) -> bytes:
-    """Binary STL, 32-bit floats, the SPACE tag in its header."""
+    """Encode binary STL with 32-bit floats and the SPACE tag in its header."""
     corners = mesh.vertices[mesh.triangles]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     length = np.linalg.norm(normals, axis=1, keepdims=True)

@@ -1,4 +1,4 @@
-"""VTK XML PolyData (`.vtp`): polygons and triangle strips.
+"""Read and write VTK XML PolyData (`.vtp`): polygons and triangle strips.
 
 Arrays are ASCII, inline base64, or appended (raw or base64), plain or zlib.
 """
@@ -36,7 +36,7 @@ _APPENDED = re.compile(rb"<AppendedData\s+encoding\s*=\s*[\"'](raw|base64)[\"']\
 
 @dataclass(frozen=True, slots=True)
 class _Codec:
-    """How the arrays of one file are stored."""
+    """Storage of the arrays of one file."""
 
     order: str
     header: str
@@ -45,7 +45,7 @@ class _Codec:
     appended_base64: bool
 
     def values(self, node: ElementTree.Element) -> AnyArray:
-        """The numbers of a DataArray element."""
+        """Decode the numbers of a DataArray element."""
         kind = self.order + _TYPES[node.attrib["type"]]
         form = node.attrib.get("format", "ascii")
         if form == "ascii":
@@ -61,7 +61,7 @@ class _Codec:
         return np.frombuffer(self._block("".join((node.text or "").split()).encode("ascii"), True), kind)
 
     def _block(self, data: bytes, is_base64: bool) -> bytes:
-        """The bytes of one array: a size header, then plain or compressed data."""
+        """Decode the bytes of one array: a size header, then plain or compressed data."""
         word = np.dtype(self.order + self.header)
         if not self.compressed:
             size = int(self._take(data, word.itemsize, is_base64, word)[0])
@@ -71,7 +71,7 @@ class _Codec:
             return b""
         if blocks * block_size > limits.TEXT_BYTES:
             raise MeshFormatError(
-                f"an array states {blocks * block_size} bytes; at most {limits.TEXT_BYTES} are read"
+                f"an array states {blocks * block_size} bytes; at most {limits.TEXT_BYTES} can be read"
             )
         head = (3 + blocks) * word.itemsize
         sizes = self._take(data, head, is_base64, word)[3:]
@@ -89,7 +89,7 @@ class _Codec:
         return out
 
     def _second_run(self, data: bytes, head: int, size: int) -> bytes:
-        """The compressed bytes, which base64 encodes apart from the header before them."""
+        """Decode the compressed bytes, which base64 encodes separately from the header before them."""
         start = -(-head // 3) * 4
         return base64.b64decode(data[start : start + -(-size // 3) * 4])[:size]
 
@@ -100,7 +100,7 @@ class _Codec:
         return np.frombuffer(raw, word)
 
     def _exactly(self, data: bytes, head: int, size: int, is_base64: bool) -> bytes:
-        """`size` bytes after the header; plain base64 encodes header and data in one run."""
+        """Read `size` bytes after the header; plain base64 encodes header and data together."""
         if is_base64:
             raw = base64.b64decode(data[: -(-(head + size) // 3) * 4])[head : head + size]
         else:
@@ -111,7 +111,7 @@ class _Codec:
 
 
 def decode_vtp(data: bytes) -> RawMesh:
-    """Mesh of a VTP file: the polygons and triangle strips of all pieces.
+    """Decode a VTP file: the polygons and triangle strips of all pieces.
 
     `cell_flags` holds their integer cell data; vertex and line cells are counted in `left_out`.
     """
@@ -153,7 +153,7 @@ def decode_vtp(data: bytes) -> RawMesh:
 
 
 def encode_vtp(mesh: RawMesh) -> bytes:
-    """VTP with 64-bit coordinates inline in base64 and the SPACE tag as 3D Slicer's field data."""
+    """Encode VTP with inline base64 64-bit coordinates and the SPACE tag as 3D Slicer's field data."""
     space = " ".join(str(code) for code in mesh.note.removeprefix("SPACE=").encode("ascii"))
     offsets = np.arange(1, len(mesh.triangles) + 1, dtype=np.int64) * 3
     flags = "".join(_array_xml(name, values.astype(np.uint8)) for name, values in mesh.cell_flags.items())
@@ -184,7 +184,7 @@ def _array_xml(name: str, values: AnyArray, components: int = 1) -> str:
 
 
 def _unpacked(part: bytes, most: int) -> bytes:
-    """A block of compressed data, of which no more is unpacked than its header says."""
+    """Decompress a block to at most the size that its header states."""
     inflater = zlib.decompressobj()
     out = inflater.decompress(part, most + 1)
     if len(out) > most or not inflater.eof:
@@ -193,7 +193,7 @@ def _unpacked(part: bytes, most: int) -> bytes:
 
 
 def _split_appended(data: bytes) -> tuple[bytes, bytes, bool]:
-    """The XML without its appended block, that block, and whether it is base64."""
+    """Return the XML without its appended block, that block, and whether it is base64."""
     start = _APPENDED.search(data)
     if start is None:
         return data, b"", False
@@ -203,12 +203,12 @@ def _split_appended(data: bytes) -> tuple[bytes, bytes, bool]:
     return xml, data[start.end() : stop], start[1] == b"base64"
 
 
-def _require_known(node: ElementTree.Element, known: set[str]) -> None:
-    """Raise MeshFormatError for a child that is not one of `known`: it may hold a part of the surface."""
+def _require_known(node: ElementTree.Element, supported: set[str]) -> None:
+    """Raise MeshFormatError for a child not among `known`: it may hold a part of the surface."""
     for child in node:
-        if child.tag not in known:
+        if child.tag not in supported:
             raise MeshFormatError(
-                f"its {node.tag} holds '{child.tag}', which is not read; save it as PolyData of triangles"
+                f"its {node.tag} holds the unsupported '{child.tag}'; save it as PolyData of triangles"
             )
 
 
@@ -228,7 +228,7 @@ def _piece(codec: _Codec, piece: ElementTree.Element) -> RawMesh:
     cells = {kind: _cells(codec, piece, kind, len(vertices)) for kind in _CELLS}
     polygons, owner = fan_triangles(*cells["Polys"])
     strips, strip_owner = strip_triangles(*cells["Strips"])
-    # cell data are of vertices, lines, polygons and strips, in this order
+    # the order of cell data: vertices, lines, polygons, strips
     before = [len(counts) for _, counts in cells.values()]
     owners = np.concatenate([owner + sum(before[:2]), strip_owner + sum(before[:3])])
     flags = _cell_flags(codec, piece, sum(before), owners)
@@ -236,7 +236,7 @@ def _piece(codec: _Codec, piece: ElementTree.Element) -> RawMesh:
 
 
 def _cells(codec: _Codec, piece: ElementTree.Element, kind: str, vertices: int) -> tuple[IntArray, IntArray]:
-    """Vertex indices of the cells of one kind, one cell after the other, and how many each has."""
+    """Return the vertex indices of the cells of one kind, concatenated, and the count of each cell."""
     arrays = {node.attrib.get("Name", ""): node for node in piece.findall(f"{kind}/DataArray")}
     stated = piece.attrib.get(f"NumberOf{kind}")
     if len(arrays) < len(piece.findall(f"{kind}/DataArray")):
@@ -260,10 +260,10 @@ def _cells(codec: _Codec, piece: ElementTree.Element, kind: str, vertices: int) 
 def _cell_flags(
     codec: _Codec, piece: ElementTree.Element, cells: int, owners: IntArray
 ) -> dict[str, AnyArray]:
-    """Integer cell data of one component, by name, for each triangle.
+    """Return integer cell data of one component, by name, for each triangle.
 
     Raises:
-        MeshFormatError: values that are not one a cell, or cells that other pieces hold, too ("ghosts").
+        MeshFormatError: not one value per cell, or cells that other pieces also hold ("ghosts").
     """
     flags: dict[str, AnyArray] = {}
     for node in piece.findall("CellData/DataArray"):
@@ -286,18 +286,18 @@ def _cell_flags(
 
 
 def _left_out(data_sets: list[ElementTree.Element]) -> tuple[str, ...]:
-    """Cells without area, each kind with its count."""
-    found = []
+    """List the cells without area, each kind with its count."""
+    counts = []
     for kind, name in (("Verts", "vertex cells"), ("Lines", "line cells")):
         count = sum(
             int(p.attrib.get(f"NumberOf{kind}", 0)) for data in data_sets for p in data.findall("Piece")
         )
-        found += [f"{count} {name}"] if count else []
-    return tuple(found)
+        counts += [f"{count} {name}"] if count else []
+    return tuple(counts)
 
 
 def _space(codec: _Codec, root: ElementTree.Element) -> str:
-    """ "SPACE=<name>" from 3D Slicer's field data, or an empty string."""
+    """Return "SPACE=<name>" from 3D Slicer's field data, or an empty string."""
     for node in root.iter("Array"):
         if node.attrib.get("Name") == "SPACE" and node.attrib.get("type") == "String":
             if node.attrib.get("format", "ascii") == "ascii":

@@ -1,1 +1,1 @@
-"""Model files: one .npz with its header and check sum, and the cache of models already built."""
+"""Model files: one .npz with its header and checksum, and the cache of built models."""

@@ -1,10 +1,10 @@
-"""A patient's fixture model is built once: model files kept by the SHA-256 of all that they were built from.
+"""Cache of built fixture models: model files named by the SHA-256 of everything they were built from.
 
 The key covers the patient, every array, grid and phase time that the build reads, its options, the source
-files of the packages that build, and the versions of the libraries below them: change any and another key
-results, so that nothing stale is found. An entry names its key and is a model file with checksums; one that
-is damaged, or was put there under another name, is built again. So is one that somebody else could have
-written: an entry counts only as a regular file of this user that nobody else may write.
+files of the packages that build, and the versions of their libraries: changing any of them changes the key,
+so a stale model is never used. An entry states its key and is a model file with checksums; a damaged or
+renamed entry is built again. So is one that another user could have written: an entry must be a regular file
+of this user that nobody else may write.
 
 The folder is DVF_IG_CACHE ("off" for none), else dvf_ig within XDG_CACHE_HOME or ~/.cache.
 """
@@ -41,12 +41,12 @@ if TYPE_CHECKING:
     from dvf_ig.preop import ModelOptions
 
 MAX_BYTES = 1_000_000_000
-"""All entries together; those that were used longest ago go first. A model of 20 phases has 55 MB."""
+"""Most bytes of all entries together; the least recently used are removed. A model of 20 phases has 55 MB."""
 
 ENVIRONMENT = "DVF_IG_CACHE"
 SUFFIX = ".dvf-model"
 BUILT_BY = ("core", "kernels", "preop")
-"""Packages of ours that decide what the model is."""
+"""Packages of this project that determine the model."""
 LIBRARIES = ("numpy", "scipy", "scikit-image", "numba")
 
 _MAGIC = b"dvf_ig cached model "
@@ -55,11 +55,11 @@ _HEADER_BYTES = len(_MAGIC) + 64 + 1
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CachedModel:
-    """A model and where it came from.
+    """A model and its origin.
 
     Attributes:
-        was_cached: it was read, not built.
-        path: its entry; None where there is none.
+        was_cached: read from the cache, not built.
+        path: its cache entry; None without one.
         remark: one sentence for the user.
     """
 
@@ -75,11 +75,11 @@ def cached_model(
     options: "ModelOptions | None" = None,
     progress: Callable[[float], None] | None = None,
 ) -> CachedModel:
-    """The patient's model from the cache, else built and kept there.
+    """Return the patient's model from the cache, or build and store it.
 
     Args:
-        options: of the build; the default ones without.
-        progress: told the fraction of the build that is done.
+        options: of the build; None for the defaults.
+        progress: called with the fraction of the build that is done.
     Raises:
         InvalidInputError: the model cannot be built (see `model_from_preop`).
     """
@@ -89,7 +89,7 @@ def cached_model(
     folder = cache_folder()
     if folder is None:
         model = model_from_preop(preop, options=options, progress=progress)
-        remark = f"model built, but not kept: {ENVIRONMENT} is off, or unset and there is no home folder"
+        remark = f"model built, but not stored: {ENVIRONMENT} is off, or unset and there is no home folder"
         return CachedModel(model, False, None, remark)
     key = model_key(preop, options)
     path = folder / f"{key}{SUFFIX}"
@@ -110,13 +110,13 @@ def cached_model(
     try:
         _write(path, key, model)
     except OutputError as error:
-        return CachedModel(model, False, None, f"{why}, but not kept: {error}")
+        return CachedModel(model, False, None, f"{why}, but not stored: {error}")
     _remove_oldest(folder, path)
-    return CachedModel(model, False, path, f"{why} and kept in {path}")
+    return CachedModel(model, False, path, f"{why} and stored in {path}")
 
 
 def cache_folder() -> Path | None:
-    """Where models are kept; None if the cache is off, or if there is no home folder for it."""
+    """Return the folder of cached models; None if the cache is off or there is no home folder."""
     chosen = os.environ.get(ENVIRONMENT, "")
     if chosen.lower() == "off":
         return None
@@ -127,7 +127,7 @@ def cache_folder() -> Path | None:
 
 
 def model_key(preop: Preop, options: "ModelOptions") -> str:
-    """SHA-256 (hex) of all that the model of these data, built with these options, depends on."""
+    """Hash (SHA-256, hex) everything that the model of these data with these options depends on."""
     digest = hashlib.sha256()
     _add(digest, "program", _program())
     settings = {name: value for name, value in asdict(options).items() if name != "threads"}
@@ -190,14 +190,14 @@ def _add_array(digest: Any, name: str, array: AnyArray) -> None:
 
 @cache
 def _program() -> tuple[str, ...]:
-    """Versions of the libraries, and the digests of the source files that build a model."""
+    """List the versions of the libraries, and the digests of the source files that build a model."""
     digests = (source_digest(Path(dvf_ig.__file__).parent / package) for package in BUILT_BY)
     libraries = tuple(f"{name} {version(name)}" for name in LIBRARIES)
     return (dvf_ig.__version__, *digests, *libraries)
 
 
 def _write(path: Path, key: str, model: DvfModel) -> None:
-    """Write an entry that nobody else may change, whatever the user's umask."""
+    """Write an entry that only this user may change, whatever the umask."""
     make_folder(path.parent)
     if os.path.lexists(path) and (path.is_symlink() or not path.is_file()):
         raise OutputError(f"{path} is in the way, and cannot be removed")
@@ -209,28 +209,30 @@ def _write(path: Path, key: str, model: DvfModel) -> None:
 
 
 def _own_bytes(path: Path) -> bytes:
-    """The content of a regular file of this user; never waits, and follows no link.
+    """Read a regular file of this user without blocking or following links.
 
     Raises:
-        UnreadableFileError: something else, or a file that somebody else owns or may write.
+        UnreadableFileError: not a regular file, or a file that another user owns or may write.
     """
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOFOLLOW | os.O_CLOEXEC)
         with open(descriptor, "rb") as stream:
-            held = os.fstat(descriptor)
-            if not stat.S_ISREG(held.st_mode):
+            status = os.fstat(descriptor)
+            if not stat.S_ISREG(status.st_mode):
                 raise UnreadableFileError(f"{path} is not a regular file")
-            if held.st_uid != os.getuid() or held.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
-                raise UnreadableFileError(f"{path} could have been written by somebody else")
-            if held.st_size > MODEL_BYTES:
-                raise UnreadableFileError(f"{path} has {held.st_size} bytes; at most {MODEL_BYTES} are read")
-            return stream.read(held.st_size)
+            if status.st_uid != os.getuid() or status.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+                raise UnreadableFileError(f"{path} could have been written by another user")
+            if status.st_size > MODEL_BYTES:
+                raise UnreadableFileError(
+                    f"{path} has {status.st_size} bytes; at most {MODEL_BYTES} can be read"
+                )
+            return stream.read(status.st_size)
     except OSError as exc:
         raise UnreadableFileError(f"cannot read {path} as a cached model: {exc.strerror or exc}") from exc
 
 
 def _read(path: Path, key: str, patient_id: str) -> DvfModel:
-    """The model of an entry that was written for this key."""
+    """Read the model of an entry that was written for this key."""
     data = _own_bytes(path)
     if data[:_HEADER_BYTES] != _MAGIC + key.encode("ascii") + b"\n":
         raise UnreadableFileError(f"{path} is damaged or belongs to other data")
@@ -241,7 +243,7 @@ def _read(path: Path, key: str, patient_id: str) -> DvfModel:
 
 
 def _remove_oldest(folder: Path, newest: Path) -> None:
-    """Entries that were used longest ago go until MAX_BYTES is kept; never the newest."""
+    """Remove the least recently used entries until MAX_BYTES remain, but never the newest."""
     with suppress(OSError):
         entries = sorted(
             (path.lstat().st_mtime, path) for path in folder.glob(f"*{SUFFIX}") if path != newest

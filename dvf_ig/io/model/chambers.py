@@ -1,4 +1,4 @@
-"""The blood-filled chambers of a model as the arrays of its file."""
+"""Convert the blood-filled chambers of a model to and from the arrays of its file."""
 
 from collections.abc import Sequence
 
@@ -10,9 +10,9 @@ from dvf_ig.core.space.mesh import Mesh
 
 
 def chamber_arrays(chambers: Sequence[Chamber]) -> dict[str, AnyArray]:
-    """Vertices (float32) and triangles (int32) of every chamber and phase, one after another, with counts.
+    """Concatenate vertices (float32) and triangles (int32) of every chamber and phase, with counts.
 
-    A phase with the triangles of the phase before it has none of its own: its count is 0.
+    A phase with the same triangles as the previous one stores none: its count is 0.
     """
     vertices, triangles, vertex_counts, triangle_counts = [], [], [], []
     for chamber in chambers:
@@ -34,7 +34,7 @@ def chamber_arrays(chambers: Sequence[Chamber]) -> dict[str, AnyArray]:
 
 
 def chambers_of_arrays(names: Sequence[str], frame: str, arrays: dict[str, AnyArray]) -> tuple[Chamber, ...]:
-    """The chambers of a file; none for files of versions that kept none.
+    """Rebuild the chambers of a file; empty for files of versions without chambers.
 
     Raises:
         KeyError: an array is missing.
@@ -45,7 +45,7 @@ def chambers_of_arrays(names: Sequence[str], frame: str, arrays: dict[str, AnyAr
     triangles = np.split(arrays["chamber_triangles"], np.cumsum(arrays["chamber_triangle_counts"])[:-1])
     meshes: list[Mesh] = []
     for own_vertices, own_triangles in zip(vertices, triangles, strict=True):
-        kept = own_triangles if len(own_triangles) else meshes[-1].triangles
-        meshes.append(Mesh(frame, own_vertices, kept))
+        shared = own_triangles if len(own_triangles) else meshes[-1].triangles
+        meshes.append(Mesh(frame, own_vertices, shared))
     phases = len(meshes) // len(names)
     return tuple(Chamber(name, tuple(meshes[k * phases : (k + 1) * phases])) for k, name in enumerate(names))

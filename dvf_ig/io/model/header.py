@@ -1,4 +1,4 @@
-"""The header of a model file: every field with its type and the range that a model can have."""
+"""Header of a model file: every field with its type and valid range."""
 
 from typing import Annotated, Any, Literal
 
@@ -23,7 +23,7 @@ class _Units(BaseModel):
 
 
 class ModelHeader(BaseModel):
-    """Fields as `write_model` writes them."""
+    """Fields that `write_model` writes."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
 
@@ -52,10 +52,10 @@ class ModelHeader(BaseModel):
 
 
 def require_consistent(header: ModelHeader, arrays: dict[str, AnyArray]) -> None:
-    """Refuse arrays that do not fit the header or one another, or lie where no heart does.
+    """Refuse arrays that do not fit the header or each other, or lie outside any heart.
 
     Raises:
-        InvalidInputError: says which.
+        InvalidInputError: names the array.
         KeyError: an array is missing.
     """
     phases, chambers = header.phases, len(header.chambers)
@@ -76,15 +76,15 @@ def require_consistent(header: ModelHeader, arrays: dict[str, AnyArray]) -> None
 
 
 def _require_parts(arrays: dict[str, AnyArray], counts: str, parts: str, number: int) -> None:
-    """Refuse counts that are not those of the parts."""
-    told: Any = arrays[counts]
-    fits = told.dtype.kind in "iu" and told.shape == (number,) and (told >= 0).all()
-    if not fits or int(told.sum()) != len(arrays[parts]):
-        raise InvalidInputError(f"its {counts} do not count its {parts}; build it again")
+    """Refuse counts that do not add up to the parts."""
+    stated: Any = arrays[counts]
+    fits = stated.dtype.kind in "iu" and stated.shape == (number,) and (stated >= 0).all()
+    if not fits or int(stated.sum()) != len(arrays[parts]):
+        raise InvalidInputError(f"its {counts} do not match its {parts}; build it again")
 
 
 def _require_lengths(array: AnyArray, name: str) -> None:
-    """As `limits.require_lengths`, without a copy of what may be large."""
+    """Check like `limits.require_lengths`, without a copy of large arrays."""
     if array.dtype.kind != "f":
         raise InvalidInputError(f"its {name} are not real numbers; build it again")
     if array.size and not (np.isfinite(array.min()) and np.isfinite(array.max())):

@@ -1,4 +1,4 @@
-"""The DvfModel file: one `.npz` without pickle, a JSON header, and digests that show any changed byte."""
+"""Read and write DvfModel files: one `.npz` without pickle, a JSON header, and checksums."""
 
 import hashlib
 import io
@@ -32,7 +32,7 @@ def write_model(model: DvfModel, path: Path | str) -> None:
     """Write a model as one `.npz`.
 
     The header holds schema, units, frame, phase times, RR with its assumed flags, patient id, sources and
-    the SHA-256 over header and arrays; the zip comment holds a checksum of the file byte for byte.
+    the SHA-256 over header and arrays; the zip comment holds a checksum of the whole file.
 
     Raises:
         OutputError: not writable.
@@ -41,7 +41,7 @@ def write_model(model: DvfModel, path: Path | str) -> None:
 
 
 def model_bytes(model: DvfModel) -> list[bytes]:
-    """What `write_model` writes, in blocks."""
+    """Return the blocks that `write_model` writes."""
     header, arrays = _parts(model)
     header["sha256"] = _digest(header, arrays)
     buffer = io.BytesIO()
@@ -58,7 +58,7 @@ def read_model(path: Path | str, patient_id: str | None = None) -> DvfModel:
 
     Args:
         path: file written by `write_model`.
-        patient_id: whose model is needed; None accepts any.
+        patient_id: the patient whose model is needed; None accepts any.
     Raises:
         UnreadableFileError: absent, not a model, another schema, or any byte changed since it was written.
         InvalidInputError: the model of another patient.
@@ -91,7 +91,7 @@ def parse_model(data: bytes, path: Path) -> DvfModel:
 
 
 def model_digest(model: DvfModel) -> str:
-    """SHA-256 (hex) over the model's header and arrays: equal for equal models."""
+    """Hash (SHA-256, hex) the model's header and arrays: equal for equal models."""
     return _digest(*_parts(model))
 
 
@@ -141,7 +141,7 @@ def _digest(header: dict[str, Any], arrays: dict[str, AnyArray]) -> str:
 
 
 def _check_checksum(path: Path, data: bytes) -> None:
-    """Refuse what is no model file of ours, and a model file of which any byte differs from when written."""
+    """Refuse files that are not model files, and model files with any changed byte."""
     if not data.startswith(b"PK"):
         raise UnreadableFileError(f"{path} is not a model file; build one with: dvf-ig model build")
     body, stated = data[:-64], data[-64:]
@@ -160,7 +160,9 @@ def _unpack(path: Path, data: bytes) -> tuple[dict[str, Any], dict[str, AnyArray
     except (ValueError, KeyError, RecursionError) as exc:
         raise UnreadableFileError(f"{path} is not a model file ({exc}); build it again") from exc
     if not isinstance(header, dict):
-        raise UnreadableFileError(f"{path} is not a model file: its header is no JSON object; build it again")
+        raise UnreadableFileError(
+            f"{path} is not a model file: its header is not a JSON object; build it again"
+        )
     return header, arrays
 
 

@@ -1,12 +1,12 @@
-"""When samples were taken that a recorder handed over in batches, from the times at which each was seen.
+"""Estimate when samples were taken that a recorder received in batches, from the arrival time of each batch.
 
-A batch holds what came since the one before, so its last sample lies at or a little before the time at which
-the batch was stamped:
+A batch holds the samples since the previous one, so its last sample was taken at or shortly before the time
+stamp of the batch:
 
-    stamp = start + (k - 1) / rate + delay,   delay >= 0,   k samples until then, lost ones counted
+    stamp = start + (k - 1) / rate + delay,   delay >= 0,   k samples up to then, including lost ones
 
-A line through the stamps over k gives the rate; the smallest delays give the start. Where samples were lost,
-the stamps step away from that line and stay away, and by the step one sees how many.
+A line through the stamps over k gives the rate; the smallest delays give the start. When samples are lost,
+the stamps step away from that line for good, and the step gives their number.
 """
 
 import itertools
@@ -19,26 +19,26 @@ from dvf_ig.core.errors import InvalidInputError
 
 FEWEST_BATCHES = 10
 SMALLEST_DELAYS = 0.05
-"""Quantile of the delays that counts as none: one stamp that comes early must not shift every sample."""
+"""Quantile of the delays that counts as zero: one early stamp must not shift every sample."""
 NEIGHBOURS, NEIGHBOURHOOD_S = 10, 0.05
-"""Batches on each side of a step that say how large it is: at least this many, and at least this long."""
+"""Batches on each side that determine the size of a step: at least this number, over at least this time."""
 USUAL_STEPS, ROUNDS = 0.2, 4
-"""The first guess is this quantile of the time a sample takes: losses make that longer, never shorter."""
+"""Quantile of the time per sample that gives the first guess: losses increase it, never decrease it."""
 LEAST_LATE = 0.2
-"""Quantile of the lateness of neighbours that is compared: batches stamped late for a moment lose nothing."""
+"""Quantile of the lateness of neighbours that is compared, so that a brief delay is not taken for a loss."""
 PLAUSIBLE_SPREAD_S = 0.1
 
 
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class BatchTimes:
-    """Where on an even raster of samples each batch ends.
+    """Position of the end of each batch on an even raster of samples.
 
     Attributes:
         rate_hz: of the raster.
         start_s: time of its sample 0, the first of the first batch.
         last: (b,) index of each batch's last sample.
-        spread_s: half the range of 90 % of the stamps about the line: what a sample's time is good to.
+        spread_s: half the range of 90 % of the stamps about the line: the accuracy of a sample's time.
     """
 
     rate_hz: float
@@ -48,7 +48,7 @@ class BatchTimes:
 
 
 def fit_batch_times(counts: IntArray, stamps_s: FloatArray) -> BatchTimes:
-    """Times of batched samples.
+    """Estimate the times of batched samples.
 
     Args:
         counts: (b,) samples in each batch, at least 1.
@@ -58,8 +58,8 @@ def fit_batch_times(counts: IntArray, stamps_s: FloatArray) -> BatchTimes:
     """
     if len(counts) < FEWEST_BATCHES:
         raise InvalidInputError(
-            f"samples came with {len(counts)} frames, too few to tell when they were taken; needed "
-            f"{FEWEST_BATCHES}"
+            f"samples came with {len(counts)} frames, too few to estimate their times; needed "
+            f"at least {FEWEST_BATCHES}"
         )
     delivered = np.cumsum(counts)
     period_s = float(np.quantile(np.diff(stamps_s) / counts[1:], USUAL_STEPS))
@@ -82,7 +82,7 @@ def fit_batch_times(counts: IntArray, stamps_s: FloatArray) -> BatchTimes:
 
 
 def _uninterrupted(counts: IntArray, late_s: FloatArray, stamps_s: FloatArray, period_s: float) -> IntArray:
-    """(b,) number of the run without a loss in which each batch lies: lateness steps up between two runs."""
+    """Number the run without loss, (b,), that each batch belongs to: lateness steps up between runs."""
     usual = float(np.median(counts))
     least_s = period_s * (0.5 if usual == 1 else max(1.5, 0.5 * usual))
     width = max(NEIGHBOURS, round(NEIGHBOURHOOD_S / float(np.median(np.diff(stamps_s)))))
@@ -97,7 +97,7 @@ def _uninterrupted(counts: IntArray, late_s: FloatArray, stamps_s: FloatArray, p
 
 
 def _lost_until(late_s: FloatArray, run: IntArray, period_s: float) -> IntArray:
-    """(runs,) samples lost before each run, all told, so that errors of one loss do not add to the next."""
+    """Count the samples lost before each run, (runs,), in total, so that errors do not accumulate."""
     edges = np.searchsorted(run, np.arange(run[-1] + 2))
     base_s = [np.quantile(late_s[a:b], LEAST_LATE) for a, b in itertools.pairwise(edges)]
     lost = np.rint((np.array(base_s) - base_s[0]) / period_s).astype(np.int64)
@@ -105,18 +105,18 @@ def _lost_until(late_s: FloatArray, run: IntArray, period_s: float) -> IntArray:
 
 
 def _slope(x: IntArray, y: FloatArray, run: IntArray) -> float:
-    """dy/dx by least squares with an intercept for each run; points far from their line are left out."""
-    kept, slope = np.ones(len(x), dtype=np.bool_), 0.0
+    """Fit dy/dx by least squares with an intercept per run, without outliers."""
+    inliers, slope = np.ones(len(x), dtype=np.bool_), 0.0
     for _ in range(3):
-        dx, dy = _centred(x.astype(np.float64), run, kept), _centred(y, run, kept)
-        slope = float(dx[kept] @ dy[kept] / max(float(dx[kept] @ dx[kept]), 1e-300))
+        dx, dy = _centred(x.astype(np.float64), run, inliers), _centred(y, run, inliers)
+        slope = float(dx[inliers] @ dy[inliers] / max(float(dx[inliers] @ dx[inliers]), 1e-300))
         off = np.abs(dy - slope * dx)
-        kept = off <= max(4.5 * float(np.median(off)), 1e-9)
+        inliers = off <= max(4.5 * float(np.median(off)), 1e-9)
     return slope
 
 
-def _centred(values: FloatArray, run: IntArray, kept: BoolArray) -> FloatArray:
-    """(b,) values less the mean of those that are kept in the same run."""
-    total = np.bincount(run[kept], values[kept], minlength=run[-1] + 1)
-    count = np.bincount(run[kept], minlength=run[-1] + 1)
+def _centred(values: FloatArray, run: IntArray, inliers: BoolArray) -> FloatArray:
+    """Subtract from (b,) values the mean of the inliers of their run."""
+    total = np.bincount(run[inliers], values[inliers], minlength=run[-1] + 1)
+    count = np.bincount(run[inliers], minlength=run[-1] + 1)
     return np.asarray(values - (total / np.maximum(count, 1))[run])

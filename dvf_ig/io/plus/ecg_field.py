@@ -1,18 +1,18 @@
-"""An ECG inside a PLUS sequence: a per-frame field that holds what the ECG delivered since the last frame.
+"""Read an ECG inside a PLUS sequence: a per-frame field with the samples since the previous frame.
 
 PLUS stores each line that a GenericSerialDevice sends as one item, under the Id of its data source, stamped
 when it arrived; a recorded frame gets the item nearest in time, and that item's time as its Timestamp
-(vtkPlusGenericSerialDevice::ReceiveResponse, vtkPlusChannel::GetTrackedFrame). So of lines that come faster
-than frames most are lost, and a line that comes slower may stand in two frames; no time of a single sample is
-recorded. What is read here beside the field `<Name>`, all optional:
+(vtkPlusGenericSerialDevice::ReceiveResponse, vtkPlusChannel::GetTrackedFrame). So most lines that arrive
+faster than frames are lost, and a line that arrives slower may occur in two frames; the times of single
+samples are not recorded. These optional fields are read in addition to `<Name>`:
 
     Seq_FrameNNNN_<Name>Timestamp   time of the frame's first sample (s)
     Seq_FrameNNNN_<Name>Status      anything but OK: the frame's samples are missing
-    <Name>Rate                      samples a second
-    <Name>Leads                     names of leads, blank between; samples then alternate between leads
+    <Name>Rate                      samples per second
+    <Name>Leads                     names of leads, separated by blanks; samples alternate between leads
     <Name>Unit                      for example mV
 
-With times and rate the samples are where these say, exactly; else where `batch_times` finds them.
+With times and rate the sample times are exact; otherwise `batch_times` estimates them.
 """
 
 import logging
@@ -36,22 +36,22 @@ from .sequence_read import clock_restart
 log = logging.getLogger(__name__)
 
 SLOWEST_HZ = 100.0
-"""R peaks are not found in less."""
+"""Lowest sampling rate at which R peaks are detected."""
 UNKNOWN_UNIT = "unknown"
 OFF_RASTER = 0.25
-"""Recorded times lie within this many samples of an even raster, else the clock that gave them drifts."""
+"""Largest distance, in samples, of recorded times from an even raster; beyond it their clock drifts."""
 _LONGEST_GAP = 20
-"""A raster with more than this many times the samples that there are holds a wrong time."""
+"""Largest ratio of the raster's length to the number of samples; beyond it a time is wrong."""
 
 
 def read_ecg_field(path: Path | str, name: str | None = None) -> Signal:
-    """The ECG in a tracked sequence, on the clock of its time stamps.
+    """Read the ECG in a tracked sequence, on the clock of its time stamps.
 
     Args:
         path: the sequence, with or without images.
-        name: of the field; None takes the one whose name contains "ecg".
+        name: of the field; None uses the only one whose name contains "ecg".
     Returns:
-        the samples; NaN where frames or values are missing. Lines that PLUS repeated count once.
+        the samples, NaN for missing frames or values. Lines that PLUS repeated count once.
     Raises:
         UnreadableFileError: not a sequence; no such field, or several; values that are not numbers; times
             that contradict each other; slower than SLOWEST_HZ.
@@ -62,7 +62,7 @@ def read_ecg_field(path: Path | str, name: str | None = None) -> Signal:
 
 
 def ecg_of_sequence(path: Path, raw: RawSequence, name: str | None = None) -> Signal:
-    """The same of a sequence that was taken apart already."""
+    """Read the ECG in a parsed sequence; see `read_ecg_field`."""
     field = name if name is not None else _only_ecg_field(path, raw)
     if field not in raw.frame_fields:
         raise UnreadableFileError(f"{path} has no field '{field}'; {_listed(raw)}")
@@ -72,13 +72,13 @@ def ecg_of_sequence(path: Path, raw: RawSequence, name: str | None = None) -> Si
     try:
         rate_hz = None if stated is None else float(stated)
     except ValueError as exc:
-        raise UnreadableFileError(f"{path}: {field}Rate is '{stated}'; needed samples a second") from exc
+        raise UnreadableFileError(f"{path}: {field}Rate is '{stated}'; needed samples per second") from exc
     times = _raster(path, field, batches, rate_hz)
     if times.rate_hz < SLOWEST_HZ:
         raise UnreadableFileError(
-            f"{path}: field {field} has {times.rate_hz:.3g} samples a second, needed {SLOWEST_HZ:g}: "
-            "of single values PLUS keeps the one nearest each frame; send several in a line, or record the "
-            "ECG by itself"
+            f"{path}: field {field} has {times.rate_hz:.3g} samples per second; needed {SLOWEST_HZ:g}: "
+            "PLUS keeps one line per frame; send several values per line, or record the "
+            "ECG separately"
         )
     samples = _on_raster(path, field, batches, times)
     unit = _companion(raw, field, "Unit") or UNKNOWN_UNIT
@@ -86,19 +86,19 @@ def ecg_of_sequence(path: Path, raw: RawSequence, name: str | None = None) -> Si
 
 
 def ecg_fields(raw: RawSequence) -> tuple[str, ...]:
-    """Numeric fields whose names contain "ecg"."""
+    """List the numeric fields whose names contain "ecg"."""
     return tuple(name for name in numeric_fields(raw) if "ecg" in name.lower())
 
 
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class _Batches:
-    """The samples of each frame, one after the other in order of time.
+    """Samples of each frame, concatenated in order of time.
 
     Attributes:
-        counts: (b,) samples of each, at least 1.
-        stamps_s: (b,) time stamps of the frames; NaN where the file has none.
-        first_s: (b,) times of the first samples, where they were recorded, else None.
+        counts: (b,) samples per batch, at least 1.
+        stamps_s: (b,) time stamps of the frames; NaN if the file has none.
+        first_s: (b,) times of the first samples; None if they were not recorded.
         values: (n, leads).
     """
 
@@ -117,22 +117,22 @@ class _Raster(NamedTuple):
 
 
 def _only_ecg_field(path: Path, raw: RawSequence) -> str:
-    found = ecg_fields(raw)
-    if len(found) == 1:
-        return found[0]
-    number = f"{len(found)} fields of an ECG" if found else "no field whose name contains 'ecg'"
+    fields = ecg_fields(raw)
+    if len(fields) == 1:
+        return fields[0]
+    number = f"{len(fields)} fields of an ECG" if fields else "no field whose name contains 'ecg'"
     raise UnreadableFileError(f"{path} has {number}; {_listed(raw)}")
 
 
 def _listed(raw: RawSequence) -> str:
     names = numeric_fields(raw)
     if not names:
-        return "it has no numeric fields at all: give the ECG as a file (--ecg)"
+        return "it has no numeric fields: give the ECG as a file (--ecg)"
     return f"give the ECG as a file, or name a numeric field as plus:FILE#FIELD: {', '.join(names)}"
 
 
 def _companion(raw: RawSequence, field: str, what: str) -> str | None:
-    """A field that belongs to another, of the sequence or of its first frame that has it."""
+    """Read a field that describes another, from the sequence or from its first frame that has it."""
     name = f"{field}{what}"
     return raw.fields.get(name) or next(iter(raw.frame_fields.get(name, {}).values()), None)
 
@@ -160,7 +160,8 @@ def _batches(path: Path, raw: RawSequence, field: str, leads: int) -> _Batches:
     uneven = [i for i in frames.tolist() if len(numbers[i]) % leads]
     if uneven:
         raise UnreadableFileError(
-            f"{path}: {field} of frame {uneven[0]} has {len(numbers[uneven[0]])} values of {leads} leads"
+            f"{path}: {field} of frame {uneven[0]} has {len(numbers[uneven[0]])} values; "
+            f"needed a multiple of its {leads} leads"
         )
     values = np.concatenate([numbers[i] for i in frames.tolist()]).reshape(-1, leads)
     counts = np.array([len(numbers[i]) // leads for i in frames.tolist()], dtype=np.int64)
@@ -168,20 +169,21 @@ def _batches(path: Path, raw: RawSequence, field: str, leads: int) -> _Batches:
 
 
 def _first_times(path: Path, raw: RawSequence, field: str) -> FloatArray | None:
-    """(frames,) recorded times of first samples, NaN where there is none; None without that field."""
+    """Read (frames,) recorded times of first samples, NaN if missing; None without that field."""
     texts = raw.frame_fields.get(f"{field}Timestamp")
     if not texts:
         return None
     try:
         return np.array([float(texts.get(i) or "nan") for i in range(raw.frames)])
     except ValueError as exc:
-        raise UnreadableFileError(f"{path}: a {field}Timestamp is no number ({exc})") from exc
+        raise UnreadableFileError(f"{path}: a {field}Timestamp is not a number ({exc})") from exc
 
 
 def _repeated(times_s: FloatArray, texts: list[str], *, by_text: bool) -> BoolArray:
-    """(b,) True where PLUS gave a frame the line that the frame before has already.
+    """Mark (b,) frames that PLUS gave the same line as the frame before.
 
-    Its time says so; or, `by_text`, that several values come again: one value, or a flat line, may well.
+    The times are equal; or, with `by_text`, several differing values are equal (a single value or a flat line
+    may repeat by chance).
     """
     again = [False]
     for i in range(1, len(texts)):
@@ -192,7 +194,7 @@ def _repeated(times_s: FloatArray, texts: list[str], *, by_text: bool) -> BoolAr
 
 
 def _raster(path: Path, field: str, batches: _Batches, stated_hz: float | None) -> _Raster:
-    """Where the batches lie, as recorded or as their time stamps suggest."""
+    """Locate the batches by their recorded times or by their time stamps."""
     if batches.first_s is not None and stated_hz is not None:
         exact = _recorded(batches.counts, batches.first_s, stated_hz)
         if exact is not None:
@@ -205,17 +207,17 @@ def _raster(path: Path, field: str, batches: _Batches, stated_hz: float | None) 
         else:
             times = fit_batch_times(
                 np.append(1, counts[:-1]), first_s
-            )  # as if each held its first sample last
+            )  # treats each first sample as the last one of its batch
             first = times.last
     except InvalidInputError as exc:
         raise UnreadableFileError(f"{path}, field {field}: {exc}") from exc
     if stated_hz is not None and abs(stated_hz - times.rate_hz) > 0.02 * times.rate_hz:
         raise UnreadableFileError(
-            f"{path}: {field}Rate is {stated_hz:g} Hz, but {times.rate_hz:.4g} samples a second were recorded"
+            f"{path}: {field}Rate is {stated_hz:g} Hz, but {times.rate_hz:.4g} Hz was recorded"
         )
     log.warning(
-        "%s: the times of the ECG in field %s follow from the time stamps of %d frames: %.5g Hz from %.3f s, "
-        "good to about %.0f ms",
+        "%s: the ECG times in field %s are estimated from the time stamps of %d frames: %.5g Hz from %.3f s, "
+        "accurate to about %.0f ms",
         path,
         field,
         len(counts),
@@ -227,9 +229,9 @@ def _raster(path: Path, field: str, batches: _Batches, stated_hz: float | None) 
 
 
 def _recorded(counts: IntArray, first_s: FloatArray, rate_hz: float) -> _Raster | None:
-    """As times and rate say; None where batches would overlap or lie between samples."""
+    """Build the raster from times and rate; None if batches would overlap or lie between samples."""
     position = (first_s - first_s[0]) * rate_hz
-    if not (np.abs(position) < 2.0**53).all():  # beyond it a sample's number is not exact, or none
+    if not (np.abs(position) < 2.0**53).all():  # beyond it float64 does not hold whole numbers exactly
         return None
     first = np.rint(position).astype(np.int64)
     fits = np.abs(position - first).max() < OFF_RASTER and (np.diff(first) >= counts[:-1]).all()
@@ -237,7 +239,7 @@ def _recorded(counts: IntArray, first_s: FloatArray, rate_hz: float) -> _Raster 
 
 
 def _on_raster(path: Path, field: str, batches: _Batches, times: _Raster) -> FloatArray:
-    """(n, leads) samples on the even raster, NaN between batches that do not meet."""
+    """Place (n, leads) samples on the even raster, NaN between batches with a gap."""
     length = int(times.first[-1] + batches.counts[-1])
     if length > _LONGEST_GAP * len(batches.values):
         raise UnreadableFileError(

@@ -1,4 +1,4 @@
-"""Put an ECG into a PLUS sequence file, as `ecg_field` reads it: with each frame what came since the last."""
+"""Write an ECG into a PLUS sequence file in the format of `ecg_field`."""
 
 import re
 from pathlib import Path
@@ -19,18 +19,18 @@ _NAME = re.compile(r"[A-Za-z][A-Za-z0-9]*")
 def add_ecg_field(sequence: Path | str, signal: Signal, path: Path | str, *, name: str = "EcgData") -> None:
     """Write a copy of a sequence in which every frame also holds the ECG since the frame before.
 
-    The first frame also holds what came before it, the last what came after. Rate, leads, unit and the time
-    of each frame's first sample stand beside it, so that reading gives the same samples, rate and start,
-    digit for digit. PLUS itself reads header lines of up to 999 characters and cuts the rest off.
+    The first frame also holds the samples before it, the last those after it. Rate, leads, unit and the time
+    of each frame's first sample are also written, so that reading gives the same samples, rate and start,
+    digit for digit. PLUS itself truncates header lines after 999 characters.
 
     Args:
         sequence: an existing .mha with a Timestamp on every frame, on any clock.
-        signal: its times are written as they are; they need not be on the clock of the frames.
+        signal: its times are written unchanged; they need not be on the clock of the frames.
         path: of the copy; may be the same file.
         name: of the field.
     Raises:
-        UnreadableFileError: `sequence` is no sequence metafile.
-        InvalidInputError: it has no time stamps, or has the field already; a name that PLUS cannot spell.
+        UnreadableFileError: `sequence` is not a sequence metafile.
+        InvalidInputError: it has no time stamps, or already has the field; a name that is not valid in PLUS.
         OutputError: not writable.
     """
     sequence = Path(sequence)
@@ -40,13 +40,13 @@ def add_ecg_field(sequence: Path | str, signal: Signal, path: Path | str, *, nam
     place = _DATA_FILE_LINE.search(data)
     if stamps_s is None or place is None:
         raise InvalidInputError(
-            f"{sequence} is no .mha with a time stamp on every frame; needed to place the ECG"
+            f"{sequence} is not an .mha with a time stamp on every frame; needed to place the ECG"
         )
     bad = [word for word in (name, *signal.leads) if not _NAME.fullmatch(word)]
     if bad or name in raw.frame_fields:
         raise InvalidInputError(
             f"an ECG field '{name}' of leads {', '.join(signal.leads)} cannot be added to {sequence}; needed "
-            "names of letters and digits, and a field that it does not have"
+            "names of letters and digits, and a field that it does not have yet"
         )
     lines = [
         f"{name}Rate = {signal.rate_hz!r}",

@@ -1,4 +1,4 @@
-"""Points of a calibration target as segmented in each image: a table with one row an image."""
+"""Read segmented points of a calibration target: a table with one row per image."""
 
 from pathlib import Path
 
@@ -16,22 +16,22 @@ from .poses import SEQUENCE_SUFFIXES, read_poses
 from .sequence_read import read_indexed_sequence
 
 LARGEST_PX = 1e6
-"""No point that was seen lies further from an image's corner."""
+"""Largest distance of a segmented point from an image's corner."""
 
 
 def read_feature_points(path: Path | str, frames: int | None = None) -> FloatArray:
-    """Segmented points of the images of a sequence.
+    """Read segmented points of the images of a sequence.
 
     Args:
         path: text table, with commas or blanks, with the columns frame, column1_px, row1_px, column2_px,
-            row2_px, … ; cells are empty or nan where a point was not found. Without a header the columns are
-            the same, or, where their number is even, the points alone: row i is then of frame i.
-        frames: images in the sequence; None takes the highest frame number + 1.
+            row2_px, … ; cells are empty or nan if a point was not found. Without a header the columns are the
+            same, or, if their number is even, only the points: row i is then frame i.
+        frames: images in the sequence; None uses the highest frame number + 1.
     Returns:
-        (frames, points, 2) column, row in px; NaN where not found or not listed.
+        (frames, points, 2) column, row in px; NaN if not found or not listed.
     Raises:
-        UnreadableFileError: absent, other columns, a cell that is no number, a frame listed twice or beyond
-            the sequence.
+        UnreadableFileError: absent, other columns, a non-numeric cell, a frame listed twice or beyond the
+            sequence.
     """
     path = Path(path)
     text = read_text(path, "segmented points")
@@ -43,12 +43,14 @@ def read_feature_points(path: Path | str, frames: int | None = None) -> FloatArr
     for number, line in enumerate(lines[1:], start=2):
         frame, *cells = _numbers(path, number, line, len(head))
         if not 0 <= frame < limits.FRAMES or frame != int(frame):
-            raise UnreadableFileError(f"{path}, line {number}: '{line[0]}' is no frame number (0, 1, 2, …)")
+            raise UnreadableFileError(
+                f"{path}, line {number}: '{line[0]}' is not a frame number (0, 1, 2, …)"
+            )
         numbers.append(int(frame))
         rows.append(np.array(cells).reshape(count, 2))
     total = max(numbers, default=-1) + 1 if frames is None else frames
     if len(set(numbers)) < len(numbers):
-        raise UnreadableFileError(f"{path} lists a frame twice; needed one row an image")
+        raise UnreadableFileError(f"{path} lists a frame twice; needed one row per image")
     if numbers and max(numbers) >= total:
         raise UnreadableFileError(f"{path} has frame {max(numbers)}, the sequence has {total} images")
     points = np.full((total, count, 2), np.nan)
@@ -60,15 +62,15 @@ def read_feature_points(path: Path | str, frames: int | None = None) -> FloatArr
 def read_target_recording(
     poses_path: Path | str, points_path: Path | str, names: ProbeNames = USUAL_NAMES
 ) -> tuple[PoseStream, FloatArray]:
-    """Poses of the tracked probe and the target's points, matched frame by frame.
+    """Read poses of the tracked probe and the target's points, matched frame by frame.
 
     Args:
         poses_path: PLUS sequence with the probe tracked against the reference sensor or the tracker; or poses
-            as text, one row or file a frame (see `read_poses`).
+            as text, one row or file per frame (see `read_poses`).
         points_path: see `read_feature_points`; frame numbers count the frames of the poses' file from 0.
         names: of probe and reference in the sequence; poses as text are given these names.
     Returns:
-        reference_from_probe where a reference was tracked, else tracker_from_probe, and (n, points, 2) px.
+        reference_from_probe if a reference was tracked, else tracker_from_probe, and (n, points, 2) px.
     Raises:
         UnreadableFileError: either cannot be read, or they do not belong together.
     """
@@ -77,28 +79,28 @@ def read_target_recording(
         if path.suffix.lower() not in SEQUENCE_SUFFIXES:
             poses = read_poses(path, names.reference, names.probe)
             return poses, read_feature_points(points_path, len(poses))
-        sequence, kept, frames = read_indexed_sequence(path)
+        sequence, indices, frames = read_indexed_sequence(path)
         poses = tracked_probe(sequence, names)
-    return poses, read_feature_points(points_path, frames)[kept]
+    return poses, read_feature_points(points_path, frames)[indices]
 
 
 def tracked_probe(sequence: TrackedSequence, names: ProbeNames = USUAL_NAMES) -> PoseStream:
-    """The probe against the reference sensor where one was tracked, else against the tracker.
+    """Return the probe's pose relative to the reference sensor if one was tracked, else to the tracker.
 
     Raises:
         InvalidInputError: the sequence does not connect the two frames.
     """
-    held = any("reference" in (stream.target, stream.source) for stream in sequence.poses.values())
-    return names.stream(sequence, names.reference or ("reference" if held else "tracker"))
+    has_reference = any("reference" in (stream.target, stream.source) for stream in sequence.poses.values())
+    return names.stream(sequence, names.reference or ("reference" if has_reference else "tracker"))
 
 
 def _cells(line: str) -> list[str]:
-    """Cells between commas where there are any, else between blanks."""
+    """Split a line at commas if it has any, else at blanks."""
     return [cell.strip() for cell in line.split(",")] if "," in line else line.split()
 
 
 def _header(path: Path, lines: list[list[str]]) -> list[str]:
-    """The names of the columns, which end up on the first line, and the frame number on every other."""
+    """Return the column names, and complete the lines with a header and frame numbers if they lack them."""
     head = lines[0] if lines else []
     bare = bool(head) and all(_is_number(cell) for cell in head)
     count = len(head) // 2 if bare else (len(head) - 1) // 2
@@ -125,7 +127,7 @@ def _is_number(cell: str) -> bool:
 
 
 def _numbers(path: Path, number: int, line: list[str], count: int) -> list[float]:
-    """One line's numbers; NaN for an empty cell."""
+    """Parse the numbers of a line; NaN for an empty cell."""
     if len(line) != count:
         raise UnreadableFileError(f"{path}, line {number}: {len(line)} cells; needed {count}")
     try:
@@ -133,5 +135,7 @@ def _numbers(path: Path, number: int, line: list[str], count: int) -> list[float
     except ValueError as exc:
         raise UnreadableFileError(f"{path}, line {number}: {exc}") from exc
     if any(abs(value) > LARGEST_PX for value in values[1:]):
-        raise UnreadableFileError(f"{path}, line {number}: a place beyond {LARGEST_PX:g} px; export it again")
+        raise UnreadableFileError(
+            f"{path}, line {number}: a position beyond {LARGEST_PX:g} px; export it again"
+        )
     return values

@@ -1,4 +1,4 @@
-"""Temporal-calibration recordings in PLUS's files: tracker, video, and the line seen in each video frame."""
+"""Read temporal-calibration recordings of PLUS: tracker, video, and the line in each video frame."""
 
 from contextlib import suppress
 from dataclasses import replace
@@ -23,15 +23,14 @@ from .xml import numbers, parse_xml, write_xml
 
 
 def read_line_table(xml: Path | str, column_px: float | None = None) -> tuple[IntArray, FloatArray]:
-    """Rows at which the tank-bottom line crosses one image column.
+    """Read the rows at which the tank-floor line crosses one image column.
 
     Args:
         xml: PLUS line-segmentation results.
-        column_px: the column; None takes the median column of the lines' own points, which is near the
-            image's centre.
+        column_px: the column; None uses the median column of the lines' points, near the image's centre.
     Returns:
         (k,) frame index in the video file, increasing, and (k,) row in px; frames whose status is not OK
-        are left out.
+        are omitted.
     Raises:
         UnreadableFileError: absent, not such a table, no frame segmented, or a line parallel to the column.
     """
@@ -46,18 +45,20 @@ def read_line_table(xml: Path | str, column_px: float | None = None) -> tuple[In
         direction = np.array([numbers(path, f, "LineDirectionVectorPx", 2) for f in seen])
         if (direction[:, 0] == 0).any():
             upright = int(index[direction[:, 0] == 0][0])
-            raise UnreadableFileError(f"{path}: the line of frame {upright} is upright; it is no tank floor")
+            raise UnreadableFileError(
+                f"{path}: the line of frame {upright} is vertical; needed the line of a tank floor"
+            )
         column = float(np.median(origin[:, 0])) if column_px is None else column_px
         rows = origin[:, 1] + (column - origin[:, 0]) * (direction[:, 1] / direction[:, 0])
         far = int(np.abs(rows).argmax())
         if not abs(rows[far]) <= limits.AXIS:
             raise UnreadableFileError(
                 f"{path}: the line of frame {index[far]} crosses column {column:g} at row "
-                f"{rows[far]:g}; it is no tank floor"
+                f"{rows[far]:g}; needed the line of a tank floor"
             )
         order = np.argsort(index, kind="stable")
         if (np.diff(index[order]) == 0).any():
-            raise UnreadableFileError(f"{path}: a frame index repeats; needed one line a frame")
+            raise UnreadableFileError(f"{path}: a frame index repeats; needed one line per frame")
         return index[order], rows[order]
 
 
@@ -74,23 +75,25 @@ def read_latency_recording(
     line_table: Path | str,
     names: ProbeNames = USUAL_NAMES,
 ) -> LatencyRecording:
-    """Tracker poses and the depth of the tank floor at the image's centre column.
+    """Read tracker poses and the depth of the tank floor at the image's centre column.
 
     Args:
         tracker_sequence: PLUS sequence with the tracked probe.
         video_sequence: PLUS sequence whose time stamps are the video clock; it may lack images.
         line_table: PLUS line-segmentation results of that video.
-        names: of probe and reference in the tracker's sequence; here they are "probe" and "tracker". Unless a
-            reference is named, poses are taken against the tracker, whose own motion is none.
+        names: of probe and reference in the tracker's sequence; the result calls them "probe" and "tracker".
+            Unless a reference is named, poses are relative to the tracker, which does not move.
     Raises:
-        UnreadableFileError: one cannot be read, or the table has more frames than the video.
+        UnreadableFileError: a file cannot be read, or the table has more frames than the video.
     """
     with reading(Path(tracker_sequence), "a sequence with a tracked probe"):
-        found = _probe(read_sequence(tracker_sequence), names)
-        probe = replace(found, target="tracker", source="probe")
-    video, kept, frames = read_indexed_sequence(video_sequence)
+        tracked = _probe(read_sequence(tracker_sequence), names)
+        probe = replace(tracked, target="tracker", source="probe")
+    video, frame_indices, frames = read_indexed_sequence(video_sequence)
     if not video.has_timestamps:
-        raise UnreadableFileError(f"{video_sequence} has no time stamps; the latency cannot be read from it")
+        raise UnreadableFileError(
+            f"{video_sequence} has no time stamps; needed for the latency: record it again with time stamps"
+        )
     center = None if video.images is None else (video.images.shape[2] - 1) / 2
     index, rows = read_line_table(line_table, center)
     if index[-1] >= frames:
@@ -98,7 +101,7 @@ def read_latency_recording(
             f"{line_table} has frame {index[-1]}, but {video_sequence} ends at frame {frames - 1}"
         )
     position = np.full(frames, -1, dtype=np.int64)
-    position[kept] = np.arange(len(kept))
+    position[frame_indices] = np.arange(len(frame_indices))
     at = position[index]
     order = np.argsort(at[at >= 0], kind="stable")
     t_s, values = video.t_s[at[at >= 0]][order], rows[at >= 0][order]
@@ -107,17 +110,17 @@ def read_latency_recording(
 
 
 def write_line_table(path: Path | str, rows_px: FloatArray, column_px: float = 0.0) -> None:
-    """Write level lines in PLUS's shape, one a video frame; NaN marks a frame as Failed.
+    """Write horizontal lines in PLUS's format, one per video frame; NaN marks a frame as Failed.
 
     Args:
         rows_px: (n,) row of the line in each frame.
         column_px: column of the point that is written for each line.
     Raises:
-        InvalidInputError: not one row a frame.
+        InvalidInputError: not one row per frame.
         OutputError: not writable.
     """
     if rows_px.ndim != 1:
-        raise InvalidInputError(f"line rows have shape {rows_px.shape}; needed one row a frame, (n,)")
+        raise InvalidInputError(f"line rows have shape {rows_px.shape}; needed one row per frame, (n,)")
     root = ElementTree.Element("LineSegmentationResults")
     for index, row in enumerate(rows_px.tolist()):
         element = ElementTree.SubElement(root, "Frame", Index=str(index))

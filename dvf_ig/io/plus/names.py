@@ -1,4 +1,4 @@
-"""PLUS coordinate-frame names and ours.
+"""Convert between PLUS coordinate-frame names and ours.
 
 PLUS writes "ProbeToTracker" for the matrix that takes probe coordinates to tracker coordinates; here it is
 tracker_from_probe. Frame names are camel case there, lower snake case here: "StylusTip" is "stylus_tip".
@@ -18,7 +18,7 @@ _NOT_WORD = re.compile(r"[^0-9A-Za-z]+")
 
 
 def frame_from_plus(name: str) -> str:
-    """ "StylusTip" → "stylus_tip".
+    """Convert a PLUS name to a frame name: "StylusTip" → "stylus_tip".
 
     Raises:
         InvalidInputError: nothing usable is left, for example a name that starts with a digit.
@@ -27,10 +27,10 @@ def frame_from_plus(name: str) -> str:
 
 
 def frame_to_plus(frame: str) -> str:
-    """ "stylus_tip" → "StylusTip".
+    """Convert a frame name to a PLUS name: "stylus_tip" → "StylusTip".
 
     Raises:
-        InvalidInputError: the name would come back as another one ("tool_2" would be read as "tool2").
+        InvalidInputError: the name would read back as another one ("tool_2" would become "tool2").
     """
     name = "".join(part.capitalize() for part in check_frame(frame).split("_"))
     if not name or frame_from_plus(name) != frame:
@@ -42,16 +42,16 @@ def frame_to_plus(frame: str) -> str:
 
 
 def split_transform(name: str) -> tuple[str, str] | None:
-    """ "ProbeToTracker" → ("tracker", "probe"), target first; None where the name is no transform's."""
+    """Split "ProbeToTracker" into ("tracker", "probe"), target first; None for other names."""
     match = _TRANSFORM.fullmatch(name)
     return (frame_from_plus(match[2]), frame_from_plus(match[1])) if match else None
 
 
 def join_transform(target: str, source: str) -> str:
-    """("tracker", "probe") → "ProbeToTracker".
+    """Join ("tracker", "probe") to "ProbeToTracker".
 
     Raises:
-        InvalidInputError: the joined name would be split elsewhere when read.
+        InvalidInputError: the joined name would be split differently when read.
     """
     name = f"{frame_to_plus(source)}To{frame_to_plus(target)}"
     if split_transform(name) != (target, source):
@@ -60,14 +60,14 @@ def join_transform(target: str, source: str) -> str:
 
 
 def same_sensor(one: str, other: str) -> bool:
-    """Whether two names are one sensor's: "us_sensor", "UsSensor" and "ussensor" are."""
+    """Return whether two names mean one sensor: "us_sensor", "UsSensor" and "ussensor" do."""
     return _plain(one) == _plain(other)
 
 
 def _recorded_as(name: str, recorded: set[str]) -> str:
-    """The same sensor's name in a recording, which goes by the letters where no name is equal."""
-    alike = sorted(frame for frame in recorded if same_sensor(frame, name))
-    return name if name in recorded or not alike else alike[0]
+    """Return the sensor's name in a recording: the equal name, else one with the same letters."""
+    matches = sorted(frame for frame in recorded if same_sensor(frame, name))
+    return name if name in recorded or not matches else matches[0]
 
 
 def _plain(name: str) -> str:
@@ -76,11 +76,11 @@ def _plain(name: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class ProbeNames:
-    """What a recording calls the probe's sensor and the sensor or tracker that its poses are relative to.
+    """Recorded names of the probe's sensor and of the sensor or tracker that its poses are relative to.
 
     Attributes:
         probe: frame of the probe.
-        reference: frame of the reference; None takes "reference" where it is recorded, else "tracker".
+        reference: frame of the reference; None uses "reference" if recorded, else "tracker".
     """
 
     probe: str = "probe"
@@ -88,7 +88,7 @@ class ProbeNames:
 
     @classmethod
     def from_plus(cls, probe: str | None, reference: str | None) -> "ProbeNames":
-        """From names as PLUS writes them ("Probe", "StylusTip") or as here; None keeps the default."""
+        """Build from names in PLUS's spelling ("Probe", "StylusTip") or ours; None keeps the default."""
         try:
             return cls(
                 "probe" if probe is None else frame_from_plus(probe),
@@ -98,7 +98,7 @@ class ProbeNames:
             raise InvalidInputError(f"{exc} (--probe-name, --reference-name)") from exc
 
     def stream(self, sequence: TrackedSequence, held: str) -> PoseStream:
-        """held_from_probe over time.
+        """Return held_from_probe over time.
 
         Raises:
             InvalidInputError: the sequence does not connect the two frames.
@@ -108,7 +108,7 @@ class ProbeNames:
         try:
             return sequence.stream(target, source)
         except InvalidInputError as exc:
-            raise InvalidInputError(f"{exc}; name what is meant (--probe-name, --reference-name)") from exc
+            raise InvalidInputError(f"{exc}; name the sensors (--probe-name, --reference-name)") from exc
 
 
 USUAL_NAMES = ProbeNames()

@@ -1,4 +1,4 @@
-"""The numbers in a PLUS sequence's own per-frame fields, as a device sent them in lines of text."""
+"""Read the numbers in a PLUS sequence's own per-frame fields, sent by a device as lines of text."""
 
 import re
 from pathlib import Path
@@ -11,9 +11,9 @@ from dvf_ig.core.errors import UnreadableFileError
 from .raw_sequence import RawSequence
 
 COMPANIONS = ("Timestamp", "Status", "Rate", "Leads", "Unit")
-"""Endings of fields that tell about another field."""
+"""Endings of fields that describe another field."""
 READABLE_SHARE = 0.9
-"""A line may be garbled on its way; more than the rest of them and the field does not hold numbers."""
+"""Smallest share of readable lines; a few lines may be garbled in transmission."""
 
 _OF_PLUS = {"Timestamp", "UnfilteredTimestamp", "FrameNumber", "Status", "ImageStatus"}
 _SEPARATOR = re.compile(r"[\s,;]+")
@@ -21,20 +21,20 @@ _MAYBE_DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+")
 
 
 def numeric_fields(raw: RawSequence) -> tuple[str, ...]:
-    """Names of the per-frame fields that hold numbers and are neither PLUS' own nor told about another."""
+    """List the per-frame fields with numbers that are neither PLUS's own nor describe another field."""
     names = [name for name in raw.frame_fields if name not in _OF_PLUS and not name.endswith("Transform")]
-    told = {f"{name}{ending}" for name in raw.frame_fields for ending in COMPANIONS}
-    return tuple(sorted(name for name in names if name not in told and _holds_numbers(raw, name)))
+    companions = {f"{name}{ending}" for name in raw.frame_fields for ending in COMPANIONS}
+    return tuple(sorted(name for name in names if name not in companions and _holds_numbers(raw, name)))
 
 
 def numbers_of(path: Path, raw: RawSequence, name: str) -> dict[int, FloatArray]:
-    """The values in each frame of a field; frames without any, or with a garbled line, are left out.
+    """Read the values in each frame of a field, without empty frames and garbled lines.
 
-    Values are separated by blanks, commas or semicolons; with semicolons a comma is the decimal mark. Those
+    Values are separated by blanks, commas or semicolons; with semicolons a comma is the decimal mark. Values
     of a frame whose `<name>Status` is not OK are NaN.
 
     Raises:
-        UnreadableFileError: commas that may be either, or more than the odd line that is no number.
+        UnreadableFileError: ambiguous commas, or too many lines that are not numbers.
     """
     texts = raw.frame_fields[name]
     decimal_comma = _has_decimal_commas(path, name, texts)
@@ -59,12 +59,12 @@ def numbers_of(path: Path, raw: RawSequence, name: str) -> dict[int, FloatArray]
 def _holds_numbers(raw: RawSequence, name: str) -> bool:
     texts = list(raw.frame_fields[name].values())
     readable = [_values(text.replace(";", " ")) for text in texts]
-    held = sum(values is not None for values in readable)
-    return held >= READABLE_SHARE * len(texts) and any(v is not None and len(v) for v in readable)
+    count = sum(values is not None for values in readable)
+    return count >= READABLE_SHARE * len(texts) and any(v is not None and len(v) for v in readable)
 
 
 def _values(text: str) -> FloatArray | None:
-    """The numbers in a line, none where it is blank; None where it holds anything else."""
+    """Parse the numbers in a line, none if it is blank; None if it holds anything else."""
     try:
         return np.array([float(part) for part in _SEPARATOR.split(text.strip(" ,;\t")) if part])
     except ValueError:

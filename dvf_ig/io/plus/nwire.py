@@ -1,4 +1,4 @@
-"""N-wire calibration recordings in PLUS's files: phantom geometry, segmented wire points, tracked poses."""
+"""Read and write N-wire calibration recordings of PLUS: phantom geometry, segmented wires, tracked poses."""
 
 import re
 from pathlib import Path
@@ -25,10 +25,10 @@ Section = Literal["CalibrationData", "ValidationData"]
 
 
 def read_nwire_phantom(device_set_xml: Path | str) -> NWirePhantom:
-    """The N patterns of a PLUS device set's `<PhantomDefinition>`.
+    """Read the N patterns of a PLUS device set's `<PhantomDefinition>`.
 
     Raises:
-        UnreadableFileError: absent, not XML, no NWire pattern, or a pattern that has not three wires.
+        UnreadableFileError: absent, not XML, no NWire pattern, or a pattern without exactly three wires.
     """
     path = Path(device_set_xml)
     with reading(path, "a PLUS device set"):
@@ -44,15 +44,15 @@ def read_nwire_phantom(device_set_xml: Path | str) -> NWirePhantom:
 def read_wire_points(
     xml: Path | str, section: Section, phantom: NWirePhantom, frames: int | None = None
 ) -> FloatArray:
-    """Segmented wire crossings of one section of a PLUS calibration result.
+    """Read segmented wire crossings from one section of a PLUS calibration result.
 
     Args:
         xml: file with `<CalibrationData>` and `<ValidationData>`.
-        section: which of them.
-        phantom: whose wires, in whose order.
-        frames: frames in the recording; None takes the highest frame index + 1.
+        section: the one to read.
+        phantom: gives the wires and their order.
+        frames: frames in the recording; None uses the highest frame index + 1.
     Returns:
-        (frames, wires, 2) column, row in px; NaN where a frame or a wire was not segmented.
+        (frames, wires, 2) column, row in px; NaN if a frame or a wire was not segmented.
     Raises:
         UnreadableFileError: absent, no such section, an unknown wire, or a frame beyond the recording.
     """
@@ -90,43 +90,43 @@ def read_nwire_recording(
     section: Section,
     names: ProbeNames = USUAL_NAMES,
 ) -> NWireRecording:
-    """Phantom, probe poses against it and wire crossings, matched frame by frame.
+    """Read phantom, probe poses relative to it and wire crossings, matched frame by frame.
 
     Args:
         sequence_path: PLUS sequence with the probe tracked against the reference (or tracker).
-        device_set_xml: phantom geometry, and where the phantom lies: Phantom to Reference (or Tracker).
+        device_set_xml: phantom geometry and pose: Phantom to Reference (or Tracker).
         points_xml: segmented points; their frame index counts the frames of the sequence file.
-        section: which section of it.
+        section: section of that file.
         names: of probe and reference, see `phantom_from_probe`.
     Raises:
-        UnreadableFileError: any of the three cannot be read or lacks what is needed.
+        UnreadableFileError: one of the three cannot be read or is incomplete.
     """
     phantom = read_nwire_phantom(device_set_xml)
-    sequence, kept, frames = read_indexed_sequence(sequence_path)
+    sequence, indices, frames = read_indexed_sequence(sequence_path)
     stream = phantom_from_probe(Path(sequence_path), sequence, Path(device_set_xml), names)
     points = read_wire_points(points_xml, section, phantom, frames)
-    return NWireRecording(phantom, stream, points[kept])
+    return NWireRecording(phantom, stream, points[indices])
 
 
 def phantom_from_probe(
     path: Path, sequence: TrackedSequence, device_set_xml: Path, names: ProbeNames = USUAL_NAMES
 ) -> PoseStream:
-    """The probe against the phantom, over the reference sensor where the device set places it there.
+    """Compute the probe's pose relative to the phantom, through the reference sensor or the tracker.
 
     Args:
         path: the sequence's file, named in errors.
-        names: of probe and reference in the sequence and the device set; without a reference the phantom is
-            sought as placed against "reference", then against "tracker".
+        names: of probe and reference in the sequence and the device set; without a reference, the phantom's
+            pose relative to "reference" is used, else to "tracker".
     """
     definitions = read_calibrations(device_set_xml)
-    for held in ("reference", "tracker") if names.reference is None else (names.reference,):
-        placed = definitions.get(f"{held}_from_phantom")
+    for frame in ("reference", "tracker") if names.reference is None else (names.reference,):
+        placed = definitions.get(f"{frame}_from_phantom")
         if placed is not None:
             with reading(path, "a sequence with a tracked probe"):
-                tracked = names.stream(sequence, held)
+                tracked = names.stream(sequence, frame)
             with reading(device_set_xml, "a PLUS device set"):
-                phantom_from_held = rigid_from_matrix(placed.matrix, held, "phantom").inverse()
-            return _moved(phantom_from_held, tracked)
+                phantom_from_frame = rigid_from_matrix(placed.matrix, frame, "phantom").inverse()
+            return _moved(phantom_from_frame, tracked)
     to = "Reference" if names.reference is None else frame_to_plus(names.reference)
     raise UnreadableFileError(
         f'{device_set_xml} does not place the phantom; needed a Transform From="Phantom" To="{to}"'
@@ -139,9 +139,9 @@ def write_wire_points(
     """Write wire crossings as one section of a PLUS calibration result.
 
     Args:
-        points_px: (frames, wires, 2); NaN leaves a wire out, a frame without wires is marked Failed.
+        points_px: (frames, wires, 2); NaN omits a wire, a frame without wires is marked Failed.
     Raises:
-        InvalidInputError: another number of wires than the phantom's.
+        InvalidInputError: the number of wires differs from the phantom's.
         OutputError: not writable.
     """
     if points_px.ndim != 3 or points_px.shape[1:] != (len(phantom.wires), 2):
@@ -161,7 +161,7 @@ def write_wire_points(
 
 
 def write_nwire_phantom(path: Path | str, phantom: NWirePhantom, reference_from_phantom: Rigid) -> None:
-    """Write a device set that defines the phantom's wires and where it lies on the reference sensor.
+    """Write a device set with the phantom's wires and its pose relative to the reference sensor.
 
     Raises:
         OutputError: not writable.
@@ -207,7 +207,7 @@ def _index(path: Path, element: ElementTree.Element) -> int:
 
 
 def _moved(left: Rigid, stream: PoseStream) -> PoseStream:
-    """left @ stream, sample by sample; the identity leaves every digit as it is."""
+    """Compose left @ stream for each sample; the identity changes no digit."""
     rotations, translations = stream.rotations, stream.translations_mm
     if not np.array_equal(left.matrix, np.eye(4)):
         rotations = left.rotation @ rotations

@@ -1,4 +1,4 @@
-"""Named landmarks of a calibration phantom in a PLUS device set."""
+"""Read named landmarks of a calibration phantom from a PLUS device set."""
 
 from pathlib import Path
 
@@ -12,20 +12,20 @@ from .xml import numbers, parse_xml
 
 
 def read_phantom_landmarks(device_set_xml: Path | str) -> Landmarks:
-    """The `<Landmarks>` of a device set's `<PhantomDefinition>`, mm, frame "phantom", in the file's order.
+    """Read the `<Landmarks>` of a `<PhantomDefinition>`, mm, frame "phantom", in the file's order.
 
     Raises:
         UnreadableFileError: absent, not XML, or no landmarks.
     """
     path = Path(device_set_xml)
     with reading(path, "a PLUS device set"):
-        found = [
+        elements = [
             element
             for section in parse_xml(path, "a PLUS device set").iter("Landmarks")
             for element in section.iter("Landmark")
         ]
-        if not found:
+        if not elements:
             raise UnreadableFileError(f"{path} defines no <Landmark>; give the device set with the phantom")
-        positions = np.array([numbers(path, element, "Position", 3) for element in found])
-        names = tuple(element.attrib.get("Name", f"#{i + 1}") for i, element in enumerate(found))
+        positions = np.array([numbers(path, element, "Position", 3) for element in elements])
+        names = tuple(element.attrib.get("Name", f"#{i + 1}") for i, element in enumerate(elements))
         return Landmarks(names, Points("phantom", positions))

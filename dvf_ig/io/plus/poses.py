@@ -1,4 +1,4 @@
-"""Pose streams from a PLUS sequence, a folder of 4×4 text files, or a table of positions and quaternions."""
+"""Read pose streams from a PLUS sequence, a folder of 4×4 text files, or a table of quaternions."""
 
 import re
 from pathlib import Path
@@ -17,7 +17,7 @@ from .sequence_read import read_sequence
 
 SEQUENCE_SUFFIXES = (".mha", ".mhd", ".nrrd", ".nhdr")
 LARGEST = 1e12
-"""Squares of larger numbers may overflow."""
+"""Largest number in a table; squares of larger ones may overflow."""
 _USUAL_TOOLS = ("stylus", "tool")
 
 
@@ -27,14 +27,14 @@ def read_poses(path: Path | str, target: str | None = None, source: str | None =
     Args:
         path: a PLUS sequence; a folder of text files with one 4×4 each, in natural order of their names; or a
             text table with rows `x y z qx qy qz qw` (or `t x y z qx qy qz qw`), mm and s.
-        target, source: frames. In a sequence the one tracked tool is taken where they are not given, against
-            the reference sensor where one is recorded; elsewhere they name the frames, by default
+        target, source: frames. Without them, the only tracked tool of a sequence is used, relative to the
+            reference sensor if one is recorded; for text they name the frames, by default
             tracker_from_tool.
     Returns:
-        the poses; where there are no times, sample i is at i seconds.
+        the poses; without times, sample i is at i seconds.
     Raises:
         UnreadableFileError: absent, malformed, or not rotations.
-        InvalidInputError: several tools in a sequence and none chosen; the message lists them.
+        InvalidInputError: a sequence has several tools and none is chosen; the message lists them.
     """
     path = Path(path)
     with reading(path, "tool poses (a PLUS sequence, a folder of 4x4 text files, or a text table)"):
@@ -63,9 +63,7 @@ def _from_sequence(
         candidates = tools if len(tools) == 1 else usual
         if len(candidates) != 1:
             listed = ", ".join(sorted(sequence.poses)) or "no transform"
-            raise InvalidInputError(
-                f"which tool is meant is unclear; the sequence records {listed}: name one"
-            )
+            raise InvalidInputError(f"the sequence records several tools or none ({listed}): name one")
         source = candidates[0]
     if target is None:
         recorded = sorted(frames | {stream.source for stream in sequence.poses.values()})
@@ -94,7 +92,7 @@ def _read_folder(folder: Path) -> tuple[FloatArray, FloatArray]:
 
 
 def _natural(path: Path) -> list[tuple[int, str]]:
-    """Sort key in which file2 comes before file10."""
+    """Build a sort key in which file2 comes before file10."""
     parts = re.split(r"(\d+)", path.name)
     return [(int(part), "") if part.isdigit() else (-1, part) for part in parts]
 
@@ -113,7 +111,7 @@ def _read_table(path: Path) -> tuple[FloatArray, FloatArray]:
     table = _numbers(path)
     if table.shape[1] not in (7, 8):
         raise UnreadableFileError(
-            f"{path} has {table.shape[1]} columns; needed x y z qx qy qz qw (7), or those after a time (8)"
+            f"{path} has {table.shape[1]} columns; needed x y z qx qy qz qw (7), or a time first (8)"
         )
     times = np.arange(len(table), dtype=np.float64) if table.shape[1] == 7 else table[:, 0]
     position, quaternion = table[:, -7:-4], table[:, -4:]
@@ -131,7 +129,7 @@ def _read_table(path: Path) -> tuple[FloatArray, FloatArray]:
 
 
 def _numbers(path: Path) -> FloatArray:
-    """(rows, columns) of a text table with blanks or commas; lines starting with # or % are skipped."""
+    """Read the (rows, columns) of a text table with blanks or commas; skip lines that start with # or %."""
     lines = [line for line in read_text(path, "a text table").replace(",", " ").splitlines() if line.strip()]
     rows = [line.split() for line in lines if line.lstrip()[0] not in "#%"]
     try:

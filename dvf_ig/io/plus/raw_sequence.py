@@ -1,7 +1,7 @@
-"""A PLUS sequence file taken apart: header fields, per-frame fields, and the pixels as bytes.
+"""Parse a PLUS sequence file into header fields, per-frame fields, and the pixels as bytes.
 
 MetaImage (`.mha`, `.mhd` with a separate data file) and NRRD (`.nrrd`, `.nhdr`). Both headers are text; the
-per-frame fields are named Seq_FrameNNNN_<field>. What the fields mean is `sequence_read`'s concern.
+per-frame fields are named Seq_FrameNNNN_<field>. `sequence_read` interprets the fields.
 """
 
 import re
@@ -24,14 +24,14 @@ _UINT8 = {"MET_UCHAR", "uchar", "unsigned char", "uint8", "uint8_t"}
 
 @dataclass(frozen=True, slots=True)
 class RawSequence:
-    """What a sequence file says, not yet interpreted.
+    """Content of a sequence file, not yet interpreted.
 
     Attributes:
         fields: header fields by name.
         frame_fields: per-frame fields: name, then frame index, then text.
-        columns, rows: image size; 0 where the file carries no images.
+        columns, rows: image size; 0 without images.
         frames: number of frames.
-        pixels: rows·columns·frames bytes, uint8, x fastest; empty where there are no images.
+        pixels: rows·columns·frames bytes, uint8, x fastest; empty without images.
     """
 
     fields: dict[str, str]
@@ -43,16 +43,16 @@ class RawSequence:
 
     @property
     def pixel_type(self) -> str:
-        """As the header names it: ElementType in MetaImage, type in NRRD."""
+        """Pixel type as stated in the header: ElementType in MetaImage, type in NRRD."""
         return self.fields.get("ElementType", self.fields.get("type", "of no stated type"))
 
     @property
     def is_uint8(self) -> bool:
-        """True where the pixels are those of 8-bit B-mode, or there are none."""
+        """True if the pixels are 8-bit, or there are none."""
         return not self.columns or self.pixel_type in _UINT8
 
     def numbers(self, name: str) -> FloatArray | None:
-        """(frames,) values of a per-frame field; None where a frame lacks it or it is no finite number."""
+        """Parse (frames,) values of a per-frame field; None if a frame lacks a finite number."""
         texts = self.frame_fields.get(name, {})
         try:
             values = np.array([float(texts[i]) for i in range(self.frames)])
@@ -75,20 +75,20 @@ class _Header:
 
 
 def read_raw_sequence(path: Path, *, pixels: bool = True) -> RawSequence:
-    """Parse a sequence file of either format, told apart by its first bytes.
+    """Parse a sequence file of either format, identified by its first bytes.
 
     Args:
         path: the file.
-        pixels: False leaves the pixels, of whatever type, unread and unchecked.
+        pixels: False skips the pixels, of whatever type, without checks.
     Raises:
         UnreadableFileError: neither format, a damaged header, pixels other than uint8, or fewer pixels than
-            the header promises.
+            the header states.
     """
     data = read_bytes(path, "a tracked sequence")
     return (_read_nrrd if data.startswith(b"NRRD") else _read_metaimage)(path, data, pixels)
 
 
-def _read_metaimage(path: Path, data: bytes, wanted: bool) -> RawSequence:
+def _read_metaimage(path: Path, data: bytes, read_pixels: bool) -> RawSequence:
     end = _DATA_FILE_LINE.search(data)
     if end is None:
         raise UnreadableFileError(
@@ -106,7 +106,7 @@ def _read_metaimage(path: Path, data: bytes, wanted: bool) -> RawSequence:
     sizes = _integers(path, "DimSize", fields.get("DimSize"))
     columns, rows, frames = _layout(path, sizes, fields.get("Kinds", "").split())
     expected = columns * rows * frames
-    if expected == 0 or not wanted:
+    if expected == 0 or not read_pixels:
         return _without_pixels(path, header, (columns, rows, frames), len(data))
     _require_uint8(path, fields.get("ElementType"), fields.get("ElementNumberOfChannels", "1"))
     if fields.get("BinaryData", "True").lower() != "true":
@@ -121,7 +121,7 @@ def _read_metaimage(path: Path, data: bytes, wanted: bool) -> RawSequence:
 
 
 def _without_pixels(path: Path, header: _Header, shape: tuple[int, int, int], size: int) -> RawSequence:
-    """A sequence of poses alone, or whose pixels are not wanted."""
+    """Build a sequence of poses alone, or whose pixels are not read."""
     columns, rows, frames = shape
     _require_plausible(path, frames, size)
     if 0 in shape:
@@ -129,7 +129,7 @@ def _without_pixels(path: Path, header: _Header, shape: tuple[int, int, int], si
     return RawSequence(header.fields, header.frame_fields, columns, rows, frames, memoryview(b""))
 
 
-def _read_nrrd(path: Path, data: bytes, wanted: bool) -> RawSequence:
+def _read_nrrd(path: Path, data: bytes, read_pixels: bool) -> RawSequence:
     end = re.search(rb"\r?\n\r?\n", data)
     stop, start = (end.start(), end.end()) if end else (len(data), len(data))
     header = _Header()
@@ -144,7 +144,7 @@ def _read_nrrd(path: Path, data: bytes, wanted: bool) -> RawSequence:
     sizes = _integers(path, "sizes", fields.get("sizes"))
     columns, rows, frames = _layout(path, sizes, fields.get("kinds", "").split())
     expected = columns * rows * frames
-    if expected == 0 or not wanted:
+    if expected == 0 or not read_pixels:
         return _without_pixels(path, header, (columns, rows, frames), len(data))
     _require_uint8(path, fields.get("type"), "1")
     payload = _payload(path, data, start, fields.get("data file", fields.get("datafile", "LOCAL")))
@@ -181,7 +181,7 @@ def _integers(path: Path, name: str, text: str | None) -> list[int]:
 
 
 def _layout(path: Path, sizes: list[int], kinds: list[str]) -> tuple[int, int, int]:
-    """Columns, rows and frames from the sizes; a missing frame axis is one frame, a unit depth is dropped."""
+    """Derive columns, rows and frames from the sizes; without a frame axis there is one frame."""
     if kinds and kinds[0] in ("list", "time", "vector") and len(sizes) > 2:
         raise UnreadableFileError(
             f"{path}: the axes are {' '.join(kinds)}; needed columns, rows, frames (domain domain list)"
@@ -203,7 +203,7 @@ def _layout(path: Path, sizes: list[int], kinds: list[str]) -> tuple[int, int, i
 
 
 def _require_plausible(path: Path, frames: int, size: int) -> None:
-    """A pose-only file has at least a byte a frame; a damaged count must not reserve memory."""
+    """Refuse more frames than bytes: a damaged count must not reserve memory."""
     if frames > size:
         raise UnreadableFileError(f"{path}: its header counts {frames} frames, the file has {size} bytes")
 
@@ -217,7 +217,7 @@ def _require_uint8(path: Path, kind: str | None, channels: str) -> None:
 
 
 def _payload(path: Path, data: bytes, start: int, name: str) -> memoryview:
-    """The pixel bytes: the rest of this file, or the separate file that the header names."""
+    """Return the pixel bytes: the rest of this file, or the separate file that the header names."""
     if name.upper() == "LOCAL":
         return memoryview(data)[start:]
     if name.upper().startswith("LIST") or "%" in name:

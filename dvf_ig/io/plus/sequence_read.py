@@ -18,27 +18,27 @@ from .raw_sequence import RawSequence, read_raw_sequence
 log = logging.getLogger(__name__)
 
 PIXEL_FRAMES = ("image", "transducer_origin_pixel")
-"""Frames whose unit is the pixel: transforms from or to them carry scale and are image maps, not poses."""
+"""Frames in pixels: transforms from or to them carry scale and are image maps, not poses."""
 
 REORDERING_S = 0.1
-"""Frames may stand this much out of order in a file. A recorder's buffers and threads swap neighbours, and in
-the slowest streams in use (12 frames/s) these are 0.08 s apart; a clock that restarts goes back further."""
+"""Largest step back in time of frames that are only out of order. A recorder's buffers and threads swap
+neighbours, 0.08 s apart in the slowest streams (12 frames/s); a restarted clock goes back further."""
 
 
 def read_sequence(path: Path | str) -> TrackedSequence:
     """Read a tracked sequence.
 
     Frames that repeat an earlier time stamp are dropped, and frames out of order by up to REORDERING_S are
-    sorted. Where time runs back further, the recording ends and no later frame is used: stamps before and
-    after are of two clocks. All of it is logged. Without time stamps `t_s` is the frame index and
+    sorted. If time runs back further, the recording ends and no later frame is used: stamps before and
+    after belong to two clocks. All of this is logged. Without time stamps `t_s` is the frame index and
     `has_timestamps` is False. Without status fields a pose counts as OK. A pose whose status is not OK is
-    invalid and its matrix is not looked at. Transforms from or to pixel frames (ImageToProbe) are left out:
+    invalid and its matrix is not checked. Transforms from or to pixel frames (ImageToProbe) are skipped:
     they are image maps.
 
     Args:
         path: `.igs.mha`, `.igs.mhd`, `.igs.nrrd`, or the same without `.igs`.
     Returns:
-        the sequence; matrices keep the digits of the file, images and their orientation are as stored.
+        the sequence; matrices keep the digits of the file, images keep their stored orientation.
     Raises:
         UnreadableFileError: absent, not a sequence, truncated, not uint8, or with malformed fields.
     """
@@ -46,7 +46,7 @@ def read_sequence(path: Path | str) -> TrackedSequence:
 
 
 def read_indexed_sequence(path: Path | str) -> tuple[TrackedSequence, IntArray, int]:
-    """As `read_sequence`, with the index in the file of each kept frame, (n,), and the file's frame count."""
+    """Read a sequence, the (n,) indices of its used frames, and the file's frame count."""
     path = Path(path)
     with reading(path, "a tracked sequence"):
         raw = read_raw_sequence(path)
@@ -54,24 +54,24 @@ def read_indexed_sequence(path: Path | str) -> tuple[TrackedSequence, IntArray, 
 
 
 def indexed_sequence(path: Path, raw: RawSequence) -> tuple[TrackedSequence, IntArray]:
-    """The same of a sequence that was taken apart already; without its pixels it has no images."""
+    """Interpret a parsed sequence; without its pixels it has no images. See `read_indexed_sequence`."""
     with reading(path, "a tracked sequence"):
         t_s, has_timestamps = _times(path, raw)
-        kept = _usable_order(path, t_s)
-        t_s = t_s[kept]
+        order = _usable_order(path, t_s)
+        t_s = t_s[order]
         sequence = TrackedSequence(
             t_s=t_s,
-            images=_images(raw, kept),
-            image_valid=_statuses(raw, _image_status_field(raw))[kept],
-            poses=_streams(path, raw, t_s, kept),
+            images=_images(raw, order),
+            image_valid=_statuses(raw, _image_status_field(raw))[order],
+            poses=_streams(path, raw, t_s, order),
             has_timestamps=has_timestamps,
             orientation=_orientation(raw),
         )
-    return sequence, kept
+    return sequence, order
 
 
 def _times(path: Path, raw: RawSequence) -> tuple[FloatArray, bool]:
-    """(frames,) time stamps as stored, or the frame index where the file has none."""
+    """Return (frames,) time stamps as stored, or the frame index if the file has none."""
     texts = raw.frame_fields.get("Timestamp")
     if not texts:
         return np.arange(raw.frames, dtype=np.float64), False
@@ -93,7 +93,7 @@ def _times(path: Path, raw: RawSequence) -> tuple[FloatArray, bool]:
 
 
 def _usable_order(path: Path, t_s: FloatArray) -> IntArray:
-    """Frame indices by increasing time, up to a clock's restart; of equal times the first in the file."""
+    """Sort frame indices by time, up to a clock restart; keep the first of equal times."""
     restart = clock_restart(t_s)
     frames = len(t_s) if restart is None else restart
     if restart is not None:
@@ -109,21 +109,21 @@ def _usable_order(path: Path, t_s: FloatArray) -> IntArray:
             len(t_s) - restart,
         )
     order = np.argsort(t_s[:frames], kind="stable")
-    kept = order[np.concatenate([[True], np.diff(t_s[order]) > 0])]
+    unique = order[np.concatenate([[True], np.diff(t_s[order]) > 0])]
     late = int(np.count_nonzero(np.diff(t_s[:frames]) < 0))
-    if len(kept) < frames or late:
+    if len(unique) < frames or late:
         log.warning(
             "%s: dropped %d of %d frames that repeat a time stamp; time runs backwards at %d places, sorted",
             path,
-            frames - len(kept),
+            frames - len(unique),
             frames,
             late,
         )
-    return np.asarray(kept, dtype=np.int64)
+    return np.asarray(unique, dtype=np.int64)
 
 
 def clock_restart(t_s: FloatArray) -> int | None:
-    """The first frame stamped more than REORDERING_S before an earlier one, by its index; None without one.
+    """Return the index of the first frame stamped more than REORDERING_S before an earlier one, or None.
 
     Args:
         t_s: (frames,) stamps in the order of the file.
@@ -132,22 +132,22 @@ def clock_restart(t_s: FloatArray) -> int | None:
     return int(restarts[0]) if len(restarts) else None
 
 
-def _images(raw: RawSequence, kept: IntArray) -> np.ndarray[tuple[int, ...], np.dtype[np.uint8]] | None:
+def _images(raw: RawSequence, order: IntArray) -> np.ndarray[tuple[int, ...], np.dtype[np.uint8]] | None:
     if not len(raw.pixels):
         return None
     images = np.frombuffer(raw.pixels, np.uint8).reshape(raw.frames, raw.rows, raw.columns)
-    in_order = len(kept) == raw.frames and bool((np.diff(kept) > 0).all())
-    return images if in_order else images[kept]
+    in_order = len(order) == raw.frames and bool((np.diff(order) > 0).all())
+    return images if in_order else images[order]
 
 
 def _statuses(raw: RawSequence, name: str) -> BoolArray:
-    """(frames,) True where the status field says OK or is absent."""
+    """Return (frames,) True if the status field is OK or absent."""
     texts = raw.frame_fields.get(name, {})
     return np.array([texts.get(i, "OK").upper() == "OK" for i in range(raw.frames)])
 
 
 def _image_status_field(raw: RawSequence) -> str:
-    """PLUS calls it ImageStatus in MetaImage files and Status in NRRD files."""
+    """Return the name of the image status: ImageStatus in MetaImage files, Status in NRRD files."""
     return "ImageStatus" if "ImageStatus" in raw.frame_fields else "Status"
 
 
@@ -158,7 +158,7 @@ def _orientation(raw: RawSequence) -> str:
     return "XX"
 
 
-def _streams(path: Path, raw: RawSequence, t_s: FloatArray, kept: IntArray) -> dict[str, PoseStream]:
+def _streams(path: Path, raw: RawSequence, t_s: FloatArray, order: IntArray) -> dict[str, PoseStream]:
     streams: dict[str, PoseStream] = {}
     for field in sorted(raw.frame_fields):
         frames = split_transform(field.removesuffix("Transform")) if field.endswith("Transform") else None
@@ -166,17 +166,17 @@ def _streams(path: Path, raw: RawSequence, t_s: FloatArray, kept: IntArray) -> d
             continue
         target, source = frames
         if target in PIXEL_FRAMES or source in PIXEL_FRAMES:
-            log.info("%s: %s is an image map, not a pose; left out", path, field)
+            log.info("%s: %s is an image map, not a pose; skipped", path, field)
             continue
         matrices, valid = _matrices(path, raw, field)
-        matrices, valid = matrices[kept], valid[kept]
+        matrices, valid = matrices[order], valid[order]
         stream = PoseStream(target, source, t_s, matrices[:, :3, :3], matrices[:, :3, 3], valid)
         streams[stream.name] = stream
     return streams
 
 
 def _matrices(path: Path, raw: RawSequence, field: str) -> tuple[FloatArray, BoolArray]:
-    """(frames, 4, 4) as stored (NaN where absent or malformed and not OK) and (frames,) validity."""
+    """Parse (frames, 4, 4) matrices (NaN if absent or malformed and not OK) and (frames,) validity."""
     texts = raw.frame_fields[field]
     valid = _statuses(raw, f"{field}Status") & np.array([i in texts for i in range(raw.frames)])
     flat = np.full((raw.frames, 16), np.nan)
@@ -196,8 +196,8 @@ def _matrices(path: Path, raw: RawSequence, field: str) -> tuple[FloatArray, Boo
                 f"{path}: {field} of frame {i} is '{text[:40]}'; needed 16 numbers (a row-major 4x4 matrix)"
             )
     matrices = flat.reshape(-1, 4, 4)
-    given = matrices[valid]
-    limits.require_lengths(given[np.isfinite(given)], field)
+    translations = matrices[valid]
+    limits.require_lengths(translations[np.isfinite(translations)], field)
     if (np.abs(matrices[valid][:, 3] - (0, 0, 0, 1)) > 1e-9).any():
         raise UnreadableFileError(f"{path}: {field} has a last row other than 0 0 0 1")
     return matrices, valid

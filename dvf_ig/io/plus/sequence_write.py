@@ -21,17 +21,17 @@ _LAST_ROW = "0 0 0 1"
 
 
 def write_sequence(sequence: TrackedSequence, path: Path | str, *, compression: int = 1) -> None:
-    """Write a sequence so that PLUS, 3D Slicer and `read_sequence` read back what it holds.
+    """Write a sequence so that PLUS, 3D Slicer and `read_sequence` read the same content.
 
     Numbers are written with the fewest digits that read back to the same float64.
 
     Args:
         sequence: what to write; invalid poses are written with status INVALID.
-        path: a name ending in `.mha`, by custom `.igs.mha`.
-        compression: zlib level of the images, 1 (fast) to 9; 0 stores them plainly.
+        path: a name ending in `.mha`, usually `.igs.mha`.
+        compression: zlib level of the images, 1 (fast) to 9; 0 disables compression.
     Raises:
         OutputError: another ending, or not writable.
-        InvalidInputError: a frame name that PLUS cannot spell.
+        InvalidInputError: a frame name that is not valid in PLUS.
     """
     images = sequence.images
     pixels = b"" if images is None else np.ascontiguousarray(images).data
@@ -45,8 +45,8 @@ def write_poses(stream: PoseStream, path: Path | str, after_restart: PoseStream 
     """Write one pose stream as a pose-only sequence (`.igs.mha`).
 
     Args:
-        after_restart: poses of the same name that came later, from a clock that had restarted: their frames
-            follow, with their own stamps.
+        after_restart: later poses of the same name, from a restarted clock; their frames follow with their
+            own stamps.
     """
     parts = [
         TrackedSequence(s.t_s, None, np.zeros(len(s), dtype=np.bool_), {s.name: s}, orientation="XX")
@@ -60,16 +60,16 @@ def write_poses(stream: PoseStream, path: Path | str, after_restart: PoseStream 
 def write_pose_sequence(poses: Sequence[tuple[float, Rigid]], path: Path | str) -> None:
     """Write a registration over time as a linear transform sequence of 3D Slicer (`.seq.mha`).
 
-    Slicer takes the matrix of `Seq_FrameNNNN_TrackerToRasTransform` as it stands, for *transform to parent*.
-    It maps a point as the tracker reports it to the MR in RAS, p_ras = diag(−1, −1, 1)·p_mr: what is under
-    the node, for example a PLUS sequence with its ProbeToTracker, appears on the MR. (A `.tfm` is the other
-    way round, and Slicer counts both of its frames as LPS.)
+    Slicer uses the matrix of `Seq_FrameNNNN_TrackerToRasTransform` unchanged as *transform to parent*. It
+    maps a point from the tracker to the MR in RAS, p_ras = diag(−1, −1, 1)·p_mr: the node's children, for
+    example a PLUS sequence with its ProbeToTracker, appear on the MR. (A `.tfm` holds the inverse, and Slicer
+    treats both of its frames as LPS.)
 
     Args:
-        poses: (time s from which it held, mr_from_tracker) in order of time; at least one.
+        poses: (start of validity, s; mr_from_tracker) in order of time; at least one.
         path: a name ending in `.seq.mha`.
     Raises:
-        InvalidInputError: no poses, or of several frames.
+        InvalidInputError: no poses, or several pairs of frames.
         OutputError: another ending, or not writable.
     Source: Slicer, vtkMRMLLinearTransformSequenceStorageNode: field names, SetMatrixTransformToParent; index
     "time" in s, which it rounds to 1 ms.
@@ -86,8 +86,8 @@ def write_pose_sequence(poses: Sequence[tuple[float, Rigid]], path: Path | str) 
     name = join_transform("ras", source)
     comment = (
         f"{name}: p_ras = M p_{source}, mm, row-major 4x4, to parent; "
-        f"p_ras = diag(-1, -1, 1) p_{target}; {source} as its device reports it; Timestamp in s: when the "
-        "pose came into use"
+        f"p_ras = diag(-1, -1, 1) p_{target}; {source} as its device reports it; Timestamp in s: start "
+        "of the pose's use"
     )
     matrices = np.array([RAS_FROM_LPS @ pose.matrix for _, pose in poses])
     write_transform_sequence(name, [from_s for from_s, _ in poses], matrices, path, comment)
@@ -99,10 +99,10 @@ def write_transform_sequence(
     """Write matrices over time as a linear transform sequence of 3D Slicer (`.seq.mha`).
 
     Args:
-        name: as PLUS spells it, for example "ProbeToTracker".
+        name: in PLUS's spelling, for example "ProbeToTracker".
         t_s: (n,) s, in order of time.
-        matrices: (n, 4, 4) *transform to parent*, mm; taken as they stand.
-        comment: what they mean, for people.
+        matrices: (n, 4, 4) *transform to parent*, mm; written unchanged.
+        comment: their meaning, for people.
     Raises:
         OutputError: not writable.
     """
@@ -131,7 +131,7 @@ def write_transform_sequence(
 
 
 def _write(path: Path, header: list[str], parts: Sequence[TrackedSequence], payload: bytes) -> None:
-    """One file: the header, the frames of every part in the order in which they arrived, the pixels."""
+    """Write one file: the header, the frames of every part in order of arrival, the pixels."""
     if path.suffix != ".mha":
         raise OutputError(f"cannot write {path}: sequences are written as .igs.mha; change the ending")
     frames = sum(len(part) for part in parts)
@@ -171,7 +171,7 @@ def _header_lines(sequence: TrackedSequence, frames: int, compressed: bool, payl
 
 
 def _frame_lines(sequence: TrackedSequence, first: int, frames: int) -> list[str]:
-    """Fields of the frames of a sequence whose first is number `first` of `frames` in the file."""
+    """Build the field lines of the frames of a part that starts at frame `first` of `frames`."""
     width = max(4, len(str(frames - 1)))
     streams = [
         (f"{join_transform(s.target, s.source)}Transform", _matrix_texts(s), s.valid.tolist())
@@ -191,6 +191,6 @@ def _frame_lines(sequence: TrackedSequence, first: int, frames: int) -> list[str
 
 
 def _matrix_texts(stream: PoseStream) -> list[str]:
-    """Row-major 4×4 of each sample."""
+    """Format the row-major 4×4 matrix of each sample."""
     rows = np.concatenate([stream.rotations, stream.translations_mm[:, :, None]], axis=2).reshape(-1, 12)
     return [" ".join(map(repr, row)) + " " + _LAST_ROW for row in rows.tolist()]

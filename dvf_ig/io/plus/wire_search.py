@@ -1,4 +1,4 @@
-"""How PLUS's device set says wires are to be sought in images: its `<Segmentation>` section."""
+"""Read PLUS's settings for finding wires in images: the `<Segmentation>` section of a device set."""
 
 from pathlib import Path
 from xml.etree import ElementTree
@@ -11,9 +11,9 @@ from .xml import numbers, parse_xml
 
 
 def read_wire_search(device_set_xml: Path | str) -> WireSearch:
-    """Pixel size, clip rectangle, collinearity and number of candidates of a device set's `<Segmentation>`.
+    """Read pixel size, clip rectangle, collinearity and number of candidates of `<Segmentation>`.
 
-    Settings of PLUS's own morphology have no counterpart here and are left alone.
+    Settings of PLUS's own morphology have no counterpart here and are ignored.
 
     Raises:
         UnreadableFileError: absent, not XML, or a setting that is not a positive number.
@@ -42,7 +42,7 @@ def _positive(path: Path, section: ElementTree.Element, name: str) -> float | No
 
 
 def _clip(path: Path, section: ElementTree.Element) -> tuple[int, int, int, int] | None:
-    """First column, first row, columns, rows; None where the section has no clip rectangle."""
+    """Read first column, first row, columns, rows; None if the section has no clip rectangle."""
     if "ClipRectangleOrigin" not in section.attrib or "ClipRectangleSize" not in section.attrib:
         return None
     left, top = numbers(path, section, "ClipRectangleOrigin", 2).tolist()

@@ -1,4 +1,4 @@
-"""PLUS configuration XML: its elements, and the `<CoordinateDefinitions>` that hold calibrated transforms."""
+"""Read and write PLUS configuration XML and its `<CoordinateDefinitions>` of calibrated transforms."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ from dvf_ig.io.writing.atomic import write_bytes
 from .names import frame_from_plus, frame_to_plus
 
 LARGEST = 1e9
-"""No place, pixel or index of a calibration is larger."""
+"""Largest coordinate, pixel or index of a calibration."""
 
 
 @read_only_arrays
@@ -29,7 +29,7 @@ class CoordinateDefinition:
 
     Attributes:
         target, source: frame names.
-        matrix: (4, 4) target_from_source in mm (mm per pixel where a frame is an image's).
+        matrix: (4, 4) target_from_source in mm (mm per pixel if a frame is an image).
         error_mm: calibration error recorded with it, or None.
         date: as recorded, or None.
     """
@@ -49,7 +49,7 @@ class CoordinateDefinition:
 
 
 def parse_xml(path: Path, what: str) -> ElementTree.Element:
-    """Root element of an XML file, or UnreadableFileError giving the line."""
+    """Parse an XML file to its root element, or raise UnreadableFileError with the line."""
     data = read_bytes(path, what)
     try:
         return ElementTree.fromstring(data)
@@ -58,7 +58,7 @@ def parse_xml(path: Path, what: str) -> ElementTree.Element:
 
 
 def numbers(path: Path, element: ElementTree.Element, attribute: str, count: int) -> FloatArray:
-    """(count,) finite numbers of an attribute, or UnreadableFileError naming element and attribute."""
+    """Parse (count,) finite numbers of an attribute, or raise UnreadableFileError."""
     text = element.attrib.get(attribute)
     try:
         values = np.array((text or "").split(), dtype=np.float64)
@@ -73,7 +73,7 @@ def numbers(path: Path, element: ElementTree.Element, attribute: str, count: int
 
 
 def read_calibrations(path: Path | str) -> dict[str, CoordinateDefinition]:
-    """Every transform of `<CoordinateDefinitions>` by its name, for example "reference_from_phantom".
+    """Read every transform of `<CoordinateDefinitions>` by its name, such as "reference_from_phantom".
 
     Raises:
         UnreadableFileError: absent, not XML, no such section, or a matrix that is not 16 numbers.
@@ -88,14 +88,14 @@ def read_calibrations(path: Path | str) -> dict[str, CoordinateDefinition]:
 
 
 def read_transforms(path: Path, section: ElementTree.Element) -> dict[str, CoordinateDefinition]:
-    """Every `<Transform From To Matrix>` below an element by its name; `path` is for messages."""
+    """Read every `<Transform From To Matrix>` below an element by its name; `path` is for messages."""
     elements = [e for e in section.iter("Transform") if {"From", "To", "Matrix"} & e.attrib.keys()]
     definitions = [_definition(path, element) for element in elements]
     return {definition.name: definition for definition in definitions}
 
 
 def read_coordinate_definitions(path: Path | str) -> dict[str, FloatArray]:
-    """(4, 4) matrices of `<CoordinateDefinitions>` by name; see `read_calibrations` for error and date."""
+    """Read (4, 4) matrices of `<CoordinateDefinitions>` by name, without error and date."""
     return {name: definition.matrix for name, definition in read_calibrations(path).items()}
 
 
@@ -108,7 +108,7 @@ def write_coordinate_definitions(
         path: the XML file.
         definitions: matrices by "target_from_source", or values that carry error and date.
     Raises:
-        InvalidInputError: a name that is not target_from_source, or that PLUS cannot spell.
+        InvalidInputError: a name that is not target_from_source, or not valid in PLUS.
         OutputError: not writable.
     """
     if not isinstance(definitions, list):
@@ -122,15 +122,15 @@ def write_coordinate_definitions(
 def write_registration(rigid: Rigid, path: Path | str, error_mm: float | None = None) -> Path:
     """Write mr_from_tracker for a PLUS configuration: TrackerToMr, and MrToRas.
 
-    Its source frame has to be the one that PLUS knows: "reference" where poses were relative to that marker.
+    Its source frame must have PLUS's name: "reference" if poses were relative to that marker.
 
-    `Mr` is LPS, as everywhere here. PLUS and 3D Slicer speak RAS with one another: MrToRas lets PLUS answer
-    with TrackerToRas, and tells the reader that Mr is not it.
+    `Mr` is LPS. PLUS and 3D Slicer exchange RAS: MrToRas lets PLUS answer with TrackerToRas, and shows that
+    Mr itself is not RAS.
 
     Returns:
         the file.
     Raises:
-        OutputError: a file of the user's own is there, or not writable.
+        OutputError: an existing user file is in the way, or not writable.
     """
     path = Path(path)
     pose = CoordinateDefinition(rigid.target, rigid.source, rigid.matrix, error_mm)
@@ -140,7 +140,7 @@ def write_registration(rigid: Rigid, path: Path | str, error_mm: float | None = 
 
 
 def definitions_element(definitions: list[CoordinateDefinition]) -> ElementTree.Element:
-    """The `<CoordinateDefinitions>` element."""
+    """Build the `<CoordinateDefinitions>` element."""
     section = ElementTree.Element("CoordinateDefinitions")
     for definition in definitions:
         rows = "\n".join("        " + " ".join(map(repr, row)) for row in definition.matrix.tolist())
@@ -159,7 +159,7 @@ def definitions_element(definitions: list[CoordinateDefinition]) -> ElementTree.
 
 
 def write_xml(path: Path, root: ElementTree.Element) -> None:
-    """Write an element as an indented XML file, atomically; a comment says who wrote it."""
+    """Write an element as an indented XML file with our mark, atomically."""
     root.insert(0, ElementTree.Comment(MARKUP_COMMENT))
     ElementTree.indent(root)
     write_bytes(path, [ElementTree.tostring(root, encoding="utf-8", xml_declaration=True), b"\n"])

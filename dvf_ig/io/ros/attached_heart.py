@@ -1,4 +1,4 @@
-"""The files that a heart is built from, attached to a log."""
+"""Attach the files that a heart is built from to a log."""
 
 from dvf_ig.core.model import DvfModel
 from dvf_ig.core.recordings.scenario import Preop
@@ -13,11 +13,11 @@ from .log_file import LogWriter
 MODEL = "preop/model.npz"
 
 
-def attach_heart(log: LogWriter, preop: Preop, given: DvfModel | None) -> PreopConfig:
-    """Attach what the heart is built from, and say what it is.
+def attach_heart(log: LogWriter, preop: Preop, model: DvfModel | None) -> PreopConfig:
+    """Attach the files of a heart, and return their configuration.
 
-    With labels or surfaces the model is attached without being named: reading it with them would give the
-    images its times.
+    With labels or surfaces the model is attached but not named in the configuration: otherwise the images
+    would get the model's times.
     """
     has_labels = preop.labels is not None or preop.ed_labels is not None
     files = FolderPreop(
@@ -33,10 +33,10 @@ def attach_heart(log: LogWriter, preop: Preop, given: DvfModel | None) -> PreopC
         for file in sorted(folder.rglob("*")):
             if file.is_file():
                 log.attach(file.relative_to(folder).as_posix(), "application/octet-stream", file.read_bytes())
-    if given is not None:
-        log.attach(MODEL, "application/octet-stream", b"".join(model_bytes(given)))
+    if model is not None:
+        log.attach(MODEL, "application/octet-stream", b"".join(model_bytes(model)))
     return PreopConfig(
-        model=MODEL if given is not None and not has_labels and not preop.surfaces else None,
+        model=MODEL if model is not None and not has_labels and not preop.surfaces else None,
         mr=files.mr,
         labels=files.labels,
         ed_phase=preop.ed_phase,

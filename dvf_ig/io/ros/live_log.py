@@ -1,11 +1,11 @@
-"""What the log of a live session holds beyond a replay's: when each event came, each state, each answer.
+"""Content of a live session's log beyond a replay's: arrival of each event, each state, each answer.
 
-    /exact/event    one row an event, before the event itself: what it is, its stamp, its arrival
-    /exact/state    one row a state that the session was asked for, in order between the events
-    /exact/work     one row a registration or a beat's evaluation that was found done: its number, and how
-                    often it had been asked for before
+    /exact/event    one row per event, before the event itself: its kind, its stamp, its arrival
+    /exact/state    one row per state requested from the session, in order between the events
+    /exact/work     one row per completed registration or beat evaluation: its number, and how often it had
+                    been requested before
 
-With these a replay pushes the same events and asks at the same moments, and so gives the same answers.
+With these a replay pushes the same events and requests at the same moments, and so gives the same answers.
 """
 
 import json
@@ -39,7 +39,7 @@ LIVE = "live.json"
 EVENT, STATE, WORK = "/exact/event", "/exact/state", "/exact/work"
 LIVE_STREAMS = {EVENT: ros.ARRAY, STATE: ros.ARRAY, WORK: ros.ARRAY}
 LOST = "lost"
-"""Metadata of a finished log: how many messages were not written, because the disk was too slow."""
+"""Metadata key of a finished log: number of messages not written because the disk was too slow."""
 STATE_COLUMNS = (
     "t_s",
     "phi",
@@ -60,10 +60,10 @@ STATE_COLUMNS = (
     "hazards",
     "lost",
 )
-"""Of a state's row; NaN where something is not known. `lost` counts messages that were left out by then."""
+"""Columns of a state's row; NaN for unknown values. `lost` counts the messages not written so far."""
 
 Timed = tuple[float, str, str, ros.Message]
-"""When, topic, type, message."""
+"""Time, topic, type and message."""
 
 
 class EventKind(IntEnum):
@@ -77,7 +77,7 @@ class EventKind(IntEnum):
 
 
 class LiveDocument(Section):
-    """The content of `live.json`: what a session was set up with besides its patient."""
+    """Content of `live.json`: the setup of a session apart from its patient."""
 
     schema_: Literal["dvf_ig.live_log/1"] = Field(default="dvf_ig.live_log/1", alias="schema")
     fixtures: FixturesConfig
@@ -86,10 +86,10 @@ class LiveDocument(Section):
 
 
 def live_document(fixtures: FixtureSet, retiming: RetimingName, seed: int) -> bytes:
-    """JSON of a session's fixtures, retiming and seed.
+    """Encode a session's fixtures, retiming and seed as JSON.
 
     Raises:
-        pydantic.ValidationError: a path that moves, which no configuration gives.
+        pydantic.ValidationError: a moving path, which no configuration can state.
     """
     described: list[dict[str, Any]] = []
     for one in fixtures.fixtures:
@@ -112,10 +112,10 @@ def live_document(fixtures: FixtureSet, retiming: RetimingName, seed: int) -> by
 
 
 def event_messages(event: Event, arrived_s: float) -> Iterator[Timed]:
-    """An event: its row, what a replay needs of it, and its ROS messages.
+    """Yield an event's row, its data for a replay, and its ROS messages.
 
     Args:
-        arrived_s: NaN of what did not arrive.
+        arrived_s: time of arrival; NaN for events that did not arrive from outside.
     """
     kind, t_s = _kind(event), event.start_s if isinstance(event, EcgSamples) else event.t_s
     yield t_s, EVENT, ros.ARRAY, ros.array(np.array([kind, t_s, arrived_s]), ("kind, t_s, arrived_s",))
@@ -134,30 +134,30 @@ def event_messages(event: Event, arrived_s: float) -> Iterator[Timed]:
 
 
 def _kind(event: Event) -> EventKind:
-    for kind, found in (
+    for kind, types in (
         (EventKind.ECG, EcgSamples | Trigger),
         (EventKind.FRAME, TrackedFrame),
         (EventKind.TOOL, ToolPose),
         (EventKind.LANDMARK, Landmark),
     ):
-        if isinstance(event, found):
+        if isinstance(event, types):
             return kind
     return EventKind.REARM
 
 
 def _pose_row(t_s: float, matrix: FloatArray | None) -> FloatArray:
-    held = np.eye(4) if matrix is None else matrix
-    return exact_pose(t_s, matrix is not None, held[:3, :3], held[:3, 3])
+    pose = np.eye(4) if matrix is None else matrix
+    return exact_pose(t_s, matrix is not None, pose[:3, :3], pose[:3, 3])
 
 
 def _placed(t_s: float, what: str, matrix: FloatArray | None) -> Iterator[Timed]:
-    """For ROS, where the pose can be said with a quaternion."""
+    """Yield the pose for ROS, if it can be expressed as a quaternion."""
     if matrix is not None and np.isfinite(matrix).all() and np.linalg.det(matrix[:3, :3]) > 0.5:
         yield t_s, "/tf", ros.TF, ros.transforms(t_s, [("tracker", what, matrix)])
 
 
 def state_message(state: GuidanceState, lost: int) -> Timed:
-    """The row of a state."""
+    """Build the row of a state."""
     phase, pose = state.phase, np.full((3, 4), np.nan)
     if state.transform.pose is not None and state.now_s < state.transform.pose_until_s:
         pose = state.transform.pose.matrices(np.array([state.now_s]))[0]
@@ -179,13 +179,13 @@ def state_message(state: GuidanceState, lost: int) -> Timed:
 
 
 def work_message(t_s: float, number: int, refused: int) -> Timed:
-    """Work `number` was found done after it had been asked for `refused` times."""
+    """Build the row of work `number`, completed after `refused` earlier requests."""
     row = np.array([number, refused], dtype=np.float64)
-    return t_s, WORK, ros.ARRAY, ros.array(row, ("number of the work, how often it was not done before",))
+    return t_s, WORK, ros.ARRAY, ros.array(row, ("number of the work, how often it was requested before",))
 
 
 def answer_messages(state: GuidanceState, t_s: float, force_n: FloatArray) -> Iterator[Timed]:
-    """What was sent, for ROS tools: the servo's force at its tick, and the state on which it rests."""
+    """Yield what was sent, for ROS tools: the servo's force at its tick, and the state behind it."""
     now_s, phase, pose = state.now_s, state.phase, state.transform.pose
     yield t_s, "/tool/force", ros.WRENCH, ros.wrench(t_s, "tracker", force_n)
     numbers = np.array([phase.phi, state.model_phase, phase.rr_s, state.distance_mm, state.pose_age_s])

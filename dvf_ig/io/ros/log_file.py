@@ -1,4 +1,4 @@
-"""MCAP files with ROS 2 messages and attachments: `ros2 bag`, Foxglove and PlotJuggler open them."""
+"""Read and write MCAP files with ROS 2 messages and attachments, for `ros2 bag`, Foxglove and PlotJuggler."""
 
 import hashlib
 import os
@@ -19,22 +19,22 @@ from .messages import Message, nanoseconds, typestore
 MARK = b"\x89MCAP0\r\n"
 WHAT = "an MCAP log"
 DIGESTS, COUNTS = "sha256", "messages"
-"""Metadata of a log: of each attached file; how many messages each topic has. The CRC of chunks is checked,
-but not that of attachments."""
+"""Metadata keys of a log: digest of each attached file; number of messages per topic. The MCAP library checks
+the CRC of chunks, but not of attachments."""
 
 UNFINISHED = "unfinished.mcap"
-"""Ending of the name of a log that is being written, or was when its program was killed."""
+"""Name ending of a log that is being written, or was when its program was killed."""
 MOST_PACKED = 100
-"""Bytes of messages for each byte of a log: ultrasound packs to a third, a sector's black margins to more."""
+"""Most message bytes per byte of a log: ultrasound compresses to a third, its black margins further."""
 LEAST_UNPACKED_BYTES = 256 << 20
-"""That many are read of any log: images that are all alike pack to nothing."""
+"""Bytes that are read of any log, because identical images compress to almost nothing."""
 
 
 class LogWriter:
     """Appends messages and attachments to an open MCAP file (see `written_log`).
 
     Args:
-        chunk_bytes: messages are written when they have come to so much.
+        chunk_bytes: size at which collected messages are written.
     """
 
     def __init__(self, stream: IO[bytes], chunk_bytes: int = 1024 * 1024) -> None:
@@ -48,7 +48,7 @@ class LogWriter:
         self._counts: dict[str, int] = {}
 
     def write(self, topic: str, kind: str, t_s: float, message: Message) -> None:
-        """A message of type `kind` that belongs to `t_s`."""
+        """Write a message of type `kind` that belongs to `t_s`."""
         if topic not in self._channels:
             self._channels[topic] = self._writer.register_channel(topic, "cdr", self._type(kind))
         stamp = nanoseconds(t_s)
@@ -57,21 +57,21 @@ class LogWriter:
         self._counts[topic] = self._counts.get(topic, 0) + 1
 
     def attach(self, name: str, media_type: str, data: bytes) -> None:
-        """A file within the log."""
+        """Attach a file to the log."""
         self._writer.add_attachment(0, 0, name, media_type, data)
         self._digests[name] = hashlib.sha256(data).hexdigest()
 
     def end_attachments(self) -> None:
-        """Write what the reader compares them with: they can be read from then on, whatever happens."""
+        """Write the digests of the attachments: from then on they can be read, whatever happens."""
         self._writer.add_metadata(DIGESTS, self._digests)
         self._digests = {}
 
     def note(self, name: str, value: int) -> None:
-        """A number that belongs to the whole log."""
+        """Write a number that belongs to the whole log."""
         self._writer.add_metadata(name, {name: str(value)})
 
     def finish(self) -> None:
-        """Write what the reader compares, and the index; nothing may follow."""
+        """Write the message counts and the index; nothing may follow."""
         if self._digests:
             self.end_attachments()
         self._writer.add_metadata(COUNTS, {topic: str(n) for topic, n in self._counts.items()})
@@ -86,7 +86,7 @@ class LogWriter:
 
 @contextmanager
 def written_log(path: Path) -> Iterator[LogWriter]:
-    """A log that is written whole or not at all.
+    """Open a log that is written as a whole or not at all.
 
     Raises:
         MissingDependencyError: mcap or rosbags is absent.
@@ -100,18 +100,18 @@ def written_log(path: Path) -> Iterator[LogWriter]:
 
 
 def require_log_packages() -> None:
-    """Raise MissingDependencyError where mcap or rosbags is absent."""
+    """Raise MissingDependencyError if mcap or rosbags is absent."""
     typestore()
     _require_mcap()
 
 
 @contextmanager
 def opened_log(path: Path) -> Iterator["LogReader"]:
-    """A log to read from; one that is named as unfinished may end anywhere.
+    """Open a log for reading; one that is named as unfinished may end anywhere.
 
     Raises:
         MissingDependencyError: mcap or rosbags is absent.
-        UnreadableFileError: absent, not MCAP, cut off or damaged.
+        UnreadableFileError: absent, not MCAP, truncated or damaged.
     """
     require_log_packages()
     with reading(path, WHAT), path.open("rb") as stream:
@@ -123,14 +123,14 @@ def opened_log(path: Path) -> Iterator["LogReader"]:
         except UnreadableFileError:
             raise
         except _damage() as exc:
-            raise UnreadableFileError(f"{path} is cut off or damaged ({exc}); copy it again") from exc
+            raise UnreadableFileError(f"{path} is truncated or damaged ({exc}); copy it again") from exc
 
 
 class LogReader:
     """Messages and attachments of an open log (see `opened_log`)."""
 
     whole = True
-    """Whether it was finished."""
+    """True if the log was finished."""
 
     def __init__(self, stream: IO[bytes], path: Path) -> None:
         self._stream = stream
@@ -138,29 +138,31 @@ class LogReader:
         self._size = os.fstat(stream.fileno()).st_size
 
     def attachments(self) -> dict[str, bytes]:
-        """Every file within the log by its name.
+        """Read every attached file by its name.
 
         Raises:
-            UnreadableFileError: a name that is there twice, or a file that is not the one that was attached.
+            UnreadableFileError: a repeated name, or a file that differs from the one that was attached.
         """
-        found: dict[str, bytes] = {}
+        files: dict[str, bytes] = {}
         for one in self._of_kind("Attachment"):
-            if one.name in found:
-                raise UnreadableFileError(f"{self._path} holds two files of the name {one.name[:80]!r}")
-            found[one.name] = one.data
+            if one.name in files:
+                raise UnreadableFileError(
+                    f"{self._path} holds two files named {one.name[:80]!r}; copy it again"
+                )
+            files[one.name] = one.data
         if self._metadata.get(DIGESTS, {}) != {
-            name: hashlib.sha256(data).hexdigest() for name, data in found.items()
+            name: hashlib.sha256(data).hexdigest() for name, data in files.items()
         }:
             raise UnreadableFileError(
                 f"{self._path}: its attached files are not those that were written; copy it again"
             )
-        return found
+        return files
 
     def messages(self, kinds: Mapping[str, str]) -> Iterator[tuple[str, Message]]:
-        """(topic, message) of the wanted topics, each in the order in which it was written.
+        """Yield (topic, message) of the requested topics, each in the order of writing.
 
         Args:
-            kinds: of each topic, its type.
+            kinds: type of each topic.
         Raises:
             UnreadableFileError: a topic is of another type, or lacks messages.
         """
@@ -168,13 +170,13 @@ class LogReader:
         counts = dict.fromkeys(kinds, 0)
         schemas: dict[int, Any] = {}
         channels: dict[int, Any] = {}
-        for name, found in self._unpacked():
+        for name, record in self._unpacked():
             if name == "Schema":
-                schemas[found.id] = found
+                schemas[record.id] = record
             elif name == "Channel":
-                channels[found.id] = found
+                channels[record.id] = record
             elif name == "Message":
-                channel = channels[found.channel_id]
+                channel = channels[record.channel_id]
                 kind = kinds.get(channel.topic)
                 if kind is None:
                     continue
@@ -182,11 +184,11 @@ class LogReader:
                 if schema is None or schema.name != kind:
                     raise UnreadableFileError(f"{self._path}: {channel.topic} is not of type {kind}")
                 counts[channel.topic] += 1
-                yield channel.topic, store.deserialize_cdr(found.data, kind)
+                yield channel.topic, store.deserialize_cdr(record.data, kind)
         self._require_all(counts)
 
     def number(self, name: str) -> int | None:
-        """A number that was noted; None where none was."""
+        """Return a number that `note` wrote; None without one."""
         text = self._metadata.get(name, {}).get(name, "")
         return int(text) if text.isdecimal() else None
 
@@ -197,18 +199,18 @@ class LogReader:
 
     @cached_property
     def _metadata(self) -> dict[str, dict[str, str]]:
-        found: dict[str, dict[str, str]] = {}
+        entries: dict[str, dict[str, str]] = {}
         for record in self._of_kind("Metadata"):
-            found[record.name] = found.get(record.name, {}) | record.metadata
-        return found
+            entries[record.name] = entries.get(record.name, {}) | record.metadata
+        return entries
 
-    def _of_kind(self, wanted: str) -> Iterator[Any]:
-        return (one for one in self._records() if type(one).__name__ == wanted)
+    def _of_kind(self, kind: str) -> Iterator[Any]:
+        return (one for one in self._records() if type(one).__name__ == kind)
 
     def _records(self) -> Iterator[Any]:
-        """Every record in the order of the file, whose types have the names of the format's specification.
+        """Yield every record in the order of the file; their types are named as in the MCAP specification.
 
-        The index at the end is not used: it may lead to what lies in no record.
+        The index at the end is not used: it may point to bytes outside any record.
         """
         from mcap.stream_reader import StreamReader
 
@@ -219,47 +221,47 @@ class LogReader:
         yield from reader.records
 
     def _unpacked(self) -> Iterator[tuple[str, Any]]:
-        """Each record with the name of its type; those of chunks in place of the chunks."""
+        """Yield each record with the name of its type; chunks are replaced by their records."""
         from mcap.stream_reader import breakup_chunk
 
-        held = 0
+        unpacked = 0
         for record in self._records():
             if type(record).__name__ != "Chunk":
                 yield type(record).__name__, record
                 continue
-            held += self._size_of(record)
-            if held > max(LEAST_UNPACKED_BYTES, MOST_PACKED * self._size):
+            unpacked += self._size_of(record)
+            if unpacked > max(LEAST_UNPACKED_BYTES, MOST_PACKED * self._size):
                 raise UnreadableFileError(
-                    f"{self._path} states {held} bytes of messages and has {self._size}; at most "
-                    f"{MOST_PACKED} times as many are read: copy it again"
+                    f"{self._path} states {unpacked} bytes of messages and has {self._size}; at most "
+                    f"{MOST_PACKED} times as many can be read: copy it again"
                 )
             for one in breakup_chunk(record, validate_crc=True):
                 yield type(one).__name__, one
 
     def _size_of(self, chunk: Any) -> int:
-        """Bytes that a chunk unpacks to.
+        """Return the bytes that a chunk decompresses to.
 
         Raises:
-            UnreadableFileError: packed otherwise than we do, or what it states is not what it holds.
+            UnreadableFileError: another compression than ours, or a wrong stated size.
         """
         import zstandard
 
         if chunk.compression not in ("", "zstd"):
             raise UnreadableFileError(
-                f"{self._path}: its messages are packed as {chunk.compression[:20]!r}; needed zstd"
+                f"{self._path}: its messages are compressed with {chunk.compression[:20]!r}; needed zstd"
             )
         packed = chunk.compression == "zstd"
-        held = zstandard.frame_content_size(chunk.data) if packed else len(chunk.data)
-        if held != chunk.uncompressed_size:
+        size = zstandard.frame_content_size(chunk.data) if packed else len(chunk.data)
+        if size != chunk.uncompressed_size:
             raise UnreadableFileError(
-                f"{self._path} states a chunk of {chunk.uncompressed_size} bytes that holds {held}; copy it "
+                f"{self._path} states a chunk of {chunk.uncompressed_size} bytes that holds {size}; copy it "
                 "again"
             )
-        return int(held)
+        return int(size)
 
 
 class CutLogReader(LogReader):
-    """Reader of a log that ends anywhere: what was written whole, in order, and nothing after damage."""
+    """Reader of a log that may end anywhere: complete records in order, and nothing after damage."""
 
     whole = False
 
@@ -272,11 +274,11 @@ class CutLogReader(LogReader):
             yield from super()._unpacked()
 
     def _require_all(self, counts: Mapping[str, int]) -> None:
-        """Nobody had counted."""
+        """Skip the check: an unfinished log has no counts."""
 
 
 def _damage() -> tuple[type[Exception], ...]:
-    """What mcap, zstandard and rosbags raise on damaged files."""
+    """List the exceptions that mcap, zstandard and rosbags raise on damaged files."""
     from mcap.exceptions import McapError
     from rosbags.serde import SerdeError
     from zstandard import ZstdError

@@ -1,7 +1,7 @@
-"""Values of ours as ROS 2 messages: metres, quaternions, nanoseconds (REP 103); mm and seconds stay inside.
+"""Convert values to ROS 2 messages: metres, quaternions, nanoseconds (REP 103); mm and seconds stay inside.
 
 In a TransformStamped `header.frame_id` is the target and `child_frame_id` the source: it holds
-target_from_source, and takes points of the child to the header's frame.
+target_from_source, which maps points of the child to the header's frame.
 """
 
 from collections.abc import Mapping, Sequence
@@ -19,12 +19,12 @@ TF, IMAGE, WRENCH = "tf2_msgs/msg/TFMessage", "sensor_msgs/msg/Image", "geometry
 POSE, ARRAY = "geometry_msgs/msg/PoseStamped", "std_msgs/msg/Float64MultiArray"
 DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
 Message = Any
-"""Of rosbags' generated classes, which have no types."""
+"""Message of rosbags' generated classes, which have no types."""
 
 
 @cache
 def typestore() -> Any:
-    """Definitions and encoders of ROS 2 Humble's messages.
+    """Return definitions and encoders of ROS 2 Humble's messages.
 
     Raises:
         MissingDependencyError: the package rosbags is absent.
@@ -39,38 +39,38 @@ def typestore() -> Any:
 
 
 def nanoseconds(t_s: float) -> int:
-    """A stamp as ROS counts it; not before 0, where its clock begins."""
+    """Convert a stamp to ROS nanoseconds; not before 0, where its clock begins."""
     return max(round(t_s * 1e9), 0)
 
 
 def transforms(t_s: float, placed: Sequence[tuple[str, str, FloatArray]]) -> Message:
-    """(target, source, (4, 4) or (3, 4) target_from_source in mm) of one moment."""
+    """Build a message of (target, source, (4, 4) or (3, 4) target_from_source in mm) at one time."""
     make = _types()
-    found = []
+    stamped = []
     for target, source, matrix in placed:
         rotation = make("geometry_msgs/msg/Quaternion")(*_quaternion(matrix))
         moved = make("geometry_msgs/msg/Transform")(_vector(matrix[:3, 3] / 1000.0), rotation)
-        found.append(make("geometry_msgs/msg/TransformStamped")(_header(t_s, target), source, moved))
-    return make(TF)(found)
+        stamped.append(make("geometry_msgs/msg/TransformStamped")(_header(t_s, target), source, moved))
+    return make(TF)(stamped)
 
 
 def pose(t_s: float, frame: str, place_mm: FloatArray) -> Message:
-    """A point as a pose without a turn."""
+    """Build a pose at a point, without rotation."""
     make = _types()
     point = make("geometry_msgs/msg/Point")(*(place_mm / 1000.0).tolist())
-    held = make("geometry_msgs/msg/Pose")(point, make("geometry_msgs/msg/Quaternion")(0.0, 0.0, 0.0, 1.0))
-    return make(POSE)(_header(t_s, frame), held)
+    placed = make("geometry_msgs/msg/Pose")(point, make("geometry_msgs/msg/Quaternion")(0.0, 0.0, 0.0, 1.0))
+    return make(POSE)(_header(t_s, frame), placed)
 
 
 def wrench(t_s: float, frame: str, force_n: FloatArray) -> Message:
-    """A force at the tool's tip; no torque."""
+    """Build a force at the tool's tip, without torque."""
     make = _types()
     both = make("geometry_msgs/msg/Wrench")(_vector(force_n), _vector(np.zeros(3)))
     return make(WRENCH)(_header(t_s, frame), both)
 
 
 def image(t_s: float, frame: str, grey: NDArray[np.uint8]) -> Message:
-    """(rows, columns) grey levels."""
+    """Build an image of (rows, columns) grey levels."""
     rows, columns = grey.shape
     return _types()(IMAGE)(
         _header(t_s, frame), rows, columns, "mono8", 0, columns, np.ascontiguousarray(grey).reshape(-1)
@@ -78,10 +78,10 @@ def image(t_s: float, frame: str, grey: NDArray[np.uint8]) -> Message:
 
 
 def grey_levels(message: Message) -> NDArray[np.uint8]:
-    """(rows, columns) of an image.
+    """Return the (rows, columns) grey levels of an image.
 
     Raises:
-        ValueError: it is not of that many grey levels.
+        ValueError: its grey levels are not 8-bit.
     """
     if message.encoding != "mono8" or message.step != message.width:
         raise ValueError("an image is not of 8-bit grey levels")
@@ -89,7 +89,7 @@ def grey_levels(message: Message) -> NDArray[np.uint8]:
 
 
 def array(values: FloatArray, labels: Sequence[str]) -> Message:
-    """Numbers, one dimension an axis, each axis with a label that says what its entries are."""
+    """Build an array of numbers; the label of each axis describes its entries."""
     make = _types()
     strides = [int(np.prod(values.shape[axis:])) for axis in range(values.ndim)]
     dimensions = [
@@ -101,7 +101,7 @@ def array(values: FloatArray, labels: Sequence[str]) -> Message:
 
 
 def diagnostics(t_s: float, level: int, name: str, message: str, values: Mapping[str, str]) -> Message:
-    """One status: level 0 OK, 1 warning, 2 error, 3 stale."""
+    """Build one status: level 0 OK, 1 warning, 2 error, 3 stale."""
     make = _types()
     pairs = [make("diagnostic_msgs/msg/KeyValue")(key, text) for key, text in values.items()]
     status = make("diagnostic_msgs/msg/DiagnosticStatus")(level, name, message, "dvf_ig", pairs)
@@ -123,6 +123,6 @@ def _vector(xyz: FloatArray) -> Message:
 
 
 def _quaternion(matrix: FloatArray) -> list[float]:
-    """x, y, z, w"""
-    found: list[float] = Rotation.from_matrix(matrix[:3, :3]).as_quat().tolist()
-    return found
+    """Return x, y, z, w of a rotation."""
+    xyzw: list[float] = Rotation.from_matrix(matrix[:3, :3]).as_quat().tolist()
+    return xyzw

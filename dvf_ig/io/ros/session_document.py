@@ -1,4 +1,4 @@
-"""What a session log says besides its streams, as JSON: calibrations, start, heart; every digit kept."""
+"""Encode a session log's calibrations, start and heart as JSON, with every digit."""
 
 import json
 from pathlib import Path
@@ -26,7 +26,7 @@ Row = tuple[Length, Length, Length]
 
 
 class RigidEntry(Section):
-    """A rigid transform, mm."""
+    """Rigid transform, mm."""
 
     target: str
     source: str
@@ -47,7 +47,7 @@ class RigidEntry(Section):
 
 
 class ImageEntry(Section):
-    """probe_from_image."""
+    """Image calibration, probe_from_image."""
 
     rigid: RigidEntry
     scale_mm_per_px: tuple[Length, Length]
@@ -63,15 +63,15 @@ class ImageEntry(Section):
 
 
 class PointsEntry(Section):
-    """Points, mm, with their names where they have any."""
+    """Points, mm, with optional names."""
 
     frame: str
     names: tuple[str, ...] = ()
     xyz_mm: tuple[Row, ...]
 
     @classmethod
-    def of(cls, held: Landmarks | Points) -> "PointsEntry":
-        points, names = (held.points, held.names) if isinstance(held, Landmarks) else (held, ())
+    def of(cls, values: Landmarks | Points) -> "PointsEntry":
+        points, names = (values.points, values.names) if isinstance(values, Landmarks) else (values, ())
         return cls(frame=points.frame, names=names, xyz_mm=points.xyz_mm.tolist())
 
     def points(self) -> Points:
@@ -82,7 +82,7 @@ class PointsEntry(Section):
 
 
 class BeatsEntry(Section):
-    """How the stream of heart beats is to be read: ECG samples, or pulses of a trigger."""
+    """Format of the stream of heart beats: ECG samples, or pulses of a trigger."""
 
     kind: Literal["ecg", "trigger"]
     rate_hz: float | None = None
@@ -93,7 +93,7 @@ class BeatsEntry(Section):
 
 
 class SessionDocument(Section):
-    """The content of `session.json`."""
+    """Content of `session.json`."""
 
     schema_: Literal["dvf_ig.log/1"] = Field(default="dvf_ig.log/1", alias="schema")
     name: str
@@ -116,7 +116,7 @@ class SessionDocument(Section):
 
 
 def document_of(scenario: Scenario, image: ImageMap, lag_s: float, tip: Points, preop: PreopConfig) -> bytes:
-    """JSON of a session with its calibrations in use."""
+    """Encode a recorded session with its calibrations in use as JSON."""
     ecg, sequence = scenario.ecg, scenario.ultrasound
     beats = (
         BeatsEntry(kind="trigger", delay_s=ecg.delay_s)
@@ -138,7 +138,7 @@ def document_of(scenario: Scenario, image: ImageMap, lag_s: float, tip: Points, 
 def document_of_live(
     patient: LivePatient, image: ImageMap, lag_s: float, tip: Points, preop: PreopConfig
 ) -> bytes:
-    """The same of a live session before its first event: the ECG's leads and its beginning come with it."""
+    """Encode a live session before its first event; the ECG's leads and start arrive with it."""
     live = patient.live
     reference = split_transform(live.probe) if live.reference is None else split_transform(live.reference)
     against = "tracker" if reference is None else reference[0 if live.reference is None else 1]
@@ -159,11 +159,13 @@ def _json(**fields: Any) -> bytes:
     return json.dumps(document.model_dump(mode="json", by_alias=True), indent=1).encode()
 
 
-def _of_patient(given: Scenario | LivePatient, image: ImageMap, lag_s: float, tip: Points) -> dict[str, Any]:
-    """What a recording and a live session have in common."""
-    fan, start = given.fan, given.start
+def _of_patient(
+    patient: Scenario | LivePatient, image: ImageMap, lag_s: float, tip: Points
+) -> dict[str, Any]:
+    """Collect the fields that recordings and live sessions share."""
+    fan, start = patient.fan, patient.start
     return {
-        "patient_id": given.preop.patient_id,
+        "patient_id": patient.preop.patient_id,
         "fan": None
         if fan is None
         else FanConfig(
@@ -176,22 +178,22 @@ def _of_patient(given: Scenario | LivePatient, image: ImageMap, lag_s: float, ti
         "lag_s": lag_s,
         "tip": PointsEntry.of(tip),
         "start": None if start is None else RigidEntry.of(start),
-        "landmarks_mr": _points(given.landmarks_mr),
-        "landmarks_tracker": _points(given.landmarks_tracker),
-        "touched": _points(given.touched),
-        "touched_phase": given.touched_phase,
+        "landmarks_mr": _points(patient.landmarks_mr),
+        "landmarks_tracker": _points(patient.landmarks_tracker),
+        "touched": _points(patient.touched),
+        "touched_phase": patient.touched_phase,
     }
 
 
-def _points(held: Landmarks | Points | None) -> PointsEntry | None:
-    return None if held is None else PointsEntry.of(held)
+def _points(values: Landmarks | Points | None) -> PointsEntry | None:
+    return None if values is None else PointsEntry.of(values)
 
 
 def read_document(data: bytes, path: Path) -> SessionDocument:
-    """The document of a log.
+    """Parse the document of a log.
 
     Raises:
-        UnreadableFileError: not JSON, or not such a document.
+        UnreadableFileError: not JSON, or not a session document.
     """
     try:
         document: Any = json.loads(data)

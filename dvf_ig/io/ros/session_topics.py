@@ -1,4 +1,4 @@
-"""Topics of a session's log, and the messages on them: what was pushed, bit by bit, and what was answered."""
+"""Topics of a session's log and their messages: the exact inputs, and the answers."""
 
 import numpy as np
 
@@ -17,7 +17,7 @@ STREAMS = {
     EXACT_FRAME: ros.ARRAY,
     EXACT_TOOL: ros.ARRAY,
 }
-"""What a replay reads, with the type of each."""
+"""Topics that a replay reads, with the type of each."""
 POSE_LABEL = "t_s, valid, rotation (9, row-major), translation_mm (3): tracker_from_{}"
 IMAGE_LABEL = ", then whether the image is valid"
 LEVELS = {
@@ -26,9 +26,9 @@ LEVELS = {
     SupervisorState.FADE: 2,
     SupervisorState.LATCHED: 2,
 }
-"""Of diagnostics: OK, warning, error."""
+"""Level of diagnostics by state: OK, warning, error."""
 GUIDANCE = ("phi", "model_phase", "rr_s", "distance_mm", "pose_age_s")
-"""Columns of ticks.csv that are logged as numbers; NaN where there is none."""
+"""Columns of ticks.csv that are logged as numbers; NaN for missing values."""
 STATUS_EVERY_S = 1.0
 
 

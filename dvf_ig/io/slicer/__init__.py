@@ -1,1 +1,1 @@
-"""3D Slicer scenes: the scene file, and what its nodes read."""
+"""3D Slicer scenes: the scene file, and the files of its nodes."""

@@ -1,7 +1,7 @@
-"""A 3D Slicer scene file (`.mrml`): nodes, what they read, and what they hang on.
+"""Build a 3D Slicer scene file (`.mrml`): nodes, their files, and their parents.
 
-Source: Slicer 5, Libs/MRML/Core: tags are each node's GetNodeTagName, attributes what its ReadXMLAttributes
-takes; `references` holds "role:id id;" (vtkMRMLNode::ParseReferencesAttribute).
+Source: Slicer 5, Libs/MRML/Core: tags are each node's GetNodeTagName, attributes those of its
+ReadXMLAttributes; `references` holds "role:id id;" (vtkMRMLNode::ParseReferencesAttribute).
 """
 
 from collections.abc import Mapping, Sequence
@@ -12,13 +12,13 @@ from xml.etree import ElementTree
 from dvf_ig.io.writing.atomic import write_text
 
 VERSION = "Slicer5.0.3"
-"""The oldest whose nodes these are: sequences came into Slicer itself with 5.0."""
+"""Oldest version with these nodes: sequences became part of Slicer with 5.0."""
 GREY = "vtkMRMLColorTableNodeGrey"
 
 
 @dataclass(slots=True)
 class SlicerScene:
-    """Nodes in the order in which they were added; every `add_…` returns the id of its node."""
+    """Nodes in order of addition; every `add_…` returns the id of its node."""
 
     _root: ElementTree.Element = field(
         default_factory=lambda: ElementTree.Element("MRML", version=VERSION, userTags="")
@@ -26,13 +26,13 @@ class SlicerScene:
     _counts: dict[str, int] = field(default_factory=dict)
 
     def add_transform(self, name: str, file: str, parent: str | None = None, *, description: str = "") -> str:
-        """A linear transform that is read from an ITK file (`write_node_transform`)."""
+        """Add a linear transform read from an ITK file (`write_node_transform`)."""
         storage = self._storage("TransformStorage", "vtkMRMLTransformStorageNode", name, file)
         references = {"storage": storage, "transform": parent}
         return self._add("LinearTransform", "vtkMRMLLinearTransformNode", name, references, description)
 
     def add_volume(self, name: str, file: str, parent: str | None = None, *, description: str = "") -> str:
-        """An image of grey levels, shown with a window chosen by Slicer."""
+        """Add a grey-level image, shown with a window chosen by Slicer."""
         storage = self._storage("VolumeArchetypeStorage", "vtkMRMLVolumeArchetypeStorageNode", name, file)
         display = self._add(
             "VolumeDisplay",
@@ -48,7 +48,7 @@ class SlicerScene:
     def add_model(
         self, name: str, file: str, *, visible: bool, color: tuple[float, float, float], description: str = ""
     ) -> str:
-        """A surface in LPS, see-through, with its contour in the slices."""
+        """Add a surface in LPS, translucent, with its contour in the slices."""
         storage = self._storage("ModelStorage", "vtkMRMLModelStorageNode", name, file, coordinateSystem="LPS")
         display = self._add(
             "ModelDisplay",
@@ -66,7 +66,7 @@ class SlicerScene:
         return self._add("Model", "vtkMRMLModelNode", name, references, description)
 
     def add_points(self, name: str, file: str, parent: str | None = None, *, description: str = "") -> str:
-        """Markups of points (`write_node_points`)."""
+        """Add point markups (`write_node_points`)."""
         storage = self._storage("MarkupsJsonStorage", "vtkMRMLMarkupsJsonStorageNode", name, file)
         display = self._add(
             "MarkupsFiducialDisplay",
@@ -81,7 +81,7 @@ class SlicerScene:
         return self._add("MarkupsFiducial", "vtkMRMLMarkupsFiducialNode", name, references, description)
 
     def add_sequence(self, name: str, file: str, *, index: str, unit: str) -> str:
-        """A sequence of transforms (`.seq.mha`) or volumes (`.seq.nrrd`) over a numeric index."""
+        """Add a sequence of transforms (`.seq.mha`) or volumes (`.seq.nrrd`) over a numeric index."""
         kind = "LinearTransform" if file.endswith(".seq.mha") else "Volume"
         storage = self._storage(f"{kind}SequenceStorage", f"vtkMRML{kind}SequenceStorageNode", name, file)
         return self._add(
@@ -96,9 +96,9 @@ class SlicerScene:
         )
 
     def add_browser(self, name: str, pairs: Sequence[tuple[str, str]], *, rate_hz: float) -> str:
-        """Plays sequences together: of each pair, the sequence and the node that shows its item.
+        """Add a browser that plays sequences together: pairs of a sequence and the node that shows its item.
 
-        The first sequence is the one whose items are stepped through.
+        The items of the first sequence set the steps.
         """
         references: dict[str, str | None] = {}
         attributes = {}
@@ -124,7 +124,7 @@ class SlicerScene:
         )
 
     def write(self, path: Path) -> None:
-        """Write the scene; the files that it names lie beside it.
+        """Write the scene into the folder of the files that it names.
 
         Raises:
             OutputError: not writable.
@@ -147,12 +147,12 @@ class SlicerScene:
     ) -> str:
         self._counts[kind] = self._counts.get(kind, 0) + 1
         identity = f"{kind}{self._counts[kind]}"
-        held = "".join(f"{role}:{one};" for role, one in references.items() if one is not None)
+        reference_text = "".join(f"{role}:{one};" for role, one in references.items() if one is not None)
         hidden = tag.endswith(("Storage", "Display"))
-        known = {"id": identity, "name": name, "hideFromEditors": _flag(hidden)}
-        known |= {"description": description} if description else {}
-        known |= {"references": held} if held else {}
-        ElementTree.SubElement(self._root, tag, {**known, **attributes})
+        common = {"id": identity, "name": name, "hideFromEditors": _flag(hidden)}
+        common |= {"description": description} if description else {}
+        common |= {"references": reference_text} if reference_text else {}
+        ElementTree.SubElement(self._root, tag, {**common, **attributes})
         return identity
 
 

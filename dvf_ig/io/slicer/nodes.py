@@ -1,8 +1,8 @@
-"""Files behind the nodes of a 3D Slicer scene: transforms to parent, points, volumes over an index.
+"""Write the files of 3D Slicer nodes: transforms to parent, points, volumes over an index.
 
-Slicer's world is RAS. An ITK transform file holds, in LPS, the inverse of what a node shows as *transform to
-parent* (vtkMRMLTransformStorageNode). Points that a tracker reports have no anatomical axes: they are written
-under the name RAS, which Slicer takes as they stand.
+Slicer's world is RAS. An ITK transform file holds, in LPS, the inverse of a node's *transform to parent*
+(vtkMRMLTransformStorageNode). Points in tracker coordinates have no anatomical axes: they are written as RAS,
+which Slicer does not change.
 """
 
 import zlib
@@ -52,8 +52,8 @@ def write_node_points(
     """Write points as Slicer markups, each with a description.
 
     Args:
-        landmarks: in an LPS frame such as "mr", or where `tracked` in coordinates of a device as they stand.
-        descriptions: one a point, or none.
+        landmarks: in an LPS frame such as "mr", or with `tracked` in a device's own coordinates.
+        descriptions: one per point, or none.
     Raises:
         OutputError: not writable.
     """
@@ -66,7 +66,7 @@ def write_volume_sequence(
     """Write images over an index as Slicer's volume sequence (`.seq.nrrd`), compressed.
 
     Args:
-        values: (n, nx, ny, nz) of a type that NRRD knows.
+        values: (n, nx, ny, nz) of a type that NRRD supports.
         index: (n,) strictly increasing values of the index.
         grid: in LPS (`pixel_grid` for images in pixels).
         name, unit: of the index, for example "time" and "s".
@@ -80,8 +80,8 @@ def write_volume_sequence(
     kind = _NRRD_TYPES.get(values.dtype.name)
     if kind is None or len(index) != len(values):
         raise InvalidInputError(
-            f"{len(values)} images of {values.dtype.name} for {len(index)} index values; needed as many, of "
-            f"{', '.join(_NRRD_TYPES)}"
+            f"{len(values)} images of {values.dtype.name} for {len(index)} index values; needed equal "
+            f"numbers and a type among {', '.join(_NRRD_TYPES)}"
         )
     axes = grid.axes_mm
     sizes = (len(values), *values.shape[1:])
@@ -110,7 +110,7 @@ def write_volume_sequence(
 
 
 def pixel_grid(columns: int, rows: int) -> Grid:
-    """The grid of one image in pixels: (column, row) lies at (column, row, 0) of its node's coordinates."""
+    """Build the grid of one image in pixels: (column, row) is at (column, row, 0) of its node."""
     return Grid("image", (columns, rows, 1), np.zeros(3), np.ones(3), RAS_FROM_LPS[:3, :3])
 
 

@@ -1,1 +1,1 @@
-"""Files that are written whole or not at all, and never over a file of somebody else."""
+"""Write files as a whole or not at all, and never over a user's files."""

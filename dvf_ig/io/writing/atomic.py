@@ -1,4 +1,4 @@
-"""Write a file, several files or a folder: whole or not at all, and never over a file of somebody else."""
+"""Write a file, several files or a folder as a whole or not at all, and never over a user's files."""
 
 import os
 from collections.abc import Collection, Iterator
@@ -23,7 +23,7 @@ from .swap import swap_all
 
 @contextmanager
 def atomic_file(path: Path) -> Iterator[Path]:
-    """A temporary path of the same name that takes the place of `path` when the block ends well.
+    """Provide a temporary path of the same name that replaces `path` if the block succeeds.
 
     Raises:
         OutputError: see `require_outputs`; or the folder is missing or not writable, or the disk is full.
@@ -35,7 +35,7 @@ def atomic_file(path: Path) -> Iterator[Path]:
 
 
 def write_bytes(path: Path, data: bytes | list[bytes]) -> None:
-    """Write bytes, or several blocks one after the other, atomically."""
+    """Write bytes, or several blocks in order, atomically."""
     with atomic_file(path) as temporary:
         _write(temporary, data)
 
@@ -46,7 +46,7 @@ def write_text(path: Path, text: str) -> None:
 
 
 def write_own(path: Path, data: bytes | list[bytes]) -> None:
-    """Write a file of a folder that only this program uses, such as its cache, whatever is there."""
+    """Write a file of a folder that only this program uses, such as its cache, over any existing file."""
     place = file_place(path)
     with _wrapped(path, place), temporary_folder(place.parent) as new:
         _write(new / place.name, data)
@@ -55,9 +55,9 @@ def write_own(path: Path, data: bytes | list[bytes]) -> None:
 
 @contextmanager
 def output_folder(folder: Path, names: Collection[str] = ()) -> Iterator[Path]:
-    """A folder to write results into, made before the work begins so that a bad place is refused at once.
+    """Provide an output folder, made before the work begins so that an unusable one is refused at once.
 
-    When the block fails before it has written anything, folders that were made here are removed again.
+    If the block fails before it has written anything, the folders made here are removed.
 
     Args:
         folder: made with its parents.
@@ -66,27 +66,27 @@ def output_folder(folder: Path, names: Collection[str] = ()) -> Iterator[Path]:
         OutputError: a file or link is in the way, a file must not be replaced (`require_outputs`), or not
             permitted.
     """
-    made = [path for path in (folder, *folder.parents) if not os.path.exists(path)]
+    created = [path for path in (folder, *folder.parents) if not os.path.exists(path)]
     make_folder(folder)
     try:
         require_outputs(*(folder / name for name in names))
         yield folder
     finally:
-        for path in made:
+        for path in created:
             if path.is_dir() and not any(path.iterdir()):
                 path.rmdir()
 
 
 @contextmanager
 def files_together(folder: Path, names: Collection[str] | None = None) -> Iterator[Path]:
-    """A temporary folder whose files take their places in `folder` when the block ends well: all, or none.
+    """Provide a temporary folder whose files replace those in `folder` if the block succeeds: all, or none.
 
-    Two processes that write into one folder do so one after the other: its files are of one of them.
+    Processes that write into one folder take turns, so that its files come from one of them.
 
     Args:
-        folder: exists.
-        names: every file that may be written; those that the block leaves out are removed from `folder`, so
-            that nothing of an earlier run lies among the results of this one. None: those that it writes.
+        folder: an existing folder.
+        names: every file that may be written; those that the block does not write are removed from `folder`,
+            so that no results of an earlier run remain. None: those that it writes.
     Raises:
         OutputError: see `require_outputs`; or not writable.
     """
@@ -104,21 +104,21 @@ def files_together(folder: Path, names: Collection[str] | None = None) -> Iterat
 
 @contextmanager
 def atomic_folder(folder: Path) -> Iterator[Path]:
-    """A temporary folder that takes the place of `folder` when the block ends well.
+    """Provide a temporary folder that replaces `folder` if the block succeeds.
 
-    An existing folder is replaced only if it is empty, or holds what this program wrote and nothing else.
+    An existing folder is replaced only if it is empty, or holds only files that this program wrote.
 
     Args:
         folder: its parents are made.
     Raises:
-        OutputError: the folder holds something else or a file that is read, is a link or the working
+        OutputError: the folder holds other files or a file that is read, is a link or the working
             directory, or cannot be written.
     """
     place = output_place(folder)
     with _wrapped(folder, place):
         _require_replaceable(folder, place)
-        with temporary_folder(make_folder(place.parent)) as made:
-            new = made / place.name
+        with temporary_folder(make_folder(place.parent)) as temporary:
+            new = temporary / place.name
             new.mkdir()
             yield new
             files = {
@@ -132,10 +132,11 @@ def atomic_folder(folder: Path) -> Iterator[Path]:
 
 
 def _take_places(new: Path, place: Path, names: list[str]) -> None:
-    """Swap the files of `new` into `place`, and list them if a command does it.
+    """Swap the files of `new` into `place`, and list them if a command writes them.
 
-    Until all have changed places the listing says so. Both listings are written before, so that a full disk
-    stops the swap and not its end; they hold the hashes of old and new, which are right for either outcome.
+    Until all are swapped, the listing marks them as unfinished. Both listings are written before the swap, so
+    that a full disk cannot stop it half-way; they hold the hashes of old and new files, valid for either
+    outcome.
     """
     pairs = [(new / name, place / name) for name in names]
     if not in_command():
@@ -168,12 +169,12 @@ def _require_replaceable(folder: Path, place: Path) -> None:
     if foreign is not None:
         raise OutputError(
             f"cannot write {folder}: it is not empty, and '{foreign}' in it was not written by this program "
-            "as it is now; choose another folder or empty it"
+            "or was changed since; choose another folder or empty it"
         )
 
 
 def foreign_file(folder: Path) -> str | None:
-    """A file or link that this program did not leave there, or that was changed since; None without one."""
+    """Return a file or link that this program did not write, or that was changed since; None without one."""
     for path in sorted(path for path in folder.rglob("*") if path.is_symlink() or not path.is_dir()):
         listing = path.name == LISTING and not path.is_symlink() and bool(read_listing(path.parent).files)
         if not (listing or is_ours(path)):
@@ -188,7 +189,7 @@ def _write(path: Path, data: bytes | list[bytes]) -> None:
 
 @contextmanager
 def _wrapped(path: Path, place: Path) -> Iterator[None]:
-    """Turn an error of the file system into a sentence about the output that the user named."""
+    """Convert a file-system error to a sentence about the output that the user named."""
     try:
         yield
     except OSError as exc:

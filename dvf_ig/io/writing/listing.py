@@ -1,9 +1,9 @@
-"""Which files of a folder this program wrote: the hidden listing that commands keep next to their outputs.
+"""List the files of a folder that this program wrote, in a hidden file that commands keep with their outputs.
 
-A call from Python replaces the file that it is given, as `numpy.save` does. A command replaces only what this
-program wrote: the listing holds the SHA-256 of each file as it was written, and a file that no longer has it
-is somebody's. While several files change places the listing says so: a program that is killed meanwhile
-leaves files of two runs, which readers refuse and the next writer replaces.
+A call from Python replaces the file that it is given, as `numpy.save` does. A command replaces only files of
+this program: the listing holds the SHA-256 of each file as written, and a file with another hash is a user's.
+While several files are swapped, the listing marks them as unfinished: a program killed meanwhile leaves files
+of two runs, which readers refuse and the next writer replaces.
 """
 
 import hashlib
@@ -22,34 +22,34 @@ from .place import file_place, is_temporary
 LISTING = ".written_by_dvf_ig.json"
 _MOST_BYTES = 4 << 20
 _DEEPEST = 3
-"""Levels of folders that are written as a whole."""
+"""Deepest level of folders that are written as a whole."""
 _PATIENCE_S = 2.0
-"""How long a reader waits for a process that is moving files: that takes milliseconds."""
+"""Longest wait of a reader for a process that is swapping files, which takes milliseconds."""
 
 
 @dataclass(slots=True)
 class Listing:
-    """The files of one folder that this program wrote.
+    """Files of one folder that this program wrote.
 
     Attributes:
-        files: SHA-256 by name; two while a file changes places.
-        unfinished: names that change places together, until all have.
+        files: SHA-256 by name; two while a file is swapped.
+        unfinished: names that are being swapped together.
     """
 
     files: dict[str, list[str]] = field(default_factory=dict)
     unfinished: list[str] = field(default_factory=list)
 
     def text(self) -> str:
-        """The listing as JSON."""
+        """Format the listing as JSON."""
         return json.dumps({"files": self.files, "unfinished": self.unfinished}, indent=1) + "\n"
 
     def holds(self, name: str, path: Path) -> bool:
-        """Whether `path` is a regular file as this program wrote it under this name."""
+        """Return whether `path` is a regular file as this program wrote it under this name."""
         return name in self.files and not path.is_symlink() and sha256(path) in self.files[name]
 
 
 def read_listing(folder: Path) -> Listing:
-    """The listing of a folder; empty if there is none, or none of ours."""
+    """Read the listing of a folder; empty if there is none, or none of ours."""
     path = folder / LISTING
     try:
         if path.is_symlink() or not path.is_file() or path.stat().st_size > _MOST_BYTES:
@@ -59,8 +59,8 @@ def read_listing(folder: Path) -> Listing:
         return Listing()
     match document:
         case {"files": dict(files), "unfinished": list(unfinished)}:
-            known = {str(name): list(map(str, one)) for name, one in files.items() if isinstance(one, list)}
-            return Listing(known, [name for name in unfinished if isinstance(name, str) and name in known])
+            hashes = {str(name): list(map(str, one)) for name, one in files.items() if isinstance(one, list)}
+            return Listing(hashes, [name for name in unfinished if isinstance(name, str) and name in hashes])
     return Listing()
 
 
@@ -68,8 +68,8 @@ def require_outputs(*paths: Path) -> None:
     """Refuse files that must not be written, before the work begins.
 
     Raises:
-        OutputError: a folder, link, pipe or device; in a command also a file that it reads, or one that this
-            program did not write or that was changed since.
+        OutputError: a folder, link, pipe or device; in a command also a file that it reads, or an existing
+            file that this program did not write or that was changed since.
     """
     for number, path in enumerate(paths):
         if path in paths[:number]:
@@ -87,7 +87,7 @@ def require_outputs(*paths: Path) -> None:
 
 
 def is_ours(place: Path) -> bool:
-    """Whether a file is as this program wrote it, alone or in a folder that it wrote as a whole."""
+    """Return whether a file is as this program wrote it, alone or in a folder written as a whole."""
     return any(
         read_listing(folder).holds(place.relative_to(folder).as_posix(), place)
         for folder in place.parents[:_DEEPEST]
@@ -95,25 +95,25 @@ def is_ours(place: Path) -> bool:
 
 
 def require_finished(path: Path) -> None:
-    """Refuse to read a file that is one of several of which some are old and some new.
+    """Refuse to read a file of a set that a killed program left partly old and partly new.
 
-    A process that is moving them now is waited for. Nothing is moved or removed.
+    Waits for a process that is swapping them now. Changes nothing.
 
     Raises:
-        UnreadableFileError: a program was killed while it moved them.
+        UnreadableFileError: a program was killed while it swapped them.
     """
     folder, until_s = path.parent, monotonic() + _PATIENCE_S
     while path.name in (names := read_listing(folder).unfinished):
         if monotonic() > until_s:
             raise UnreadableFileError(
-                f"{path} may be of another run than the files beside it ({_few(names)}): a program was "
+                f"{path} may be from another run than {_few(names)} in its folder: a program was "
                 "killed while it replaced them; run that command again"
             )
         sleep(0.01)
 
 
 def sha256(path: Path) -> str | None:
-    """SHA-256 of a regular file; None if there is none."""
+    """Hash a regular file (SHA-256); None if there is none."""
     if not path.is_file():
         return None
     with path.open("rb") as stream:

@@ -1,7 +1,7 @@
-"""Where output may go, and the temporary folder in which it is made.
+"""Check output paths, and make the temporary folder in which output is written.
 
-A temporary folder is `.dvf_ig-XXXXXXXX` in the folder that the output goes to. It is locked while it is in
-use, so that one that a killed program left can be recognised; such a folder is named, never removed.
+A temporary folder is `.dvf_ig-XXXXXXXX` in the output's folder. It is locked while in use, so that one left
+by a killed program can be recognised; such a folder is reported, never removed.
 """
 
 import fcntl
@@ -24,14 +24,14 @@ _LOG = logging.getLogger(__name__)
 _in_use: set[Path] = set()
 _warned: set[Path] = set()
 _YOUNG_S = 1.0
-"""A younger folder may not be locked yet."""
+"""Age below which a temporary folder may not be locked yet."""
 
 
 def output_place(path: Path) -> Path:
-    """`path` with the links of its folder resolved; the path itself must not be a link.
+    """Resolve the links of the folder of `path`; the path itself must not be a link.
 
     Raises:
-        OutputError: a name that no file can have, a link, a pipe or a device.
+        OutputError: an invalid file name, a link, a pipe or a device.
     """
     if "\0" in str(path):
         raise OutputError(f"cannot write {str(path)!r}: a file's name cannot hold a NUL; give another")
@@ -50,7 +50,7 @@ def output_place(path: Path) -> Path:
 
 
 def file_place(path: Path) -> Path:
-    """`output_place` of a file.
+    """Resolve the path of an output file.
 
     Raises:
         OutputError: as `output_place`, or a folder.
@@ -62,7 +62,7 @@ def file_place(path: Path) -> Path:
 
 
 def require_folder(path: Path) -> None:
-    """Refuse an output folder that is something else, before the work begins.
+    """Refuse an output folder that is not a folder, before the work begins.
 
     Raises:
         OutputError: as `output_place`, or a file.
@@ -72,7 +72,7 @@ def require_folder(path: Path) -> None:
 
 
 def make_folder(folder: Path) -> Path:
-    """Make a folder and its missing parents; returns its place.
+    """Make a folder and its missing parents, and return its resolved path.
 
     Raises:
         OutputError: a file or a link is in the way, or not permitted.
@@ -87,7 +87,7 @@ def make_folder(folder: Path) -> Path:
 
 @contextmanager
 def temporary_folder(parent: Path) -> Iterator[Path]:
-    """A locked temporary folder in `parent`, removed at the end.
+    """Provide a locked temporary folder in `parent`, removed at the end.
 
     Raises:
         OSError: `parent` is missing or cannot be written.
@@ -106,7 +106,7 @@ def temporary_folder(parent: Path) -> Iterator[Path]:
 
 @contextmanager
 def scratch_folder() -> Iterator[Path]:
-    """A folder in the system's temporary folder for files that are no output."""
+    """Provide a folder in the system's temporary folder for files that are not output."""
     with TemporaryDirectory(prefix="dvf_ig_") as name:
         folder = Path(name).resolve()
         _in_use.add(folder)
@@ -117,7 +117,7 @@ def scratch_folder() -> Iterator[Path]:
 
 
 def is_temporary(folder: Path) -> bool:
-    """Whether `folder` is in a temporary folder of this process: what is written there has no place yet."""
+    """Return whether `folder` is in a temporary folder of this process."""
     return not _in_use.isdisjoint((folder, *folder.parents))
 
 
@@ -134,14 +134,14 @@ def alone_in(folder: Path) -> Iterator[None]:
 
 
 def failure_reason(exc: OSError, path: Path) -> str:
-    """Why `path` cannot be written, in words."""
+    """Describe why `path` cannot be written."""
     if isinstance(exc, FileNotFoundError) and not path.parent.is_dir():
         return f"the folder {path.parent} does not exist; make it first"
     return exc.strerror or str(exc)
 
 
 def _name_leftovers(parent: Path) -> None:
-    """Warn once of each temporary folder that a killed program left."""
+    """Warn once of each temporary folder left by a killed program."""
     for path in parent.iterdir():
         if TEMPORARY.fullmatch(path.name) and path not in _warned and _is_leftover(path):
             _warned.add(path)
@@ -156,12 +156,12 @@ def _name_leftovers(parent: Path) -> None:
 
 
 def _is_leftover(path: Path) -> bool:
-    """Whether a folder of this user has the name of a temporary one, and no process holds its lock."""
+    """Return whether a folder of this user has a temporary name and no process holds its lock."""
     try:
-        found = path.lstat()
-        if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid() or path in _in_use:
+        status = path.lstat()
+        if not stat.S_ISDIR(status.st_mode) or status.st_uid != os.getuid() or path in _in_use:
             return False
-        if time.time() - found.st_mtime < _YOUNG_S:
+        if time.time() - status.st_mtime < _YOUNG_S:
             return False
         handle = os.open(path, os.O_RDONLY)
     except OSError:

@@ -1,8 +1,7 @@
-"""Paths that change places: all pairs, or none.
+"""Swap pairs of paths: all, or none.
 
-One pair changes places in a single step of the file system where it has one (renameat2 of Linux), so that a
-process that is killed leaves the old or the new; elsewhere by renames, which are undone when anything stops
-them.
+One pair is swapped in a single step if the file system has one (renameat2 of Linux), so that a killed process
+leaves either the old or the new; otherwise by renames, which are undone on any failure.
 """
 
 import ctypes
@@ -16,9 +15,9 @@ _UNSUPPORTED = (errno.ENOSYS, errno.EINVAL, errno.ENOTSUP, errno.EPERM)
 
 
 def swap_all(pairs: list[tuple[Path, Path]]) -> None:
-    """Each first path and each second change places, or none: a missing first one empties the second's place.
+    """Swap each first path with each second one, or none; a missing first path removes the second.
 
-    Whatever stops it, an exception of any kind included, those that had changed places change back.
+    On any exception, pairs that were already swapped are swapped back.
     """
     before = [(_node(new), _node(place)) for new, place in pairs]
     try:
@@ -31,7 +30,7 @@ def swap_all(pairs: list[tuple[Path, Path]]) -> None:
 
 
 def _undone(pairs: list[tuple[Path, Path]], before: list[tuple[_Node, _Node]]) -> bool:
-    """Put back what has changed places; False where a second Ctrl-C came in between."""
+    """Swap back the pairs that were swapped; False if interrupted by a second Ctrl-C."""
     try:
         for (new, place), nodes in zip(pairs, before, strict=True):
             if (_node(new), _node(place)) != nodes:
@@ -42,7 +41,7 @@ def _undone(pairs: list[tuple[Path, Path]], before: list[tuple[_Node, _Node]]) -
 
 
 def _swap(new: Path, place: Path) -> None:
-    """What is at the two paths changes places; either may be missing."""
+    """Swap two paths, either of which may be missing."""
     if not os.path.lexists(place):
         if os.path.lexists(new):
             os.rename(new, place)
@@ -63,7 +62,7 @@ def _swap(new: Path, place: Path) -> None:
 
 
 def _exchanged(one: Path, other: Path) -> bool:
-    """Exchange two paths in one step; False where the system or the file system cannot (renameat2(2))."""
+    """Exchange two paths in one step; False if the system or the file system cannot (renameat2(2))."""
     rename = getattr(ctypes.CDLL(None, use_errno=True), "renameat2", None)
     if rename is None:
         return False
@@ -76,9 +75,9 @@ def _exchanged(one: Path, other: Path) -> bool:
 
 
 def _node(path: Path) -> _Node:
-    """Which file or folder is there."""
+    """Return the identity of the file or folder at a path."""
     try:
-        found = path.lstat()
+        status = path.lstat()
     except FileNotFoundError:
         return None
-    return found.st_dev, found.st_ino
+    return status.st_dev, status.st_ino

@@ -1,6 +1,6 @@
-"""Force of a fixture on a slice: Ren 2008, Figs 5 (forbidden region) and 11 (guidance).
+"""Draw the force of a fixture on a slice: Ren 2008, Figs 5 (forbidden region) and 11 (guidance).
 
-Every colour and arrow is a force that the evaluator gave.
+Every colour and arrow is a force from the evaluator.
 """
 
 from __future__ import annotations
@@ -33,10 +33,10 @@ class SliceField:
     """Forces on an axial square.
 
     Attributes:
-        center_mm: (3,) its middle.
+        center_mm: (3,) middle of the square.
         half_mm: half its side.
         xy_mm: (2, n, n) left and back (LPS) of the pixels; force_size_n, distance_mm: (n, n) there.
-        arrow_xy_mm: (2, a, a) places of the arrows; arrow_n: (a, a, 3) forces there.
+        arrow_xy_mm: (2, a, a) positions of the arrows; arrow_n: (a, a, 3) forces there.
         cap_n: largest force of the law.
     """
 
@@ -51,21 +51,21 @@ class SliceField:
 
 
 def organ_field(evaluator: Evaluator, model_phase: float) -> SliceField:
-    """The axial slice through the middle of the organ, as far as the model reaches."""
+    """Evaluate the axial slice through the middle of the organ, as far as the model reaches."""
     model = evaluator.model
     center, half = _slice_frame(model)
     return _field(evaluator, center, half, model_phase, arrows=25)
 
 
 def surface_field(evaluator: Evaluator, model_phase: float) -> SliceField:
-    """A square about the place on that slice where the organ ends to the left."""
+    """Evaluate a square at the left edge of the organ on the same slice."""
     center, half = _slice_frame(evaluator.model)
     place = _surface_point(evaluator, center, center + np.array([half, 0.0, 0.0]), model_phase)
     return _field(evaluator, place, NEAR_MM, model_phase, arrows=17)
 
 
 def field_figure(whole: SliceField, near: SliceField, title: str) -> Figure:
-    """|F| as colour, F as arrows, the surface as a line, over the organ and close to its surface.
+    """Draw |F| as colour, F as arrows and the surface as a line, for the organ and near its surface.
 
     Args:
         whole, near: see `organ_field` and `surface_field`.
@@ -80,7 +80,7 @@ def field_figure(whole: SliceField, near: SliceField, title: str) -> Figure:
         Rectangle((float(low[0]), float(low[1])), side, side, fill=False, ec=TRUTH, lw=1.0, ls="--")
     )
     axes[0].set_title("axial slice, end-diastole", fontsize=10)
-    axes[1].set_title(f"{side:g} mm about the marked place", fontsize=10)
+    axes[1].set_title(f"{side:g} mm about the marked point", fontsize=10)
     bar = figure.colorbar(image, ax=axes, shrink=0.85, pad=0.01)
     bar.set_label("force, N")
     figure.suptitle(title)
@@ -88,7 +88,7 @@ def field_figure(whole: SliceField, near: SliceField, title: str) -> Figure:
 
 
 def _slice_frame(model: DvfModel) -> tuple[FloatArray, float]:
-    """Middle of the organ and half the side of a square about it that stays inside the model's box."""
+    """Return the middle of the organ and half the side of a square about it inside the model's box."""
     vertices = model.reference[0].vertices_mm
     center = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
     room = np.minimum(center - model.origin_mm, model.upper_mm - center)[:2]
@@ -98,7 +98,7 @@ def _slice_frame(model: DvfModel) -> tuple[FloatArray, float]:
 def _surface_point(
     evaluator: Evaluator, inner: FloatArray, outer: FloatArray, model_phase: float
 ) -> FloatArray:
-    """Where the segment last leaves the organ."""
+    """Find the last point at which the segment leaves the organ."""
     along = inner + np.linspace(0.0, 1.0, 2001)[:, None] * (outer - inner)
     distance = evaluator.force(along, model_phase).distance_mm
     return np.asarray(along[int(np.flatnonzero(distance > 0.0)[-1])])
@@ -107,7 +107,7 @@ def _surface_point(
 def _field(
     evaluator: Evaluator, center: FloatArray, half: float, model_phase: float, *, arrows: int
 ) -> SliceField:
-    # arrows stand in the middle of equal squares
+    # arrows start in the middle of equal squares
     inner = half * (1.0 - 1.0 / arrows)
     xy, force, distance = _on_square(evaluator, center, half, PIXELS, model_phase)
     arrow_xy, arrow_n, _ = _on_square(evaluator, center, inner, arrows, model_phase)
@@ -118,19 +118,23 @@ def _field(
 def _on_square(
     evaluator: Evaluator, center: FloatArray, half: float, count: int, model_phase: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(2, n, n) coordinates; (n, n, 3) forces and (n, n) distances there."""
+    """Return (2, n, n) coordinates, and (n, n, 3) forces and (n, n) distances there."""
     steps = np.linspace(-half, half, count)
     x, y = np.meshgrid(center[0] + steps, center[1] + steps)
     points = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, center[2])])
-    found = evaluator.force(points, model_phase)
-    return np.stack([x, y]), found.force_n.reshape(count, count, 3), found.distance_mm.reshape(count, count)
+    samples = evaluator.force(points, model_phase)
+    return (
+        np.stack([x, y]),
+        samples.force_n.reshape(count, count, 3),
+        samples.distance_mm.reshape(count, count),
+    )
 
 
 def _draw_field(axis: Axes, field: SliceField) -> AxesImage:
-    """+x is the patient's left, +y the back (LPS); the front is at the top."""
+    """Draw a field with +x to the patient's left and +y to the back (LPS), front at the top."""
     half, (cx, cy) = field.half_mm, field.center_mm[:2].tolist()
     extent = (cx - half, cx + half, cy + half, cy - half)
-    # rows of the arrays run to the back, as the axis does
+    # rows of the arrays run to the back, like the axis
     image = axis.imshow(
         field.force_size_n, extent=extent, cmap=_pale_blues(), vmin=0.0, vmax=field.cap_n,
         interpolation="bilinear",
@@ -148,5 +152,5 @@ def _draw_field(axis: Axes, field: SliceField) -> AxesImage:
 
 
 def _pale_blues() -> ListedColormap:
-    """White to a blue on which black arrows can be read."""
+    """Build a colour map from white to a blue on which black arrows are readable."""
     return ListedColormap(colormaps["Blues"](np.linspace(0.0, 0.62, 256)))

@@ -1,4 +1,4 @@
-"""Equations 10–11 of Ren 2008 over time: the force at a point that stays, as printed and corrected.
+"""Draw equations 10–11 of Ren 2008 over time: the force at a fixed point, as printed and corrected.
 
 As printed, F = αF(Vᵢ) + (1−α)F(Vᵢ₊₁) with α = (t−tᵢ)/T_d gives the next volume's force at each volume's own
 time and jumps at every volume; F = (1−α)F(Vᵢ) + αF(Vᵢ₊₁) is continuous. The paper has no such figure.
@@ -20,7 +20,7 @@ from dvf_ig.report.style import ESTIMATE, TRUTH, WRONG, open_frame
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class ForceOverTime:
-    """A fixture over time at a point that stays.
+    """Force of a fixture over time at a fixed point.
 
     Attributes:
         t_s: (n,) over one or more cycles, evenly spaced.
@@ -47,9 +47,9 @@ def force_over_time(
 
     Args:
         model: fixture.
-        point_mm: (3,) place.
-        law: what pushes.
-        cycles: how many; steps: moments in each.
+        point_mm: (3,) fixed point.
+        law: force law.
+        cycles: number of cycles; steps: samples per cycle.
     """
     phi = np.arange(cycles * steps) / steps
     samples = Evaluator(model, law).force(np.tile(point_mm, (len(phi), 1)), phi)
@@ -67,24 +67,24 @@ def force_over_time(
     )
 
 
-def over_time_figure(found: ForceOverTime) -> Figure:
-    """Distance above, both forces below; a vertical line is a volume."""
+def over_time_figure(trace: ForceOverTime) -> Figure:
+    """Draw the distance above and both forces below; a vertical line marks a volume."""
     figure = Figure(figsize=(11.0, 6.4), layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(1, 1.5))
-    upper.plot(found.t_s, found.distance_mm, color=ESTIMATE, lw=2.0)
+    upper.plot(trace.t_s, trace.distance_mm, color=ESTIMATE, lw=2.0)
     upper.axhline(0.0, color=TRUTH, lw=0.8)
     upper.set(ylabel="distance, mm\n(inside > 0)")
-    upper.set_title(f"{found.phases} volumes a cycle of {found.rr_s:g} s", fontsize=10)
-    # a line may not join what jumps: a gap at each volume
-    volume = np.searchsorted(found.volume_t_s, found.t_s + 1e-9, side="right")
-    printed = np.where(np.diff(volume, prepend=volume[0]) != 0, np.nan, found.printed_n)
-    lower.plot(found.t_s, printed, color=WRONG, lw=1.2, label="as printed: αF(Vᵢ) + (1−α)F(Vᵢ₊₁)")
+    upper.set_title(f"{trace.phases} volumes per cycle of {trace.rr_s:g} s", fontsize=10)
+    # breaks the line at each volume, at which the printed form jumps
+    volume = np.searchsorted(trace.volume_t_s, trace.t_s + 1e-9, side="right")
+    printed = np.where(np.diff(volume, prepend=volume[0]) != 0, np.nan, trace.printed_n)
+    lower.plot(trace.t_s, printed, color=WRONG, lw=1.2, label="as printed: αF(Vᵢ) + (1−α)F(Vᵢ₊₁)")
     label = "corrected: (1−α)F(Vᵢ) + αF(Vᵢ₊₁)"
-    lower.plot(found.t_s, found.corrected_n, color=ESTIMATE, lw=2.0, label=label)
-    lower.set(xlabel="time, s", ylabel="outward force, N", xlim=(0.0, float(found.t_s[-1])))
+    lower.plot(trace.t_s, trace.corrected_n, color=ESTIMATE, lw=2.0, label=label)
+    lower.set(xlabel="time, s", ylabel="outward force, N", xlim=(0.0, float(trace.t_s[-1])))
     figure.legend(loc="outside lower center", ncols=2, frameon=False)
     for axis in (upper, lower):
-        for t_s in found.volume_t_s:
+        for t_s in trace.volume_t_s:
             axis.axvline(t_s, color="#e9e9e9", lw=0.7, zorder=0)
     open_frame(upper, lower)
     figure.suptitle("Equations 10–11: a beating forbidden region, at a fixed point")
@@ -92,7 +92,7 @@ def over_time_figure(found: ForceOverTime) -> Figure:
 
 
 def _as_printed(model: DvfModel, point_mm: FloatArray, law: Law, phi: FloatArray) -> FloatArray:
-    """(n, 3) eq. 10 with the weights as printed, α on the earlier volume."""
+    """Evaluate eq. 10, (n, 3), with the weights as printed, α on the earlier volume."""
     forces = []
     for phase in range(model.phases):
         distance, gradient = SplineField.of_model(model, phase).at(point_mm[None])

@@ -1,4 +1,4 @@
-"""The page of the paper's figures and Table II, and the figures as files."""
+"""Build the page of the paper's figures and Table II, and write the figures as files."""
 
 from __future__ import annotations
 
@@ -18,23 +18,23 @@ if TYPE_CHECKING:
 TITLE = "Dynamic virtual fixtures: the figures of Ren 2008 from this model"
 ABOUT = (
     "Ren, Patel, McIsaac, Guiraudon, Peters: Dynamic 3-D Virtual Fixtures for Minimally Invasive Beating "
-    "Heart Procedures. IEEE Transactions on Medical Imaging 27(8), 2008. The figures here show what the "
-    "paper's figures are about, under their numbers, on a synthetic four-chamber heart whose surface moves "
-    "by up to 5 mm (motion preset paper5mm); they are not copies, and the heart is another one."
+    "Heart Procedures. IEEE Transactions on Medical Imaging 27(8), 2008. The figures show the same "
+    "quantities as the paper's figures of the same number, on a synthetic four-chamber heart whose surface "
+    "moves by up to 5 mm (motion preset paper5mm); they are not copies, and the heart differs."
 )
 PIXELS_PER_INCH = 88
-"""Width of a figure on the page."""
+"""Width of a figure on the page, pixels per inch."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PaperFigure:
-    """A figure with its place in the paper.
+    """A figure and its counterpart in the paper.
 
     Attributes:
         name: of its files.
-        source: which figure or equation of the paper it stands for.
+        source: corresponding figure or equation of the paper.
         caption: what it shows.
-        figure: drawn.
+        figure: the drawing.
     """
 
     name: str
@@ -44,7 +44,7 @@ class PaperFigure:
 
 
 def write_paper_figures(folder: Path, figures: Sequence[PaperFigure]) -> list[Path]:
-    """Write each figure as PNG and SVG; the files written.
+    """Write each figure as PNG and SVG, and return the files.
 
     Raises:
         OutputError: not writable.
@@ -58,16 +58,16 @@ def write_paper_figures(folder: Path, figures: Sequence[PaperFigure]) -> list[Pa
 
 
 def paper_html(figures: Sequence[PaperFigure], rows: Sequence[tuple[str, str, str]]) -> str:
-    """The page, to lie beside the files of `write_paper_figures`.
+    """Build the page; it belongs in the folder of the files of `write_paper_figures`.
 
     Args:
         figures: in the order of the paper.
-        rows: Table II: quantity, here, in the paper.
+        rows: Table II: quantity, value here, value in the paper.
     """
     body = f"<p class=note>{html.escape(ABOUT)}</p>" + "".join(map(_part, figures))
-    found = table(("", "here", "Ren 2008"), rows)
-    note = "Times are of this machine, which may be busy with something else."
-    return html_page(TITLE, body + section("After Table II: accuracy and speed", note, found))
+    comparison = table(("", "here", "Ren 2008"), rows)
+    note = "Times were measured on this machine and depend on its load."
+    return html_page(TITLE, body + section("After Table II: accuracy and speed", note, comparison))
 
 
 def _part(each: PaperFigure) -> str:

@@ -1,4 +1,4 @@
-"""Potentials of the force laws against distance: Ren 2008, Figs 8 (γ), 9 (m) and 10 (δ)."""
+"""Draw potentials of the force laws against distance: Ren 2008, Figs 8 (γ), 9 (m) and 10 (δ)."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ STEEPNESS_PER_MM = (0.5, 1.0, 2.0, 4.0)
 EXPONENTS = (0.5, 1.0, 2.0, 4.0)
 WIDTHS_MM = (1.0, 2.0, 3.0, 4.0)
 WIDTH_MM, EXPONENT = 3.0, 2.0
-"""δ of the curves that differ in m, and m of those that differ in δ."""
+"""δ of the curves with different m, and m of the curves with different δ."""
 AT_WIDTH = 1.0 - np.exp(-1.0)
-"""Share of the largest force at a distance of δ, whatever m."""
+"""Share of the largest force at a distance of δ, for any m."""
 
 
 def steepness_figure() -> Figure:
-    """Fig. 8: sigmoid potential of a forbidden region (eq. 4) for several γ."""
+    """Draw Fig. 8: sigmoid potential of a forbidden region (eq. 4) for several γ."""
     figure, axis = _axes("Sigmoid potential of a forbidden region (eq. 4)", "distance d, mm (inside > 0)")
     d = np.linspace(-6.0, 6.0, 601)
     for gamma, color in zip(STEEPNESS_PER_MM, BLUES, strict=True):
@@ -37,7 +37,7 @@ def steepness_figure() -> Figure:
 
 
 def exponent_figure() -> Figure:
-    """Fig. 9: generalised Gaussian potential of guidance (eq. 7) for several m at one δ."""
+    """Draw Fig. 9: generalised Gaussian potential of guidance (eq. 7) for several m at one δ."""
     figure, axis = _axes(
         f"Gaussian potential of guidance (eq. 7), δ = {WIDTH_MM:g} mm", "distance d from the target, mm"
     )
@@ -52,7 +52,7 @@ def exponent_figure() -> Figure:
 
 
 def width_figure() -> Figure:
-    """Fig. 10: generalised Gaussian potential of guidance (eq. 7) for several δ at one m."""
+    """Draw Fig. 10: generalised Gaussian potential of guidance (eq. 7) for several δ at one m."""
     figure, axis = _axes(
         f"Gaussian potential of guidance (eq. 7), m = {EXPONENT:g}", "distance d from the target, mm"
     )

@@ -1,6 +1,6 @@
-"""The fitted surface, potential 0.5, against the surface it was fitted to: Ren 2008, Fig. 4 (inferred).
+"""Draw the fitted surface, potential 0.5, against the original surface: Ren 2008, Fig. 4 (inferred).
 
-That figure could not be looked up; the paper's text compares just these surfaces, 0.36 ± 0.22 mm apart.
+The figure itself was not available; the paper's text compares these surfaces, 0.36 ± 0.22 mm apart.
 """
 
 from __future__ import annotations
@@ -61,14 +61,14 @@ def surface_fit(
 
     Args:
         model: the model, with the surfaces it was fitted to.
-        phase: whose slice is shown.
+        phase: the phase of the slice.
         rng: draws the points at which the surfaces are compared.
-        points_per_phase: how many.
+        points_per_phase: number of points.
         pitch_mm: between samples of the slice.
     """
     mesh = model.reference[phase]
     low, high = mesh.vertices_mm.min(axis=0), mesh.vertices_mm.max(axis=0)
-    # a plane through a vertex would be met twice
+    # avoids a plane through a vertex, which would give segments twice
     level = 0.5 * float(low[2] + high[2]) + 1e-3
     room = np.minimum(low - model.origin_mm, model.upper_mm - high)[:2].min() - 1e-6
     beyond = min(5.0, float(room))
@@ -91,7 +91,7 @@ def surface_fit(
 
 
 def surface_figure(fit: SurfaceFit) -> Figure:
-    """Both surfaces on a slice, enlarged where they lie furthest apart, and how far apart they are."""
+    """Draw both surfaces on a slice, enlarged at their largest distance, and the spread of distances."""
     figure = Figure(figsize=(12.5, 4.6), layout="constrained")
     whole, near, spread = figure.subplots(1, 3, width_ratios=(1.1, 1.1, 1.0))
     center = fit.mesh_mm.reshape(-1, 2)[int(np.argmax(fit.mesh_error_mm))]
@@ -101,7 +101,7 @@ def surface_figure(fit: SurfaceFit) -> Figure:
     near.set(xlim=(low[0], high[0]), ylim=(high[1], low[1]))
     whole.add_patch(Rectangle((low[0], low[1]), SHOWN_MM, SHOWN_MM, fill=False, ec=TRUTH, lw=1.0, ls="--"))
     whole.set_title("axial slice, end-diastole", fontsize=10)
-    near.set_title(f"{SHOWN_MM:g} mm about the marked place, furthest apart", fontsize=10)
+    near.set_title(f"{SHOWN_MM:g} mm about the point of largest distance", fontsize=10)
     _draw_errors(spread, fit.errors_mm)
     handles = [
         whole.plot([], [], color=color, lw=width, label=label)[0]

@@ -1,4 +1,4 @@
-"""The page of one registration: its outcome, fused planes, evidence and transform."""
+"""Page of one registration: its outcome, fused planes, evidence and transform."""
 
 from .page import registration_html as registration_html
 from .values import Check as Check

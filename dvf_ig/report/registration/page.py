@@ -1,4 +1,4 @@
-"""`report.html` of a registration: may it be used and why, fused planes, evidence, and the transform."""
+"""Build `report.html` of a registration: verdict, fused planes, evidence, and the transform."""
 
 from __future__ import annotations
 
@@ -36,16 +36,16 @@ table.matrix td { font-variant-numeric: tabular-nums; text-align: right; border:
 @media print { .planes, tr { break-inside: avoid; } }
 """
 PLANES_NOTE = (
-    "Where ultrasound and anatomy belong together, coloured regions end where grey ones begin, and lines run "
-    "on from square to square of the checkerboards. Letters at the edges: right (R) and left (L), front (A) "
+    "If ultrasound and anatomy agree, coloured regions end at the borders of grey ones, and lines continue "
+    "from square to square of the checkerboards. Letters at the edges: right (R) and left (L), front (A) "
     "and back (P), head (H) and foot (F) of the patient by the pose of that picture."
 )
 OUTCOME_CLASS = {Outcome.PASSED: "passed", Outcome.FAILED: "failed"}
 
 
 def registration_html(page: RegistrationPage) -> str:
-    """The page for one registration."""
-    view = f'<p><a href="{html.escape(page.view)}">The planes in space, to turn and to compare</a></p>'
+    """Build the page for one registration."""
+    view = f'<p><a href="{html.escape(page.view)}">Interactive 3-D view of the planes</a></p>'
     body = (
         f"<p class=note>{html.escape(page.about)}</p>{_verdict(page)}{view if page.view else ''}"
         + section(
@@ -55,7 +55,7 @@ def registration_html(page: RegistrationPage) -> str:
         )
         + section(
             "Evidence",
-            "What the pose was tested by. One failed check is enough to refuse it; passed ones are no proof.",
+            "Checks of the pose. One failed check is enough to refuse it; passed checks are no proof.",
             _checks(page.checks),
         )
         + section("Result", "", table(("", "value", "what it means"), page.findings))
@@ -140,11 +140,11 @@ def _checks(checks: Sequence[Check]) -> str:
 def _transform_note(transform: Transform) -> str:
     target = transform.target_name
     return (
-        f"{transform.target}_from_{transform.source} takes points of {transform.source_name} to {target}: "
-        f"mm, LPS. {transform.file} and the .h5 beside it hold it as an ITK transform. 3D Slicer loads "
-        "either (Add Data) and shows the node the other way round, as the inverse in RAS: the right matrix "
-        f"below. To see {target} where the ultrasound is, put it under the loaded transform as it is; to see "
-        f"the ultrasound on {target}, invert the node (Transforms module, Invert) and put the ultrasound "
+        f"{transform.target}_from_{transform.source} maps points of {transform.source_name} to {target}: "
+        f"mm, LPS. {transform.file} and the .h5 file hold it as an ITK transform. 3D Slicer loads "
+        "either (Add Data) and shows the inverse in RAS, the right matrix below. To see "
+        f"{target} at the position of the ultrasound, put it under the loaded transform; to see the "
+        f"ultrasound on {target}, invert the node (Transforms module, Invert) and put the ultrasound "
         "under it."
     )
 

@@ -1,6 +1,6 @@
-"""Fused ultrasound planes: ultrasound grey, pre-operative image in a second colour, the model's contours.
+"""Draw fused ultrasound planes: ultrasound grey, pre-operative image in a second colour, model contours.
 
-Left to right: fused at the start pose, fused at the registered one, the checkerboards of both.
+Left to right: fused at the start pose, fused at the registered pose, the checkerboards of both.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ from dvf_ig.report.plane_overlay import AnatomyPlane, PlaneOverlay
 from dvf_ig.report.style import MR_ON_GREY, ON_GREY
 
 PANEL_IN = 3.9
-"""Longer edge of a panel."""
+"""Longer edge of a panel, inches."""
 SQUARES = 8
-"""Of a checkerboard along the longer edge."""
+"""Squares of a checkerboard along the longer edge."""
 TINT, STAIN = 0.55, 0.6
-"""How much colour a bright pre-operative voxel adds to dark ultrasound, and takes from bright ultrasound."""
+"""Colour that a bright pre-operative voxel adds to dark ultrasound, and removes from bright ultrasound."""
 
 
 def fused_figure(overlay: PlaneOverlay, anatomy: AnatomyPlane) -> Figure:
-    """Ultrasound in grey with the anatomy's grey levels in colour and the model's contours."""
+    """Draw ultrasound in grey with the anatomy's grey levels in colour and the model's contours."""
     figure = _panel(fused_rgb(overlay.image, anatomy.grey), overlay, anatomy)
     axis = figure.axes[0]
     draw_contour(axis, anatomy.blood_mm, overlay.size_mm, "white", width=1.0, dashed=True, casing=True)
@@ -36,14 +36,14 @@ def fused_figure(overlay: PlaneOverlay, anatomy: AnatomyPlane) -> Figure:
 
 
 def checkerboard_figure(overlay: PlaneOverlay, anatomy: AnatomyPlane) -> Figure:
-    """Squares of the ultrasound in grey and of the anatomy in colour, in turn."""
+    """Draw alternating squares of ultrasound in grey and anatomy in colour."""
     squares = checkerboard(overlay.image.shape, overlay.pixel_mm, max(overlay.size_mm) / SQUARES)
     rgb = np.where(squares[..., None], _coloured(anatomy.grey), _grey(overlay.image))
     return _panel(rgb, overlay, anatomy)
 
 
 def fused_rgb(image: NDArray[np.uint8], grey: FloatArray) -> FloatArray:
-    """(rows, columns, 3) ultrasound in grey, coloured by the anatomy's grey levels."""
+    """Colour (rows, columns, 3) grey ultrasound by the anatomy's grey levels."""
     ultrasound, level = _grey(image), np.nan_to_num(grey)[..., None]
     color = np.array(to_rgb(MR_ON_GREY))
     stained = ultrasound * (1.0 - STAIN * level * (1.0 - color))
@@ -51,7 +51,7 @@ def fused_rgb(image: NDArray[np.uint8], grey: FloatArray) -> FloatArray:
 
 
 def checkerboard(shape: tuple[int, ...], pixel_mm: tuple[float, float], edge_mm: float) -> BoolArray:
-    """(rows, columns) True in every second square."""
+    """Return (rows, columns) True in every second square."""
     row, column = np.indices(shape)
     return np.asarray((row * pixel_mm[1] // edge_mm + column * pixel_mm[0] // edge_mm) % 2 == 1)
 
@@ -65,7 +65,7 @@ def _coloured(grey: FloatArray) -> FloatArray:
 
 
 def _panel(rgb: FloatArray, overlay: PlaneOverlay, anatomy: AnatomyPlane) -> Figure:
-    """The image to scale, with a scale bar and the sides of the patient at its edges."""
+    """Draw the image to scale, with a scale bar and the sides of the patient at its edges."""
     width_mm, height_mm = overlay.size_mm
     inch_per_mm = PANEL_IN / max(width_mm, height_mm)
     figure = Figure(figsize=(width_mm * inch_per_mm, height_mm * inch_per_mm), facecolor="black")

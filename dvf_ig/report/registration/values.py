@@ -1,4 +1,4 @@
-"""What the page of a registration is made from: plain text, numbers and planes."""
+"""Content of the page of a registration: plain text, numbers and planes."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from dvf_ig.report.plane_overlay import PlaneOverlay
 
 
 class Outcome(Enum):
-    """How a check ended; each value is what a reader sees."""
+    """Outcome of a check; each value is the displayed text."""
 
     PASSED = "✓ passed"
     FAILED = "✕ failed"
@@ -28,10 +28,10 @@ class Check:
 
     Attributes:
         name: short title.
-        measures: what it measures, in a clause.
-        value: as text with its unit; empty where it was not checked.
+        measures: the measured quantity, in a clause.
+        value: as text with its unit; empty if not checked.
         limit: as text; empty without one.
-        outcome: how it ended.
+        outcome: of the check.
     """
 
     name: str
@@ -44,11 +44,11 @@ class Check:
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class Transform:
-    """The registered pose and the file that holds it.
+    """The registered pose and its file.
 
     Attributes:
-        target, source: frames; the matrix takes points of the source to the target.
-        target_name, source_name: what lies in those frames, for example "the MR image".
+        target, source: frames; the matrix maps points of the source to the target.
+        target_name, source_name: content of those frames, for example "the MR image".
         matrix: (4, 4) mm, LPS.
         file: name of the ITK transform file.
     """
@@ -62,28 +62,28 @@ class Transform:
 
     @property
     def slicer_matrix(self) -> FloatArray:
-        """(4, 4) what 3D Slicer shows of the file: the inverse ("to parent"), in RAS."""
+        """Matrix (4, 4) that 3D Slicer shows for the file: the inverse ("to parent"), in RAS."""
         return np.asarray(RAS_FROM_LPS @ np.linalg.inv(self.matrix) @ RAS_FROM_LPS)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RegistrationPage:
-    """Everything on the page.
+    """Content of the page.
 
     Attributes:
-        title: what was registered.
-        about: whose it is and by which version.
+        title: the data that were registered.
+        about: patient and program version.
         usable: whether the pose may be used.
-        reason: why, in one clause.
+        reason: for `usable`, in one clause.
         planes: ultrasound planes before and after registration.
-        anatomy: what the planes show of the pre-operative data beside contours, for example "MR".
-        remark: what a reader should know about that; empty where nothing.
+        anatomy: pre-operative image in the planes, for example "MR".
+        remark: a remark on the planes; may be empty.
         checks: the evidence.
-        findings: rows of quantity, value, what it means.
-        data: rows of what was registered, and how much of it.
+        findings: rows of quantity, value, meaning.
+        data: rows of registered data and their amount.
         transform: the pose.
-        made: rows of how it was computed.
-        view: name of the interactive page beside it; empty without.
+        made: rows on the computation.
+        view: file name of the interactive page; empty without one.
     """
 
     title: str

@@ -1,4 +1,4 @@
-"""The figures of a replay. Blue is estimated, orange is the start or pending, black is the ground truth."""
+"""Draw the figures of a replay. Blue is estimated, orange is the start or pending, black is the truth."""
 
 from __future__ import annotations
 
@@ -36,15 +36,15 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 THIN = slice(None, None, 5)
-"""Ticks of the force trace that are drawn."""
+"""Slice of the ticks that are drawn."""
 LARGEST_SHOWN_N = 0.65
 GOOD_TRE_MM = 2.0
 
 
 def overlay_figure(overlays: Sequence[PlaneOverlay]) -> Figure | None:
-    """Ultrasound with the model's surface before and after registration, the model's plane beneath.
+    """Draw ultrasound with the model's surface before and after registration, the model's plane beneath.
 
-    None without frames.
+    Returns None without frames.
     """
     if not overlays:
         return None
@@ -53,7 +53,7 @@ def overlay_figure(overlays: Sequence[PlaneOverlay]) -> Figure | None:
     for column, overlay in enumerate(overlays):
         _draw_overlay(axes[:, column], overlay)
     axes[0, 0].set_ylabel("ultrasound")
-    axes[1, 0].set_ylabel("model at the same place")
+    axes[1, 0].set_ylabel("model in the same plane")
     handles = [
         axes[0, 0].plot([], [], color=color, lw=1.6, label=label)[0]
         for color, label in ((START, "surface at the start pose"), (ON_GREY, "surface after registration"))
@@ -78,12 +78,13 @@ def _draw_overlay(axes: NDArray[np.object_], overlay: PlaneOverlay) -> None:
 def pose_figure(
     beats: BeatTrace | None, registrations: Sequence[RegistrationMark], span_s: tuple[float, float]
 ) -> Figure | None:
-    """Every beat's best pose: its error where the ground truth is known, and how much better it explains
-    the beat than the pose in use; None without beats."""
+    """Draw the best pose of each beat: its error if the truth is known, and how much better it explains the
+    beat than the pose in use; None without beats.
+    """
     if beats is None:
         return None
-    known = beats.tre_mm is not None
-    figure, axes = time_axes(4.4 if known else 2.9, 2 if known else 1)
+    has_truth = beats.tre_mm is not None
+    figure, axes = time_axes(4.4 if has_truth else 2.9, 2 if has_truth else 1)
     lower = axes[-1]
     if beats.tre_mm is not None:
         _by_use(axes[0], beats, beats.tre_mm)
@@ -111,11 +112,11 @@ def pose_figure(
 
 
 def _registration_handles(registrations: Sequence[RegistrationMark]) -> list[Artist]:
-    said = ((True, "-", "registration in use from here"), (False, ":", "registration refused"))
+    styles = ((True, "-", "registration in use from here"), (False, ":", "registration refused"))
     seen = {mark.usable for mark in registrations}
     return [
         Line2D([], [], color=GUIDE, lw=0.8, ls=style, label=label)
-        for used, style, label in said
+        for used, style, label in styles
         if used in seen
     ]
 
@@ -131,12 +132,12 @@ def _by_use(axis: Axes, beats: BeatTrace, values: FloatArray) -> None:
 
 
 def phase_error_figure(ticks: TickTrace) -> Figure | None:
-    """Phase error against time; None without ground truth."""
+    """Draw phase error against time; None without ground truth."""
     if ticks.phase_error_percent is None:
         return None
     figure, (axis,) = time_axes(2.7)
     error = np.where(ticks.phase_valid, ticks.phase_error_percent, np.nan)
-    (line,) = axis.plot(ticks.t_s, error, color=ESTIMATE, lw=0.8, label="estimated less true phase")
+    (line,) = axis.plot(ticks.t_s, error, color=ESTIMATE, lw=0.8, label="estimated minus true phase")
     axis.axhline(0, color=TRUTH, lw=0.6)
     axis.set(ylabel="phase error, % of RR", xlabel="time, s")
     axis.margins(x=0)
@@ -145,7 +146,7 @@ def phase_error_figure(ticks: TickTrace) -> Figure | None:
 
 
 def force_figure(ticks: TickTrace) -> Figure:
-    """Size of the force and distance to the surface against time."""
+    """Draw the size of the force and the distance to the surface against time."""
     t_s = ticks.t_s[THIN]
     figure, (upper, lower) = time_axes(4.2, 2)
     for force, distance, color, label in (
@@ -167,11 +168,11 @@ def force_figure(ticks: TickTrace) -> Figure:
 
 
 def supervisor_figure(trace: SupervisorTrace) -> Figure:
-    """States and hazards as bands over time, and the age of the pose."""
+    """Draw states and hazards as bands over time, and the age of the pose."""
     rows = len(trace.bands)
     figure, (upper, lower) = time_axes(2.3 + 0.24 * rows, 2, height_ratios=(max(rows, 1), 5))
-    for row, (_, color, held) in enumerate(trace.bands):
-        edges = np.flatnonzero(np.diff(held, prepend=False, append=False))
+    for row, (_, color, active) in enumerate(trace.bands):
+        edges = np.flatnonzero(np.diff(active, prepend=False, append=False))
         ends_s = np.append(trace.t_s, trace.t_s[-1])[edges]
         spans = [(begin, end - begin) for begin, end in zip(ends_s[::2], ends_s[1::2], strict=True)]
         upper.broken_barh(spans, (row - 0.4, 0.8), color=color, lw=0.6)
@@ -189,7 +190,7 @@ def supervisor_figure(trace: SupervisorTrace) -> Figure:
 
 
 def distance_histogram(ticks: TickTrace) -> Figure:
-    """How many ticks the tip spent at each distance from the surface, while a force was given."""
+    """Draw the number of ticks at each distance from the surface while a force was given."""
     figure = Figure(figsize=(5.6, 3.0), layout="constrained")
     axis = figure.subplots()
     bins = np.linspace(-10, 5, 61).tolist()
@@ -210,7 +211,7 @@ def distance_histogram(ticks: TickTrace) -> Figure:
 
 
 def ecg_figure(strip: EcgStrip) -> Figure:
-    """The ECG or trigger with detected R peaks, and the phase kept from them."""
+    """Draw the ECG or trigger with detected R peaks, and the phase derived from them."""
     figure, (upper, lower) = time_axes(3.8, 2)
     if strip.ecg is None:
         upper.vlines(strip.ecg_t_s, 0.0, 1.0, color=TRUTH, lw=0.8)
@@ -218,8 +219,10 @@ def ecg_figure(strip: EcgStrip) -> Figure:
         height = np.zeros(len(strip.r_peaks_s))
     else:
         upper.plot(strip.ecg_t_s, strip.ecg, color=TRUTH, lw=0.8)
-        known = len(strip.ecg_t_s) > 0
-        height = np.interp(strip.r_peaks_s, strip.ecg_t_s, strip.ecg) if known else 0.0 * strip.r_peaks_s
+        has_samples = len(strip.ecg_t_s) > 0
+        height = (
+            np.interp(strip.r_peaks_s, strip.ecg_t_s, strip.ecg) if has_samples else 0.0 * strip.r_peaks_s
+        )
     handles: list[Artist] = list(
         upper.plot(
             strip.r_peaks_s, height, "o", ms=5, mfc="none", color=ESTIMATE, label="R peak, as detected"
@@ -240,7 +243,7 @@ def ecg_figure(strip: EcgStrip) -> Figure:
 
 
 def _shade_refused(axis: Axes, t_s: FloatArray, valid: BoolArray, meaning: str) -> list[Artist]:
-    """Grey where `valid` (n,) is False; what it means for a legend, if there is any."""
+    """Shade times at which `valid` (n,) is False, and return a legend entry if there are any."""
     edges = np.flatnonzero(np.diff(np.concatenate([[True], valid, [True]]).astype(np.int8)))
     for begin, end in zip(edges[::2], edges[1::2], strict=True):
         axis.axvspan(t_s[begin], t_s[min(end, len(t_s) - 1)], color=REFUSED, lw=0, zorder=0)

@@ -1,4 +1,4 @@
-"""`report.html` of a replay: one self-contained page with its estimates, errors and figures."""
+"""Build `report.html` of a replay: one self-contained page with its estimates, errors and figures."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from .values import BeatTrace, ReplayPage
 
 
 def replay_html(page: ReplayPage) -> str:
-    """The page for one replay."""
+    """Build the page for one replay."""
     ticks = page.ticks
     span_s = (float(ticks.t_s[0]), float(ticks.t_s[-1]))
     sections = (
@@ -33,7 +33,7 @@ def replay_html(page: ReplayPage) -> str:
         (
             "The pose from beat to beat",
             "After each heart beat its ultrasound is compared with the model under the pose in use, and the "
-            "log-likelihood ratio says by how much the beat's best pose explains it better."
+            "log-likelihood ratio states how much better the beat's best pose explains it."
             + _tre_remark(page.beats),
             pose_figure(page.beats, page.registrations, span_s),
         ),
@@ -61,7 +61,7 @@ def replay_html(page: ReplayPage) -> str:
         ),
         (
             "ECG, R peaks and phase",
-            "Phase as it was known at each moment, from the past alone.",
+            "Phase at each moment, estimated from past samples only.",
             ecg_figure(page.ecg),
         ),
     )
@@ -83,7 +83,7 @@ def _tre_remark(beats: BeatTrace | None) -> str:
 
 
 def _warnings(sentences: Sequence[str]) -> str:
-    """What is doubtful about the recordings together; nothing where all is well."""
+    """List contradictions between the recordings; empty without any."""
     items = "".join(f"<li>{html.escape(sentence)}</li>" for sentence in sentences)
     return f"<h2>Recordings that disagree</h2><ul>{items}</ul>" if items else ""
 

@@ -1,4 +1,4 @@
-"""What the page of a replay is made from: arrays over time, and ultrasound frames with the model in them."""
+"""Content of the page of a replay: arrays over time, and ultrasound frames with the model in them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from dvf_ig.report.plane_overlay import PlaneOverlay
 
 @dataclass(frozen=True, slots=True)
 class RegistrationMark:
-    """One registration: from when it could be used, whether it was, and why it ended as it did."""
+    """One registration: when its result was ready, whether it was usable, and why."""
 
     ready_s: float
     usable: bool
@@ -25,11 +25,11 @@ class BeatTrace:
 
     Attributes:
         decided_s: (b,) when the result took effect.
-        in_use: (b,) the pose was in use; False where it was pending and no force was given.
-        log_likelihood_ratio: (b,) by how much another pose explains the beat better.
+        in_use: (b,) the pose was in use; False if it was pending and no force was given.
+        log_likelihood_ratio: (b,) improvement of the beat's best pose over the pose in use.
         tre_mm: (b,) mean target registration error of that beat's best pose; None without ground truth.
-        limit: of the ratio, above which noise alone does not explain it.
-        suspended_s: begin and end of each time in which no pose was trusted.
+        limit: of the ratio, above which noise alone does not explain the improvement.
+        suspended_s: begin and end of each time in which the pose was suspended.
     """
 
     decided_s: FloatArray
@@ -50,8 +50,8 @@ class TickTrace:
         valid: (n,) a force was given.
         phase_valid: (n,) phase was LOCKED.
         force_n: (n,) size of the force given.
-        distance_mm: (n,) of the tool tip from the surface, positive inside; NaN where it is not known.
-        true_force_n, true_distance_mm: (n,) the same by the ground truth; None without.
+        distance_mm: (n,) of the tool tip from the surface, positive inside; NaN if unknown.
+        true_force_n, true_distance_mm: (n,) ground truth of these; None without ground truth.
         phase_error_percent: (n,) of RR; None without ground truth.
     """
 
@@ -68,14 +68,14 @@ class TickTrace:
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class SupervisorTrace:
-    """What the supervisor saw and did.
+    """Inputs and states of the supervisor over time.
 
     Attributes:
         t_s: (n,) tick times.
         pose_age_s: (n,) since a heart beat confirmed the pose; infinite before the first.
-        age_limit_s: from which age on a pose is withheld.
-        bands: name and colour of a state or hazard, with (n,) ticks in which it held; those that never held
-            are left out.
+        age_limit_s: age from which a pose is withheld.
+        bands: name and colour of a state or hazard, with (n,) ticks in which it was active; only those that
+            occurred.
     """
 
     t_s: FloatArray
@@ -87,13 +87,13 @@ class SupervisorTrace:
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class EcgStrip:
-    """A few seconds of the ECG or trigger, and the phase kept from it.
+    """A few seconds of the ECG or trigger, and the phase derived from it.
 
     Attributes:
-        label: lead and unit of the samples, or what else is shown.
-        ecg_t_s, ecg: (m,) samples of one lead; of a trigger the times of its pulses, and None.
+        label: lead and unit of the samples, or a description of other content.
+        ecg_t_s, ecg: (m,) samples of one lead; for a trigger the times of its pulses, and None.
         r_peaks_s: (k,) detected R peaks.
-        t_s, phase: (n,) ticks and the phase known at each.
+        t_s, phase: (n,) ticks and the phase estimated at each.
         phase_valid: (n,) LOCKED.
         true_phase: (n,); None without ground truth.
     """
@@ -110,16 +110,16 @@ class EcgStrip:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReplayPage:
-    """Everything on the page.
+    """Content of the page.
 
     Attributes:
-        scenario, patient_id, version: what was replayed, whose it is, and by which version.
+        scenario, patient_id, version: name of the scenario, patient, and program version.
         estimates: rows of quantity, estimate, error against the ground truth.
         registrations: in order.
-        no_force: why no force was given at all, and how to mend it; None where one was.
-        warnings: in what the recordings disagree, a sentence each.
-        overlays: frames of the last registration in use; empty where none saw any.
-        beats: None where no beat was compared.
+        no_force: why no force was given, and what to do; None if one was given.
+        warnings: contradictions between the recordings, one sentence each.
+        overlays: frames of the last registration in use; may be empty.
+        beats: None if no beat was compared.
         ticks: every tick.
         supervisor: states and hazards.
         ecg: a few seconds in the middle.

@@ -1,4 +1,4 @@
-"""The interactive viewer: scene, time series and live events as JSON, and the page that shows them."""
+"""Interactive viewer: scene, time series and live events as JSON, and the page that shows them."""
 
 from .event import shaft_in_tool as shaft_in_tool
 from .event import state_event as state_event

@@ -1,4 +1,4 @@
-"""The columns of a tick as a page takes them: their names, and the step to which each is printed."""
+"""Columns of a tick in the viewer's page: their names, and the step to which each is rounded."""
 
 from __future__ import annotations
 
@@ -26,4 +26,4 @@ STEPS: dict[str, float] = {
     "tre_bound_mm": 1e-3,
     "margin_mm": 1e-4,
 }
-"""As in `ticks.csv`, whose numbers are so kept exactly; `force_mr` and `shaft_mr` are not in it."""
+"""Rounding step of each column, as in `ticks.csv`; `force_mr` and `shaft_mr` are not in that file."""

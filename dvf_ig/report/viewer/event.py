@@ -1,4 +1,4 @@
-"""One state of a running session as a page takes it: the columns of a tick by their names."""
+"""Convert one state of a running session to a live event: the columns of a tick by their names."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ _DECIMALS = {name: max(0, round(-np.log10(step))) for name, step in STEPS.items(
 
 
 def state_event(state: GuidanceState) -> dict[str, Any]:
-    """The fields of a live event that every one has (`dvf_ig/report/web/README.md`).
+    """Build the fields that every live event has (`dvf_ig/report/web/README.md`).
 
-    The caller adds what is new: `ecg`, `r_peaks_s`, `frame` (see `frame_event`) and `marks`.
+    The caller adds new data: `ecg`, `r_peaks_s`, `frame` (see `frame_event`) and `marks`.
     """
     now_s, phase, transform = state.now_s, state.phase, state.transform
     tip, shaft, force_mr = (np.full(3, np.nan) for _ in range(3))
@@ -53,7 +53,7 @@ def state_event(state: GuidanceState) -> dict[str, Any]:
 
 
 def shaft_in_tool(tip_mm: FloatArray) -> FloatArray:
-    """(3,) unit vector from the tip (3,) to the tool's sensor, frame "tool"; along z where they coincide."""
+    """Return the (3,) unit vector from the tip (3,) to the tool's sensor; z if they coincide."""
     length = float(np.linalg.norm(tip_mm))
     return -tip_mm / length if length > 1e-6 else np.array([0.0, 0.0, 1.0])
 

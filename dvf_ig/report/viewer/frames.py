@@ -1,4 +1,4 @@
-"""Ultrasound frames for a page: where each lies in the model's frame, and its picture in few bytes."""
+"""Encode ultrasound frames for a page: position in the model's frame, and compressed picture."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from .scene import ImageShape
 
 SENT_COLUMNS = 256
 MOST_FRAMES = 800
-"""12 Hz for a minute; of more every second, third, … is sent."""
+"""Most frames that are sent: 12 Hz for a minute; of more every second, third, … is sent."""
 MOST_BYTES = 3_500_000
-"""Of all pictures of a file; its quality is chosen so."""
+"""Most bytes of all pictures of a file; their quality is chosen to fit."""
 QUALITIES = (75, 60, 50, 40, 30, 20, 10)
 PROBED = 12
 """Frames that are tried with each quality."""
@@ -34,11 +34,11 @@ class FrameSeries:
     """Ultrasound frames over time.
 
     Attributes:
-        event_s: (n,) when each was seen, tracker clock.
-        model_phase: (n,) place in the model's cycle; NaN where it is not known.
-        mr_from_recorded: (n, 3, 3) mm from recorded (column, row, 1); NaN without a pose.
+        event_s: (n,) time of each, tracker clock.
+        model_phase: (n,) phase in the model's cycle; NaN if unknown.
+        mr_from_recorded: (n, 3, 3) maps recorded (column, row, 1) to mm; NaN without a pose.
         images: (n, rows, columns) as recorded.
-        shape: of what is sent.
+        shape: of the sent images.
     """
 
     event_s: FloatArray
@@ -49,7 +49,7 @@ class FrameSeries:
 
 
 def frames_payload(frames: FrameSeries) -> dict[str, Any]:
-    """All frames, or every so-manieth of a long recording, as WebP that fits MOST_BYTES together."""
+    """Encode all frames, or every n-th of a long recording, as WebP within MOST_BYTES."""
     every = -(-len(frames.event_s) // MOST_FRAMES)
     chosen = np.arange(0, len(frames.event_s), every)
     images = [sent_image(frames.images[i], frames.shape) for i in chosen]
@@ -73,14 +73,14 @@ def frame_event(
     model_phase: float | None,
     mr_from_recorded: FloatArray | None,
 ) -> dict[str, Any]:
-    """The field `frame` of a live event.
+    """Build the field `frame` of a live event.
 
     Args:
-        image: (rows, columns) as it came.
-        shape: of what is sent.
-        event_s: when it was seen.
-        model_phase: place in the model's cycle; None where it is not known.
-        mr_from_recorded: (3, 3) mm from its (column, row, 1); None without a pose.
+        image: (rows, columns) as received.
+        shape: of the sent images.
+        event_s: time of the image.
+        model_phase: phase in the model's cycle; None if unknown.
+        mr_from_recorded: (3, 3) maps its (column, row, 1) to mm; None without a pose.
     """
     placed = None if mr_from_recorded is None else mr_from_recorded @ shape.recorded_from_sent
     settings = [cv2.IMWRITE_JPEG_QUALITY, LIVE_QUALITY]
@@ -94,13 +94,13 @@ def frame_event(
 
 
 def sent_image(image: NDArray[np.uint8], shape: ImageShape) -> NDArray[np.uint8]:
-    """The image in the size in which it is sent."""
+    """Resize an image to the size in which it is sent."""
     size = (shape.columns, shape.rows)
     return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
 def _quality(images: list[NDArray[np.uint8]]) -> int:
-    """The best quality with which all images fit."""
+    """Choose the best quality at which all images fit."""
     probes = [images[i] for i in np.linspace(0, len(images) - 1, min(PROBED, len(images))).astype(int)]
     for quality in QUALITIES:
         mean = float(np.mean([len(_webp(image, quality)) for image in probes]))

@@ -1,4 +1,4 @@
-"""The viewer's page with its data in it, as it is written to a file."""
+"""Build the viewer's page with its data, for writing to a file."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from typing import Any
 from dvf_ig.core.errors import InvalidInputError
 
 SLOT = '<script type="application/json" id="dvf-scene"></script>'
-"""Where a page has its data; left empty, it asks for `scene.json` and `events` beside it."""
+"""Element with the page's data; if empty, the page requests `scene.json` and `events` from its server."""
 _TITLE = "<title>dvf-ig viewer</title>"
 
 
 def live_page() -> str:
-    """The page without data, for a server."""
+    """Return the page without data, for a server."""
     return resources.files("dvf_ig.report").joinpath("web/built/viewer.html").read_text(encoding="utf-8")
 
 
 def viewer_html(payload: Mapping[str, Any]) -> str:
-    """The page with a scene and its series in it, self-contained.
+    """Build the self-contained page with a scene and its series.
 
     Raises:
         InvalidInputError: a number that is not finite.

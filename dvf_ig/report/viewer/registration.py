@@ -1,4 +1,4 @@
-"""One registration for the viewer's page: planes with ultrasound and anatomy, targets with their bound."""
+"""Encode one registration for the viewer: planes with ultrasound and anatomy, targets with their bound."""
 
 from __future__ import annotations
 
@@ -25,18 +25,18 @@ QUALITY = 80
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RegistrationView:
-    """What the page of a registration shows.
+    """Content of the page of a registration.
 
     Attributes:
         title: of the page.
-        patient_id: whose it is; of an image pair, from which files.
-        usable, reason: may the pose be used, and why.
+        patient_id: the patient; for an image pair, the files.
+        usable, reason: whether the pose may be used, and why.
         rows: of name and value.
-        planes: each with its place in the anatomy's frame.
-        anatomy: what stands beside the ultrasound, for example "MR".
-        model: of the heart; None of an organ that does not beat.
+        planes: each with its position in the anatomy's frame.
+        anatomy: image shown with the ultrasound, for example "MR".
+        model: of the heart; None for an organ that does not beat.
         targets: named points of the anatomy.
-        bound_mm: 95 % bound on the error at any of them; None where none is stated.
+        bound_mm: 95 % bound on the error at any of them; None if none is stated.
     """
 
     title: str
@@ -52,7 +52,7 @@ class RegistrationView:
 
 
 def registration_payload(view: RegistrationView) -> dict[str, Any]:
-    """The scene of a registration, `kind` "registration" (`dvf_ig/report/web/README.md`)."""
+    """Build the scene of a registration, `kind` "registration" (`dvf_ig/report/web/README.md`)."""
     pixel_mm, size = _common_size(view.planes)
     planes = [_plane(one, pixel_mm, size) for one in view.planes if one.anatomy_from_pixel is not None]
     model = view.model
@@ -84,7 +84,7 @@ def registration_payload(view: RegistrationView) -> dict[str, Any]:
 
 
 def _common_size(planes: Sequence[PlaneOverlay]) -> tuple[float, tuple[int, int]]:
-    """Pixel in mm, and columns and rows, in which every plane has room."""
+    """Choose a pixel size in mm, and columns and rows, that fit every plane."""
     widest, tallest = (max(one.size_mm[a] for one in planes) for a in range(2))
     finest = min(min(one.pixel_mm) for one in planes)
     pixel_mm = max(finest, max(widest, tallest) / LONGEST_PX)
@@ -110,7 +110,7 @@ def _plane(one: PlaneOverlay, pixel_mm: float, size: tuple[int, int]) -> dict[st
 
 
 def _picture(image: NDArray[np.uint8], shown: tuple[int, int], size: tuple[int, int]) -> str:
-    """At the left and upper edge of a black canvas of `size`, as WebP in base64."""
+    """Place an image at the upper left of a black canvas of `size`, as WebP in base64."""
     canvas = np.zeros((size[1], size[0]), dtype=np.uint8)
     columns, rows = min(shown[0], size[0]), min(shown[1], size[1])
     canvas[:rows, :columns] = cv2.resize(image, (columns, rows), interpolation=cv2.INTER_AREA)

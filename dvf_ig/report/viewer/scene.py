@@ -1,4 +1,4 @@
-"""What a page shows that does not change with time: surfaces through the cycle, distance, fixtures, words."""
+"""Build the part of a page that does not change with time: surfaces, distance, fixtures, state names."""
 
 from __future__ import annotations
 
@@ -30,23 +30,23 @@ ORGAN_PITCH_MM, BLOOD_PITCH_MM = 4.0, 3.5
 VERTEX_STEP_MM = 0.02
 DISTANCE_PITCH_MM, DISTANCE_STEP_MM, FARTHEST_MM = 3.0, 0.1, 12.6
 FIELD_MARGIN_MM = 9.0
-"""How far around the organ the distance is told."""
+"""Margin around the organ in which the distance is included."""
 FAN_POINTS = 24
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SceneInput:
-    """What a scene is made from.
+    """Content of a scene.
 
     Attributes:
         kind: "replay", "live" or "registration".
         title: of the page.
         model: the patient's.
-        fixtures: that act on the tool.
-        image: of the ultrasound as it is sent; None without.
+        fixtures: acting on the tool.
+        image: shape of the sent ultrasound; None without ultrasound.
         ecg: label and unit of the ECG; None for a trigger.
-        breathing: the same of a breathing signal; None where there is none.
-        age_limit_s: from which age on a pose is withheld.
+        breathing: label and unit of a breathing signal; None without one.
+        age_limit_s: age from which a pose is withheld.
         targets: named points in the model's frame.
     """
 
@@ -63,13 +63,13 @@ class SceneInput:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImageShape:
-    """Size of a frame as it is sent.
+    """Size of a frame as sent.
 
     Attributes:
         columns, rows: in pixels.
         pixel_mm: width and height of one.
-        step: (2,) recorded columns and rows to one that is sent.
-        fan: insonified sector in recorded pixels; None where it is not known.
+        step: (2,) recorded columns and rows per sent one.
+        fan: insonified sector in recorded pixels; None if unknown.
     """
 
     columns: int
@@ -80,7 +80,7 @@ class ImageShape:
 
     @property
     def recorded_from_sent(self) -> FloatArray:
-        """(3, 3) recorded pixel of a pixel that is sent; both count centres."""
+        """Map (3, 3) from a sent pixel to a recorded one; both count centres."""
         (x, y) = self.step
         return np.array([[x, 0.0, (x - 1) / 2], [0.0, y, (y - 1) / 2], [0.0, 0.0, 1.0]])
 
@@ -88,36 +88,36 @@ class ImageShape:
 def image_shape(
     rows: int, columns: int, pixel_mm: Sequence[float], fan: Fan | None, sent_columns: int
 ) -> ImageShape:
-    """Shape of recorded images when they are sent with at most so many columns."""
+    """Compute the shape of recorded images when sent with at most `sent_columns` columns."""
     sent = min(columns, sent_columns)
     sent_rows = max(1, round(rows * sent / columns))
     step = (columns / sent, rows / sent_rows)
     return ImageShape(sent, sent_rows, (pixel_mm[0] * step[0], pixel_mm[1] * step[1]), step, fan)
 
 
-def scene_payload(given: SceneInput) -> dict[str, Any]:
-    """The scene as a page takes it (`dvf_ig/report/web/README.md`), without any time series."""
-    model = given.model
+def scene_payload(scene: SceneInput) -> dict[str, Any]:
+    """Build the scene of a page (`dvf_ig/report/web/README.md`), without time series."""
+    model = scene.model
     return {
         "schema": SCHEMA,
-        "kind": given.kind,
-        "title": given.title,
+        "kind": scene.kind,
+        "title": scene.title,
         "patient_id": model.patient_id,
         "version": dvf_ig.__version__,
-        "heart": heart_payload(model, given.fixtures),
+        "heart": heart_payload(model, scene.fixtures),
         "distance": distance_payload(model),
-        "fixtures": [_fixture(one) for one in given.fixtures.fixtures],
-        "fixtures_cap_n": given.fixtures.joint_cap_n,
-        "image": None if given.image is None else image_payload(given.image),
-        "signals": {"ecg": _signal(given.ecg), "breathing": _signal(given.breathing)},
+        "fixtures": [_fixture(one) for one in scene.fixtures.fixtures],
+        "fixtures_cap_n": scene.fixtures.joint_cap_n,
+        "image": None if scene.image is None else image_payload(scene.image),
+        "signals": {"ecg": _signal(scene.ecg), "breathing": _signal(scene.breathing)},
         "words": words(),
-        "age_limit_s": given.age_limit_s,
-        "targets": targets_payload(given.targets),
+        "age_limit_s": scene.age_limit_s,
+        "targets": targets_payload(scene.targets),
     }
 
 
 def heart_payload(model: DvfModel, fixtures: FixtureSet | None) -> dict[str, Any]:
-    """Surfaces of organ, blood and fixtures through the cycle."""
+    """Encode surfaces of organ, blood and fixtures through the cycle."""
     organ = cycle_surface(model.reference, ORGAN_PITCH_MM)
     surfaces = [_surface(model.surface_name, "organ", organ)]
     surfaces += [
@@ -134,7 +134,7 @@ def heart_payload(model: DvfModel, fixtures: FixtureSet | None) -> dict[str, Any
 
 
 def words() -> dict[str, Any]:
-    """Names of states in the order of their codes, and hazards in the order of their bits."""
+    """List names of states in the order of their codes, and hazards in the order of their bits."""
     return {
         "status": [status.name.lower() for status in sorted(Status)],
         "supervisor": [state.name.lower() for state in sorted(SupervisorState)],
@@ -181,7 +181,7 @@ def _fixture(one: FixtureOptions) -> dict[str, Any]:
 
 
 def distance_payload(model: DvfModel) -> dict[str, Any]:
-    """The signed distance on a grid around the organ, in every phase."""
+    """Encode the signed distance on a grid around the organ, in every phase."""
     vertices = np.concatenate([mesh.vertices_mm for mesh in model.reference])
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     shape = np.ceil((high - low + 2 * FIELD_MARGIN_MM) / DISTANCE_PITCH_MM).astype(int) + 1
@@ -201,7 +201,7 @@ def distance_payload(model: DvfModel) -> dict[str, Any]:
 
 
 def image_payload(shape: ImageShape) -> dict[str, Any]:
-    """The frames' size and sector, as `scene.json` has them."""
+    """Encode the frames' size and sector for `scene.json`."""
     return {
         "columns": shape.columns,
         "rows": shape.rows,
@@ -211,7 +211,7 @@ def image_payload(shape: ImageShape) -> dict[str, Any]:
 
 
 def _fan_outline(fan: Fan, step: tuple[float, float]) -> list[list[float]]:
-    """Corners of the sector in pixels that are sent."""
+    """Compute the corners of the sector in sent pixels."""
     angles = np.linspace(-fan.half_angle_rad, fan.half_angle_rad, FAN_POINTS)
     rays = np.column_stack([np.sin(angles), np.cos(angles)])
     near = [fan.apex_px] if fan.start_px == 0 else list((fan.apex_px + fan.start_px * rays)[::-1])
@@ -225,7 +225,7 @@ def _signal(named: tuple[str, str] | None) -> dict[str, str] | None:
 
 
 def targets_payload(targets: Landmarks | None) -> list[dict[str, Any]]:
-    """Named points."""
+    """Encode named points."""
     if targets is None:
         return []
     places = targets.points.xyz_mm.round(3).tolist()

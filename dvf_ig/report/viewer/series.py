@@ -1,4 +1,4 @@
-"""What a page shows over time, of a run that has ended: ticks, signals, ultrasound frames and marks."""
+"""Encode the time series of a completed run: ticks, signals, ultrasound frames and marks."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from .frames import FrameSeries, frames_payload
 from .packing import packed, packed_times
 
 MOST_TICKS = 120_000
-"""Of two minutes; of longer runs every second, third, … is kept."""
+"""Most ticks, those of two minutes; of longer runs every second, third, … is kept."""
 SIGNAL_RATE_HZ = 250.0
 SIGNAL_STEPS = 20_000
 """Steps between zero and the largest sample of a signal."""
@@ -32,12 +32,12 @@ class SampledSignal:
 
 @dataclass(frozen=True, slots=True)
 class Mark:
-    """Something that happened at one time.
+    """An event at one time.
 
     Attributes:
         kind: "registration", "refused" or "suspended".
         text: a sentence.
-        until_s: of what lasted; None of what did not.
+        until_s: end of an event that lasted; None for one that did not.
     """
 
     t_s: float
@@ -51,8 +51,8 @@ class SeriesInput:
     """Everything over time.
 
     Attributes:
-        ticks: columns by the names in `columns.STEPS`; NaN where a value is not known.
-        ecg, breathing: None where there is none.
+        ticks: columns by the names in `columns.STEPS`; NaN if a value is unknown.
+        ecg, breathing: None without such a signal.
         r_peaks_s: detected R peaks.
         frames: None without ultrasound.
         marks: in order of time.
@@ -66,29 +66,29 @@ class SeriesInput:
     marks: Sequence[Mark]
 
 
-def series_payload(given: SeriesInput) -> dict[str, Any]:
-    """The field `series` of a page's scene (`dvf_ig/report/web/README.md`)."""
-    every = -(-len(given.ticks["t_s"]) // MOST_TICKS)
+def series_payload(series: SeriesInput) -> dict[str, Any]:
+    """Build the field `series` of a page's scene (`dvf_ig/report/web/README.md`)."""
+    every = -(-len(series.ticks["t_s"]) // MOST_TICKS)
     ticks = {
-        name: packed(np.asarray(given.ticks[name])[::every], step, delta=True)
+        name: packed(np.asarray(series.ticks[name])[::every], step, delta=True)
         for name, step in STEPS.items()
         if name != "t_s"
     }
     return {
-        "ticks": {"t_s": packed_times(np.asarray(given.ticks["t_s"])[::every]), **ticks},
-        "ecg": _signal(given.ecg),
-        "breathing": _signal(given.breathing),
-        "r_peaks_s": given.r_peaks_s.round(6).tolist(),
-        "frames": None if given.frames is None else frames_payload(given.frames),
+        "ticks": {"t_s": packed_times(np.asarray(series.ticks["t_s"])[::every]), **ticks},
+        "ecg": _signal(series.ecg),
+        "breathing": _signal(series.breathing),
+        "r_peaks_s": series.r_peaks_s.round(6).tolist(),
+        "frames": None if series.frames is None else frames_payload(series.frames),
         "marks": [
             {"t_s": mark.t_s, "kind": mark.kind, "text": mark.text, "until_s": mark.until_s}
-            for mark in given.marks
+            for mark in series.marks
         ],
     }
 
 
 def _signal(signal: SampledSignal | None) -> dict[str, Any] | None:
-    """Every so-manieth sample, so that its rate is not above SIGNAL_RATE_HZ."""
+    """Encode every n-th sample, so that the rate does not exceed SIGNAL_RATE_HZ."""
     if signal is None or len(signal.t_s) < 2:
         return None
     every = max(1, int(1.0 / (SIGNAL_RATE_HZ * float(np.median(np.diff(signal.t_s)))) + 1e-6))

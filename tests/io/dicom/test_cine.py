@@ -127,7 +127,7 @@ def test_rescale_slope_and_other_files(tmp_path: Path, caplog: pytest.LogCapture
     (written / "DICOMDIR").write_bytes(bytes(128) + b"DICM")
     values = read_dicom_cine(written).values
     assert values[1, 3, 2, 1] == 0.5 * value(3, 2, 1, 1) - 1
-    assert "1 files that are no DICOM" in caplog.text
+    assert "1 files that are not DICOM" in caplog.text
 
 
 @pytest.fixture

@@ -159,8 +159,8 @@ def test_units_in_a_second_row_count(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("header", "row", "message"),
     [
-        ("t_s,II", "{ms:.0f},{v}", "step by 4 s, as 't_s' says; no ECG is sampled at 0.25 Hz"),
-        ("t_ms,II", "{t:.3f},{v}", r"step by 0.004 ms, as 't_ms' says; no ECG is sampled at 2.5e\+05 Hz"),
+        ("t_s,II", "{ms:.0f},{v}", r"step by 4 s \(column 't_s'\); no ECG is sampled at 0.25 Hz"),
+        ("t_ms,II", "{t:.3f},{v}", r"step by 0.004 ms \(column 't_ms'\); no ECG is sampled at 2.5e\+05 Hz"),
         ("Time,II", "{t:.0f},{v}", "written too coarsely, leave their column out and give"),
         ("II", "{v}", "^[^:]*ecg.csv has no column of times"),
         ("Time,II", "about {t:.3f},{v}", "needed numbers only"),

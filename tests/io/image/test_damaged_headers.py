@@ -135,8 +135,8 @@ def test_nrrd_headers(tmp_path: Path, changes: dict[str, str | None], sentence: 
         ({"ElementType": "MET_UCHAR_ARRAY"}, "ElementType"),
         ({"ElementDataFile": "/etc/passwd"}, "its own folder"),
         ({"ElementDataFile": "/dev/zero"}, "its own folder"),
-        ({"ElementDataFile": "pipe"}, "is no file"),
-        ({"ElementDataFile": "link"}, "leads out of its folder"),
+        ({"ElementDataFile": "pipe"}, "is not a regular file"),
+        ({"ElementDataFile": "link"}, "link to a file outside its folder"),
         ({"ElementDataFile": "%s%s%s%n.raw 1 4 1"}, "does not exist"),
         ({"ElementDataFile": "LIST"}, "names 0 files|does not exist|own folder"),
         ({"ElementDataFile": "a\0b"}, "own folder"),
@@ -159,10 +159,10 @@ def test_metaimage_headers(tmp_path: Path, changes: dict[str, str | None], sente
 @pytest.mark.parametrize(
     ("field", "sentence"),
     [
-        ((80, "f", 0.0), "finite, zero or less"),
-        ((80, "f", -1.0), "finite, zero or less"),
-        ((80, "f", np.nan), "finite, zero or less"),
-        ((80, "f", np.inf), "finite, zero or less"),
+        ((80, "f", 0.0), "finite or not positive"),
+        ((80, "f", -1.0), "finite or not positive"),
+        ((80, "f", np.nan), "finite or not positive"),
+        ((80, "f", np.inf), "finite or not positive"),
         ((76, "f", np.nan), "not finite"),
         ((80, "f", 1e30), "sides of"),
         ((268, "f", np.nan), "finite"),
@@ -314,7 +314,7 @@ def test_packed_voxels_that_unpack_to_more_or_less(tmp_path: Path) -> None:
         with pytest.raises(UnreadableFileError, match=sentence):
             read_volume(path)
     path = meta(tmp_path / "a.mha", {"CompressedData": "True"}, zlib.compress(VOXELS)[:-2])
-    with pytest.raises(UnreadableFileError, match="do not end"):
+    with pytest.raises(UnreadableFileError, match="have no end"):
         read_volume(path)
 
 

@@ -58,7 +58,7 @@ def test_a_file_says_when_it_was_taken(text: str, name: str, phase: float | None
 
 @pytest.mark.parametrize("text", ["us.nrrd", "us.nrrd@", "us.nrrd@35%", "@0.3", "us.nrrd=", "", "us@x.nrrd"])
 def test_a_file_without_its_time_is_refused(text: str) -> None:
-    with pytest.raises(InvalidInputError, match="does not say when"):
+    with pytest.raises(InvalidInputError, match="does not say its phase"):
         gated_volume_files(["other.nrrd@0", text])
 
 

@@ -132,7 +132,7 @@ def test_what_has_no_area_is_named(
         mesh = read_mesh(tmp_path / name)
     np.testing.assert_allclose(mesh.vertices_mm[mesh.triangles], CORNERS[FACES])
     assert [r.getMessage().split(": ", 1)[1] for r in caplog.records] == [
-        f"{told} hold no surface and are left out"
+        f"{told} have no surface and are ignored"
     ]
 
 
@@ -147,9 +147,9 @@ GHOSTS = '<CellData><DataArray type="UInt8" Name="vtkGhostType" format="ascii">0
 SHORT = '<CellData><DataArray type="UInt8" Name="Cap" format="ascii">0 1</DataArray></CellData>'
 
 REFUSED = [
-    ("m.obj", VERTICES + FAN + "curv 0 1 1 2\n", "'curv' is not read and may hold a part of the surface"),
-    ("m.obj", VERTICES + FAN + "surf 0 1 0 1 1 2 3 4\n", "'surf' is not read"),
-    ("m.obj", VERTICES + FAN + "fo 1 2 3\n", "'fo' is not read"),
+    ("m.obj", VERTICES + FAN + "curv 0 1 1 2\n", "'curv' is unsupported and may hold a part of the surface"),
+    ("m.obj", VERTICES + FAN + "surf 0 1 0 1 1 2 3 4\n", "'surf' is unsupported"),
+    ("m.obj", VERTICES + FAN + "fo 1 2 3\n", "'fo' is unsupported"),
     ("m.obj", VERTICES + FAN + "f 1 2\n", "1 of 5 polygons have fewer than 3 corners, first number 5"),
     ("m.obj", VERTICES + FAN + "f 0 1 2\n", "a face refers to vertex 0"),
     ("m.obj", VERTICES + FAN + "f -5 -1 -2\n", "a face refers to vertex -5"),
@@ -157,7 +157,7 @@ REFUSED = [
     ("m.obj", "v 1 2 3 0.5\n" + VERTICES + FAN, "vertex 1 is '1 2 3 0.5'"),
     ("m.obj", "v nan 0 0\n" + VERTICES + FAN, "not finite"),
     ("m.obj", "# SPACE=LPS\n# SPACE=RAS\n" + VERTICES + FAN, "'LPS, RAS'"),
-    ("m.obj", VERTICES + FAN + "3 1 2 3\n", "'3' is not read"),
+    ("m.obj", VERTICES + FAN + "3 1 2 3\n", "'3' is unsupported"),
     (
         "m.ply",
         PLY
@@ -165,7 +165,7 @@ REFUSED = [
         + "element tristrips 1\nproperty list int int vertex_indices\nend_header\n"
         + PLY_ROWS
         + "3 0 1 2\n",
-        "1 rows of 'tristrips' are not read and may hold a part of the surface",
+        "1 rows of 'tristrips' are not supported and may hold a part of the surface",
     ),
     (
         "m.ply",
@@ -189,8 +189,8 @@ REFUSED = [
         "needed vertex and face, each once",
     ),
     ("m.ply", PLY.replace("float z", "float w") + PLY_FACE + "end_header\n" + PLY_ROWS, "vertices have no z"),
-    ("m.ply", PLY + "elment face 1\nend_header\n" + PLY_ROWS, "'elment face 1' that PLY does not know"),
-    ("m.stl", BINARY + BINARY, "284 bytes follow the 4 triangles of its header, room for 5 more"),
+    ("m.ply", PLY + "elment face 1\nend_header\n" + PLY_ROWS, "'elment face 1' is not PLY"),
+    ("m.stl", BINARY + BINARY, "284 bytes follow the 4 triangles of its header, enough for 5 more"),
     ("m.stl", BINARY[:80] + struct.pack("<I", 2) + BINARY[84:], "100 bytes follow the 2 triangles"),
     ("m.stl", BINARY[:-1], "its 4 triangles need 284"),
     (
@@ -223,9 +223,9 @@ REFUSED = [
         vtp_file(vtp(CORNERS, POLYS | {"Strips": [[0, 1, 2]]}, stated='NumberOfPolys="4"')),
         "NumberOfStrips is None, 1 offsets",
     ),
-    ("m.vtp", vtp_file(vtp(CORNERS, POLYS, "<Cells/>")), "its Piece holds 'Cells', which is not read"),
+    ("m.vtp", vtp_file(vtp(CORNERS, POLYS, "<Cells/>")), "its Piece holds the unsupported 'Cells'"),
     ("m.vtp", vtp_file(vtp(CORNERS, POLYS, "<Polys/>")), "one of its parts twice"),
-    ("m.vtp", vtp_file(SURFACE, "<Part/>"), "its PolyData holds 'Part'"),
+    ("m.vtp", vtp_file(SURFACE, "<Part/>"), "its PolyData holds the unsupported 'Part'"),
     ("m.vtp", vtp_file(vtp(CORNERS, POLYS, GHOSTS)), "1 of 4 cells are hidden or repeated .'vtkGhostType'"),
     ("m.vtp", vtp_file(vtp(CORNERS, POLYS, SHORT)), "cell data 'Cap' have 2 values for 4 cells"),
     ("m.vtp", vtp_file(SURFACE, vtp(CORNERS, POLYS, SHORT.replace("0 1", "0 1 0 0"))), "different cell data"),

@@ -64,7 +64,7 @@ def test_ten_phases_are_in_order_of_their_number(tmp_path: Path) -> None:
 def test_bad_series(tmp_path: Path) -> None:
     write_surface_series(series(4), tmp_path / "s")
     (tmp_path / "s" / "EPICARDIAL_002.vtp").rename(tmp_path / "kept.vtp")
-    with pytest.raises(UnreadableFileError, match=r"numbered one after the other .see number 2"):
+    with pytest.raises(UnreadableFileError, match=r"consecutive .see number 2"):
         read_surface_series(tmp_path / "s")
     write_mesh(Mesh("mr", CORNERS, FACES[:3]), tmp_path / "s" / "EPICARDIAL_002.vtp")
     with pytest.raises(UnreadableFileError, match="same vertices in every phase"):
@@ -72,7 +72,7 @@ def test_bad_series(tmp_path: Path) -> None:
     with pytest.raises(UnreadableFileError, match="does not exist"):
         read_surface_series(tmp_path / "none")
     (tmp_path / "empty").mkdir()
-    with pytest.raises(UnreadableFileError, match="none at all"):
+    with pytest.raises(UnreadableFileError, match="it has none"):
         read_surface_series(tmp_path / "empty")
     (tmp_path / "empty" / "broken.tar.gz").write_bytes(b"garbage")
     with pytest.raises(UnreadableFileError, match=r"broken\.tar\.gz is not a readable archive"):

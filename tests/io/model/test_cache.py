@@ -48,7 +48,7 @@ def test_a_model_is_built_once(preop: Preop, folder: Path) -> None:
     assert model_digest(first.model) == model_digest(second.model)
     assert entry(first) == entry(second)
     assert entry(first).parent == folder
-    assert first.remark == f"model built and kept in {first.path}"
+    assert first.remark == f"model built and stored in {first.path}"
     assert second.remark == f"model from the cache: {first.path}"
 
 
@@ -180,8 +180,8 @@ def dangling(path: Path, content: bytes) -> None:
         (fifo, "is not a regular file"),
         (link, "symbolic links"),
         (dangling, "symbolic links"),
-        (lambda path, _: path.chmod(0o620), "could have been written by somebody else"),
-        (lambda path, _: path.chmod(0o602), "could have been written by somebody else"),
+        (lambda path, _: path.chmod(0o620), "could have been written by another user"),
+        (lambda path, _: path.chmod(0o602), "could have been written by another user"),
     ],
 )
 def test_an_entry_that_is_not_ours_alone_is_replaced(
@@ -208,7 +208,7 @@ def test_a_model_that_another_user_put_there_is_not_used(
     monkeypatch.setattr(os, "getuid", lambda: owner + 1)
     again = cached_model(preop, options=COARSE)
     assert not again.was_cached
-    assert "could have been written by somebody else" in again.remark
+    assert "could have been written by another user" in again.remark
 
 
 def test_a_folder_in_the_place_of_an_entry_costs_only_the_cache(preop: Preop, folder: Path) -> None:
@@ -217,7 +217,7 @@ def test_a_folder_in_the_place_of_an_entry_costs_only_the_cache(preop: Preop, fo
     path.mkdir()
     again = cached_model(preop, options=COARSE)
     assert (again.was_cached, again.path) == (False, None)
-    assert "is in the way" in again.remark
+    assert "it is a folder" in again.remark
 
 
 def test_entries_do_not_depend_on_the_umask(preop: Preop, folder: Path) -> None:
@@ -268,7 +268,7 @@ def test_a_folder_that_cannot_be_written_costs_only_the_cache(
     monkeypatch.setenv("DVF_IG_CACHE", str(tmp_path / "file"))
     found = cached_model(preop, options=COARSE)
     assert not found.was_cached
-    assert found.remark.startswith("model built, but not kept: cannot make the folder")
+    assert found.remark.startswith("model built, but not stored: cannot make the folder")
 
 
 def test_where_models_are_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

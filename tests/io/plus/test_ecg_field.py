@@ -137,7 +137,7 @@ def test_times_follow_from_counts_and_stamps(
     assert signal.rate_hz == pytest.approx(true_hz, rel=2e-4)
     assert time_error_s(signal) < 0.0015 + jitter_s
     assert signal.unit == "unknown"
-    assert "follow from the time stamps" in caplog.text
+    assert "are estimated from the time stamps" in caplog.text
 
 
 @pytest.mark.parametrize("lost", [[60], [60, 61, 62], [20, 60, 63, 170]])
@@ -198,9 +198,7 @@ def test_of_lines_faster_than_frames_some_are_missing(tmp_path: Path) -> None:
 
 def test_single_values_at_the_frame_rate_are_too_few(tmp_path: Path) -> None:
     path = plus_recording(tmp_path / "a.igs.mha", line_samples=1, frame_hz=30.0)
-    with pytest.raises(
-        UnreadableFileError, match="30 samples a second, needed 100: of single values PLUS keeps"
-    ):
+    with pytest.raises(UnreadableFileError, match="30 samples per second; needed 100: PLUS keeps"):
         read_ecg_field(path)
 
 
@@ -253,7 +251,7 @@ def test_several_fields_and_none(tmp_path: Path) -> None:
     with pytest.raises(UnreadableFileError, match=r"no field whose name contains 'ecg'; give .*: Force"):
         read_ecg_field(path)
     path.write_text(text.replace("EcgII", "Note").replace("0.1", "fine"))
-    with pytest.raises(UnreadableFileError, match="no numeric fields at all"):
+    with pytest.raises(UnreadableFileError, match="no numeric fields"):
         read_ecg_field(path)
 
 
@@ -263,9 +261,9 @@ def test_several_fields_and_none(tmp_path: Path) -> None:
         ("512,513", "", "decimal commas or twice as many"),
         ("0,1 0,2 0,3", "", "decimal commas or twice as many"),
         ("ready", "", "has no field whose name contains 'ecg'"),
-        ("1 2 3", "EcgDataLeads = II V1\n", "3 values of 2 leads"),
+        ("1 2 3", "EcgDataLeads = II V1\n", "3 values; needed a multiple of its 2 leads"),
         ("1 2 3 4 5 6 7 8", "EcgDataRate = fast\n", "EcgDataRate is 'fast'"),
-        ("1 1 1 1 1 1 1 1", "EcgDataRate = 500\n", "500 Hz, but 200 samples a second"),
+        ("1 1 1 1 1 1 1 1", "EcgDataRate = 500\n", "500 Hz, but 200 Hz"),
     ],
 )
 def test_what_cannot_be_meant_is_refused(tmp_path: Path, line: str, extra: str, message: str) -> None:
@@ -292,7 +290,7 @@ def test_garbled_lines_are_missing_samples(tmp_path: Path) -> None:
 
 def test_too_few_frames_and_no_stamps(tmp_path: Path) -> None:
     path = recorded(tmp_path / "a.igs.mha", STAMPS[:5], FLAT[:5])
-    with pytest.raises(UnreadableFileError, match="too few to tell when"):
+    with pytest.raises(UnreadableFileError, match="too few to estimate their times"):
         read_ecg_field(path)
     path.write_text(re.sub(r"Seq_Frame\d+_Timestamp.*\n", "", path.read_text()))
     with pytest.raises(UnreadableFileError, match="have no time stamp"):

@@ -54,7 +54,7 @@ def test_choice_of_tool_and_frame(tmp_path: Path) -> None:
 
 def test_ambiguous_tools_are_listed(tmp_path: Path) -> None:
     path = write(tmp_path / "a.igs.mha", stream("tracker", "clamp"), stream("tracker", "hook"))
-    with pytest.raises(UnreadableFileError, match="records tracker_from_clamp, tracker_from_hook: name one"):
+    with pytest.raises(UnreadableFileError, match=r"\(tracker_from_clamp, tracker_from_hook\): name one"):
         read_poses(path)
     with pytest.raises(UnreadableFileError, match="does not track 'saw'"):
         read_poses(path, source="saw")

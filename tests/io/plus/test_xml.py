@@ -226,7 +226,7 @@ def test_bad_phantoms(tmp_path: Path) -> None:
     ("frame", "message"),
     [
         ("<Frame Index='0' SegmentationStatus='Failed'/>", "none of its 1 frames"),
-        ("<Frame Index='0' LineOriginPointPx='1 2' LineDirectionVectorPx='0 1'/>", "frame 0 is upright"),
+        ("<Frame Index='0' LineOriginPointPx='1 2' LineDirectionVectorPx='0 1'/>", "frame 0 is vertical"),
         ("<Frame Index='0' LineOriginPointPx='1' LineDirectionVectorPx='1 0'/>", "LineOriginPointPx"),
         ("<Frame Index='0' LineOriginPointPx='1 2' LineDirectionVectorPx='1 0'/>" * 2, "index repeats"),
     ],

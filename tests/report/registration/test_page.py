@@ -177,6 +177,6 @@ def test_slicer_shows_the_inverse_in_ras() -> None:
     ras_mr = flip @ TURN @ lps_tracker
     np.testing.assert_allclose(transform.slicer_matrix @ ras_mr, flip @ lps_tracker)
     text = registration_html(page())
-    assert "mr_from_tracker takes points of the tracker to the MR" in text
+    assert "mr_from_tracker maps points of the tracker to the MR" in text
     assert "<td>0.0000</td><td>-1.0000</td><td>0.0000</td><td>5.0000</td>" in text
     assert "<td>0.0000</td><td>1.0000</td><td>0.0000</td><td>-7.0000</td>" in text
