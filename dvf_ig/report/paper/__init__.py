@@ -1,7 +1,7 @@
 """Draw the figures and Table II of Ren 2008 from this package's model and laws, with the paper's numbers.
 
 Fig. 4 fitted surface, Figs 5 and 11 force fields, Figs 8 to 10 potentials, Fig. 14 automatic tracking
-(`dvf_ig.report.study.stylus`); also equations 10–11 over time, which the paper does not draw.
+(`dvf_ig.study.tracking`); also equations 10–11 over time, which the paper does not draw.
 """
 
 from .fields import SliceField as SliceField
