@@ -1,17 +1,29 @@
 """ECG-gated rigid US/MR registration: from gated, tracked slices to `mr_from_tracker` with its evidence."""
 
-from .accuracy import pose_difference as pose_difference
-from .accuracy import predicted_error_mm as predicted_error_mm
-from .accuracy import target_errors_mm as target_errors_mm
+from dvf_ig.registration.boundary.fit import EPICARDIUM_FIT as EPICARDIUM_FIT
+from dvf_ig.registration.boundary.fit import Boundary as Boundary
+from dvf_ig.registration.boundary.fit import BoundaryFitOptions as BoundaryFitOptions
+from dvf_ig.registration.boundary.fit import boundary_starts as boundary_starts
+from dvf_ig.registration.evidence.assessment import ImageStatistics as ImageStatistics
+from dvf_ig.registration.evidence.covariance import USUAL_PLACEMENT as USUAL_PLACEMENT
+from dvf_ig.registration.evidence.covariance import LeastConstrained as LeastConstrained
+from dvf_ig.registration.evidence.covariance import PlacementUncertainty as PlacementUncertainty
+from dvf_ig.registration.evidence.covariance import least_constrained_direction as least_constrained_direction
+from dvf_ig.registration.gating import FrameInformation as FrameInformation
+from dvf_ig.registration.gating import frame_information as frame_information
+from dvf_ig.registration.lc2.lc2 import SliceThreads as SliceThreads
+from dvf_ig.registration.lc2.patches import inverse_density_weights as inverse_density_weights
+from dvf_ig.registration.pose_chart import pose_difference as pose_difference
+from dvf_ig.registration.pose_chart import predicted_error_mm as predicted_error_mm
+from dvf_ig.registration.pose_chart import target_errors_mm as target_errors_mm
+from dvf_ig.registration.surface_points.touched import SurfaceDisagreement as SurfaceDisagreement
+from dvf_ig.registration.surface_points.touched import surface_disagreement as surface_disagreement
+
 from .boundary.fit import BoundaryFit as BoundaryFit
 from .boundary.fit import fit_boundary as fit_boundary
-from .boundary.options import EPICARDIUM_FIT as EPICARDIUM_FIT
-from .boundary.options import BoundaryFitOptions as BoundaryFitOptions
 from .boundary.points import BoundaryPointOptions as BoundaryPointOptions
 from .boundary.points import BoundaryPoints as BoundaryPoints
 from .boundary.points import boundary_points as boundary_points
-from .boundary.problem import Boundary as Boundary
-from .boundary.starts import boundary_starts as boundary_starts
 from .boundary.target import BoundaryTarget as BoundaryTarget
 from .boundary.target import signed_distance_mm as signed_distance_mm
 from .boundary.target import target_from_labels as target_from_labels
@@ -21,15 +33,10 @@ from .data import RegistrationData as RegistrationData
 from .data import RegistrationOptions as RegistrationOptions
 from .evidence.checks import Evidence as Evidence
 from .evidence.checks import Limits as Limits
-from .evidence.image_statistics import ImageStatistics as ImageStatistics
-from .evidence.least_constrained import LeastConstrained as LeastConstrained
-from .evidence.least_constrained import least_constrained_direction as least_constrained_direction
 from .evidence.pair_evidence import PairEvidence as PairEvidence
 from .evidence.phase_offset import PhaseOffset as PhaseOffset
 from .evidence.phase_offset import offset_of as offset_of
 from .evidence.phase_offset import phase_offset as phase_offset
-from .frame_information import FrameInformation as FrameInformation
-from .frame_information import frame_information as frame_information
 from .gating import PHASE_WINDOW as PHASE_WINDOW
 from .gating import FrameRejection as FrameRejection
 from .gating import Gated as Gated
@@ -39,7 +46,6 @@ from .lc2.channels import WALL as WALL
 from .lc2.channels import ModelChannels as ModelChannels
 from .lc2.channels import channels_from_labels as channels_from_labels
 from .lc2.channels import channels_from_mr as channels_from_mr
-from .lc2.density_weights import inverse_density_weights as inverse_density_weights
 from .lc2.lc2 import Lc2 as Lc2
 from .lc2.slices import SliceSet as SliceSet
 from .lc2.slices import TrackedImages as TrackedImages
@@ -47,10 +53,7 @@ from .lc2.slices import fan_mask_from_images as fan_mask_from_images
 from .lc2.slices import prepare_slices as prepare_slices
 from .lc2.slices import slices_of_volume as slices_of_volume
 from .lc2.slices import subsample as subsample
-from .lc2.threads import SliceThreads as SliceThreads
 from .pairs.pair import register_pair as register_pair
-from .placement import USUAL_PLACEMENT as USUAL_PLACEMENT
-from .placement import PlacementUncertainty as PlacementUncertainty
 from .pose_chart import PoseChart as PoseChart
 from .pose_chart import covariance_to_mm as covariance_to_mm
 from .result import RegistrationResult as RegistrationResult
@@ -59,8 +62,6 @@ from .start import LandmarkPrior as LandmarkPrior
 from .start import LandmarkStart as LandmarkStart
 from .start import prior_from_landmarks as prior_from_landmarks
 from .start import start_from_landmarks as start_from_landmarks
-from .surface_points.check import SurfaceDisagreement as SurfaceDisagreement
-from .surface_points.check import surface_disagreement as surface_disagreement
 from .surface_points.fit import RunnerUp as RunnerUp
 from .surface_points.fit import SurfacePointFit as SurfacePointFit
 from .surface_points.fit import start_from_surface_points as start_from_surface_points

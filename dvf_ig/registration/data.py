@@ -3,14 +3,13 @@
 from dataclasses import dataclass
 
 from dvf_ig.core import FloatArray, read_only_arrays
-from dvf_ig.registration.boundary.problem import Boundary
+from dvf_ig.registration.boundary.fit import Boundary
 from dvf_ig.registration.evidence.checks import IMAGE_LIMITS, Limits
+from dvf_ig.registration.evidence.covariance import PlacementUncertainty
 from dvf_ig.registration.lc2.channels import ModelChannels
-from dvf_ig.registration.lc2.lc2 import Lc2
+from dvf_ig.registration.lc2.lc2 import Lc2, SliceThreads
 from dvf_ig.registration.lc2.slices import SliceSet
-from dvf_ig.registration.lc2.threads import SliceThreads
 
-from .placement import PlacementUncertainty
 from .start import LandmarkPrior
 
 

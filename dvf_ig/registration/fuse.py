@@ -6,19 +6,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dvf_ig.core import FloatArray, Rigid, read_only_arrays
-from dvf_ig.registration.boundary.blocks import BlockedBoundary
 from dvf_ig.registration.boundary.fit import BoundaryFit, fit_boundary
-from dvf_ig.registration.deformation.blocks import BLOCK_MM, BlockedMatch
-from dvf_ig.registration.deformation.descent import pose_and_shape
 from dvf_ig.registration.evidence.covariance import covariance_mm2, placement_covariance_mm2
-from dvf_ig.registration.lc2.blocks import BlockedLc2
-from dvf_ig.registration.lc2.lc2 import Lc2
+from dvf_ig.registration.lc2.lc2 import Lc2, SliceThreads
 from dvf_ig.registration.lc2.slices import SliceSet, within
-from dvf_ig.registration.lc2.threads import SliceThreads
+from dvf_ig.registration.search import Refined
+from dvf_ig.registration.shape.blocks import BLOCK_MM, BlockedBoundary, BlockedLc2, BlockedMatch
+from dvf_ig.registration.shape.fit import pose_and_shape
 
 from .data import RegistrationData, RegistrationOptions
 from .pose_chart import PoseChart, covariance_from_mm
-from .refine import Refined
 
 
 @read_only_arrays

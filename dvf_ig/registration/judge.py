@@ -5,17 +5,15 @@ from dataclasses import replace
 import numpy as np
 
 from dvf_ig.core import Rigid, Stop, mean_displacement_mm
-from dvf_ig.registration.evidence.assessment import Assessment, Table, assess
-from dvf_ig.registration.evidence.checks import Evidence, wrong_pose_z_score
-from dvf_ig.registration.evidence.image_statistics import ImageStatistics
-from dvf_ig.registration.evidence.parts import part_disagreements
+from dvf_ig.registration.evidence.assessment import Assessment, ImageStatistics, Table, assess
+from dvf_ig.registration.evidence.checks import Evidence, part_disagreements, wrong_pose_z_score
 from dvf_ig.registration.evidence.phase_offset import phase_offset
 from dvf_ig.registration.lc2.lc2 import Lc2
+from dvf_ig.registration.search import Refined
 
 from .data import RegistrationData, RegistrationOptions
 from .fuse import Fused
 from .pose_chart import DISTINCT_MM, PoseChart
-from .refine import Refined
 
 
 def gather_evidence(

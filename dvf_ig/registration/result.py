@@ -3,8 +3,8 @@
 from dataclasses import dataclass, replace
 
 from dvf_ig.core import FloatArray, Rigid, Stop, read_only_arrays
+from dvf_ig.registration.evidence.assessment import ImageStatistics
 from dvf_ig.registration.evidence.checks import Evidence
-from dvf_ig.registration.evidence.image_statistics import ImageStatistics
 
 from .data import RegistrationOptions
 

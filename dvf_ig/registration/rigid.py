@@ -13,16 +13,14 @@ from collections.abc import Callable
 import numpy as np
 
 from dvf_ig.core import Rigid, mean_displacement_mm, untold
-from dvf_ig.registration.evidence.assessment import features_of, table_of
-from dvf_ig.registration.evidence.image_statistics import image_statistics
-from dvf_ig.registration.lc2.threads import SliceThreads
+from dvf_ig.registration.evidence.assessment import features_of, image_statistics, table_of
+from dvf_ig.registration.lc2.lc2 import SliceThreads
+from dvf_ig.registration.pose_chart import predicted_error_mm
+from dvf_ig.registration.search import find_candidates, refine
 
-from .accuracy import predicted_error_mm
-from .candidates import find_candidates
 from .data import RegistrationData, RegistrationOptions
 from .fuse import fuse
 from .judge import assessed, gather_evidence, second_best, stop_of
-from .refine import refine
 from .result import RegistrationResult
 
 

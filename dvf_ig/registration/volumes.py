@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from dvf_ig.core import FloatArray, InvalidInputError, Rigid, TrackedVolume, read_only_arrays
 from dvf_ig.kernels.compiled import thread_count
 from dvf_ig.kernels.grid.pool import pool_blocks, pool_cubes
+from dvf_ig.registration.boundary.fit import Boundary
 from dvf_ig.registration.boundary.points import boundary_points
-from dvf_ig.registration.boundary.problem import Boundary
 from dvf_ig.registration.boundary.target import BoundaryTarget
 from dvf_ig.registration.evidence.checks import VOLUME_LIMITS
 from dvf_ig.registration.lc2.channels import ModelChannels

@@ -14,7 +14,7 @@ from dvf_ig.registration import (
     start_from_surface_points,
     surface_disagreement,
 )
-from dvf_ig.registration.flipped_axes import require_on_model, require_unflipped
+from dvf_ig.registration.start import require_on_model, require_unflipped
 from dvf_ig.session import Heart
 
 NO_START = (

@@ -7,7 +7,7 @@ import pytest
 from toy_ball import ball_model
 
 from dvf_ig.core import DvfModel, InvalidInputError, Landmarks, Mesh, Points, Rigid
-from dvf_ig.registration.flipped_axes import FLIP, require_on_model, require_unflipped
+from dvf_ig.registration.start import FLIP, require_on_model, require_unflipped
 
 POSE = Rigid.from_rotation_vector([0.3, -0.5, 0.8], [60.0, -30.0, 12.0], "mr", "tracker")
 NAMES = tuple(f"p{k}" for k in range(6))

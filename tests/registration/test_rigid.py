@@ -109,7 +109,7 @@ def test_same_bits_at_one_and_two_threads(monkeypatch: pytest.MonkeyPatch) -> No
     levels, options = _levels(speckle=0.3), RegistrationOptions(starts=1)
     results = []
     for threads in (1, 2):
-        monkeypatch.setattr("dvf_ig.registration.lc2.threads.thread_count", lambda n=threads: n)
+        monkeypatch.setattr("dvf_ig.registration.lc2.lc2.thread_count", lambda n=threads: n)
         results.append(_register(levels, _displaced(6, 4, 3), seed=5, options=options))
     one, two = results
     np.testing.assert_array_equal(one.target_from_source.matrix, two.target_from_source.matrix)

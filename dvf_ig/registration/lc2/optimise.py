@@ -1,4 +1,4 @@
-"""Quasi-Newton optimisation of LC2 over the pose: some ten steps where a derivative-free search needs 100.
+"""Quasi-Newton optimisation of LC2 over the pose: about ten steps where a derivative-free search needs 100.
 
 The gradient is exact (`kernels.lc2.step`). The curvature starts as that of Gauss–Newton with the coefficients
 of the local fits fixed, divided by FIXED_FIT_STIFFNESS: fixed fits make a minimum appear that much narrower,
@@ -12,9 +12,8 @@ from typing import Protocol
 import numpy as np
 
 from dvf_ig.core import FloatArray, Rigid, read_only_arrays
+from dvf_ig.registration.lc2.lc2 import NormalEquations, Slope
 from dvf_ig.registration.pose_chart import PoseChart
-
-from .lc2 import NormalEquations, Slope
 
 DAMPING = 1e-3
 """Share of each coordinate's curvature that is added to it: undetermined directions take no steps."""
@@ -27,6 +26,8 @@ MIN_CURVATURE_SHARE = 0.05
 """The curvature learnt along a step is at least this share of what was expected (Powell's damping)."""
 MAX_REJECTED = 8
 """Steps in a row that raised the cost, after which the search ends."""
+PRIOR_SIGMA_MM = 6.0
+"""Standard deviation per coordinate: bounds what a beat, or a part of the slices, cannot observe."""
 
 
 class PoseMetric(Protocol):
@@ -165,3 +166,18 @@ def _local(
     share = 1.0 / metric.information
     touched = prior.normal_equations(pose, center_mm)[1]
     return _Local(cost + share * prior.energy(pose), gradient - share * touched)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GaussianPrior:
+    """A pose with a standard deviation of PRIOR_SIGMA_MM in every coordinate, as a prior of `optimise`."""
+
+    chart: PoseChart
+
+    def energy(self, pose: Rigid) -> float:
+        xi = self.chart.coordinates(pose)
+        return float(0.5 * (xi @ xi) / PRIOR_SIGMA_MM**2)
+
+    def normal_equations(self, pose: Rigid, center_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Small turns add: the Jacobian of ξ is taken as the identity, and the centre as the chart's."""
+        return np.eye(6) / PRIOR_SIGMA_MM**2, -self.chart.coordinates(pose) / PRIOR_SIGMA_MM**2

@@ -18,9 +18,9 @@ from dvf_ig.kernels.lc2.blocks import (
     sample_blocks,
     sum_count,
 )
+from dvf_ig.registration.lc2.lc2 import SliceThreads
 
 from .lc2 import NormalEquations, Score, Slope
-from .threads import SliceThreads
 
 MIN_FILL = 0.5
 """Least share of a patch that must be insonified."""

@@ -14,7 +14,7 @@ from dvf_ig.core import BoolArray, InvalidInputError, NoOverlapError, Rigid, Sto
 from dvf_ig.registration.data import RegistrationOptions
 from dvf_ig.registration.evidence.checks import Evidence, Limits
 from dvf_ig.registration.evidence.pair_evidence import PairEvidence
-from dvf_ig.registration.lc2.threads import SliceThreads
+from dvf_ig.registration.lc2.lc2 import SliceThreads
 from dvf_ig.registration.lc2.volume_lc2 import VolumeLc2, blocks_of
 from dvf_ig.registration.result import RegistrationResult
 

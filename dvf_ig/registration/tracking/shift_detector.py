@@ -27,7 +27,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dvf_ig.core import FloatArray, Rigid, mean_displacement_mm, read_only_arrays
-from dvf_ig.registration.gaussian_prior import PRIOR_SIGMA_MM
+from dvf_ig.registration.lc2.optimise import PRIOR_SIGMA_MM
 from dvf_ig.registration.pose_chart import PoseChart
 
 from .pose_estimate import BeatMeasurement, PoseEstimate

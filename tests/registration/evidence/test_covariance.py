@@ -6,9 +6,8 @@ from toy_heart import CENTER_MM, toy_mr, toy_pose, toy_slices
 
 from dvf_ig.core import HEART_RADIUS_MM, FloatArray, Rigid
 from dvf_ig.registration import Lc2, PlacementUncertainty, SliceSet, channels_from_mr
-from dvf_ig.registration.evidence.sandwich import sandwich
-from dvf_ig.registration.lc2.blocks import BlockedLc2
-from dvf_ig.registration.placement import clock_covariance_mm2, image_covariance_mm2
+from dvf_ig.registration.evidence.covariance import clock_covariance_mm2, image_covariance_mm2, sandwich
+from dvf_ig.registration.shape.blocks import BlockedLc2
 
 MODEL = channels_from_mr(toy_mr(), smoothing_mm=3.0)
 SLICES = toy_slices(toy_mr(), toy_pose(), np.random.default_rng(0), pitch_mm=3.0, speckle=0.3)

@@ -32,7 +32,7 @@ from dvf_ig.registration import (
     surface_disagreement,
     target_errors_mm,
 )
-from dvf_ig.registration.surface_points.distance import SurfaceDistance
+from dvf_ig.registration.surface_points.touched import SurfaceDistance
 
 SEED = 201
 

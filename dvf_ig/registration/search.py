@@ -1,22 +1,21 @@
-"""Candidate poses of a registration: many starts optimised on coarse slices, the best distinct ones kept.
+"""Search for the pose: many starts optimised on coarse slices, the best distinct ones refined on fine slices.
 
 Where the model's surface is known, the starts are many fits of the ultrasound's boundary to it, some
 milliseconds each; elsewhere short optimisations of LC2 from displaced copies of the start.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from dvf_ig.core import Rigid
-from dvf_ig.registration.boundary.problem import Boundary
-from dvf_ig.registration.boundary.starts import boundary_starts
-from dvf_ig.registration.lc2.lc2 import Lc2
+from dvf_ig.registration.boundary.fit import Boundary, boundary_starts
+from dvf_ig.registration.data import RegistrationData, RegistrationOptions
+from dvf_ig.registration.lc2.lc2 import Lc2, SliceThreads
 from dvf_ig.registration.lc2.optimise import OptimiserOptions, Optimum, optimise
-
-from .data import RegistrationData, RegistrationOptions
-from .pose_chart import PoseChart, distinct, random_displacements
+from dvf_ig.registration.lc2.slices import within
+from dvf_ig.registration.pose_chart import PoseChart, distinct, random_displacements
 
 EXPLORATION = OptimiserOptions(steps=7, cap_mm=8.0, tolerance_mm=0.3)
 """From displaced starts, where the model's surface is not known:"""
@@ -25,6 +24,8 @@ COARSE = OptimiserOptions(steps=16, cap_mm=6.0, tolerance_mm=0.2)
 BOUNDARY_STARTS, BOUNDARY_SPREAD_MM, BOUNDARY_KEPT = 24, 12.0, 3
 """Displaced copies of the start from which the boundary is fitted, how far they are displaced at the heart's
 radius, and how many distinct ends are candidates."""
+FINE = OptimiserOptions(steps=30, cap_mm=2.0, tolerance_mm=0.01)
+"""Of the candidates on fine slices:"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,3 +103,45 @@ def _best_distinct(optima: Sequence[Optimum], data: RegistrationData, count: int
     """Poses of the best optima that are not one another's neighbours, best first."""
     poses = [optimum.pose for optimum in sorted(optima, key=lambda optimum: optimum.cost)]
     return tuple(poses[k] for k in distinct(poses, data.center_mm)[:count])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Refined:
+    """Refined candidates, and the metrics that they were refined by.
+
+    Attributes:
+        whole: LC2 on all fine slices.
+        optima: of the candidates by `whole`, best first.
+        inside: LC2 on what of the fine slices lies within the model's volume at the best optimum.
+        best: optimum by `inside`.
+    """
+
+    whole: Lc2
+    optima: tuple[Optimum, ...]
+    inside: Lc2
+    best: Optimum
+
+    @property
+    def evaluations(self) -> int:
+        return sum(optimum.evaluations for optimum in (*self.optima, self.best))
+
+
+def refine(
+    data: RegistrationData,
+    candidates: Candidates,
+    *,
+    options: RegistrationOptions,
+    threads: SliceThreads,
+    report_progress: Callable[[float], None],
+) -> Refined:
+    """Optimise every candidate on fine slices, and rank them by their cost there."""
+    whole = data.fine.metric(options, threads)
+    optima: list[Optimum] = []
+    for k, pose in enumerate(candidates.poses):
+        optima.append(optimise(whole, pose, data.center_mm, data.prior, FINE))
+        report_progress((k + 1) / len(candidates.poses))
+    optima.sort(key=lambda optimum: optimum.cost)
+    covered = within(data.fine.slices, data.fine.model.grid, optima[0].pose)
+    inside = replace(data.fine, slices=covered).metric(options, threads)
+    best = optimise(inside, optima[0].pose, data.center_mm, data.prior, FINE)
+    return Refined(whole, tuple(optima), inside, best)

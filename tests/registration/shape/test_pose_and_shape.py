@@ -6,10 +6,8 @@ from toy_volume import toy_surface
 
 from dvf_ig.core import FloatArray, Rigid, mean_displacement_mm
 from dvf_ig.registration import Boundary, Lc2, PoseChart, boundary_points, channels_from_mr
-from dvf_ig.registration.boundary.blocks import BlockedBoundary
-from dvf_ig.registration.deformation.blocks import BLOCK_MM, BlockedMatch
-from dvf_ig.registration.deformation.descent import pose_and_shape
-from dvf_ig.registration.lc2.blocks import BlockedLc2
+from dvf_ig.registration.shape.blocks import BLOCK_MM, BlockedBoundary, BlockedLc2, BlockedMatch
+from dvf_ig.registration.shape.fit import pose_and_shape
 
 SLICES = toy_slices(toy_mr(), toy_pose(), np.random.default_rng(0), pitch_mm=3.0, speckle=0.3)
 METRIC = Lc2(SLICES, channels_from_mr(toy_mr(), smoothing_mm=3.0), patch_mm=13.0, pitch_mm=3.0)

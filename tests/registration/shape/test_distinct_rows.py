@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dvf_ig.registration.distinct_rows import distinct_rows
+from dvf_ig.registration.shape.blocks import distinct_rows
 
 
 @given(st.lists(st.tuples(*[st.integers(-9, 9)] * 4), min_size=1, max_size=40))

@@ -6,17 +6,9 @@ import numpy as np
 import pytest
 
 from dvf_ig.core import HEART_RADIUS_MM, FloatArray
-from dvf_ig.registration.deformation.blocks import about_no_shift
-from dvf_ig.registration.deformation.joint_fit import (
-    OWN_MM,
-    SHIFT,
-    BlockCosts,
-    JointFit,
-    joint_fit,
-    none_negative,
-)
-from dvf_ig.registration.deformation.prior import RMS_MM, deformation_factor
 from dvf_ig.registration.pose_chart import rigid_motion
+from dvf_ig.registration.shape.blocks import SHIFT, BlockCosts, about_no_shift, none_negative
+from dvf_ig.registration.shape.fit import OWN_MM, RMS_MM, JointFit, deformation_factor, joint_fit
 
 CENTER_MM = np.array([10.0, -5.0, 30.0])
 STIFFNESS = 25.0
