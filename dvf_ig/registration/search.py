@@ -5,27 +5,28 @@ milliseconds each; elsewhere short optimisations of LC2 from displaced copies of
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from dvf_ig.core import Rigid
 from dvf_ig.registration.boundary.fit import Boundary, boundary_starts
-from dvf_ig.registration.data import RegistrationData, RegistrationOptions
-from dvf_ig.registration.lc2.lc2 import Lc2, SliceThreads
+from dvf_ig.registration.lc2.lc2 import Lc2
 from dvf_ig.registration.lc2.optimise import OptimiserOptions, Optimum, optimise
 from dvf_ig.registration.lc2.slices import within
-from dvf_ig.registration.pose_chart import PoseChart, distinct, random_displacements
+
+from .images import Problem
+from .pose_chart import PoseChart, distinct, random_displacements
 
 EXPLORATION = OptimiserOptions(steps=7, cap_mm=8.0, tolerance_mm=0.3)
-"""From displaced starts, where the model's surface is not known:"""
+"""Descents from displaced starts if the model's surface is not known."""
 COARSE = OptimiserOptions(steps=16, cap_mm=6.0, tolerance_mm=0.2)
-"""Of the candidates on coarse slices:"""
+"""Descents of the candidates on coarse slices."""
+FINE = OptimiserOptions(steps=30, cap_mm=2.0, tolerance_mm=0.01)
+"""Descents of the candidates on fine slices."""
 BOUNDARY_STARTS, BOUNDARY_SPREAD_MM, BOUNDARY_KEPT = 24, 12.0, 3
 """Displaced copies of the start from which the boundary is fitted, how far they are displaced at the heart's
 radius, and how many distinct ends are candidates."""
-FINE = OptimiserOptions(steps=30, cap_mm=2.0, tolerance_mm=0.01)
-"""Of the candidates on fine slices:"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,43 +38,41 @@ class Candidates:
 
 
 def find_candidates(
-    data: RegistrationData,
+    problem: Problem,
     metric: Lc2,
     start: Rigid,
     *,
     rng: np.random.Generator,
-    options: RegistrationOptions,
     report_progress: Callable[[float], None],
 ) -> Candidates:
-    """The best distinct poses on coarse slices.
+    """Find the best distinct poses on coarse slices.
 
     Args:
         metric: LC2 on the coarse slices.
         rng: draws the displaced starts.
     """
-    if data.visible_boundary is not None:
-        poses, evaluations = _boundary_fits(data.visible_boundary, data, start, rng, options), 0
+    if problem.visible_boundary is not None:
+        poses, evaluations = _boundary_fits(problem.visible_boundary, problem, start, rng), 0
     else:
-        poses, evaluations = _displaced_optima(data, metric, start, rng, options, report_progress)
-    optima = [optimise(metric, pose, data.center_mm, data.prior, COARSE) for pose in poses]
-    best = _best_distinct(optima, data, options.candidates)
+        poses, evaluations = _displaced_optima(problem, metric, start, rng, report_progress)
+    optima = [optimise(metric, pose, problem.center_mm, problem.prior, COARSE) for pose in poses]
+    best = _best_distinct(optima, problem, problem.options.candidates)
     return Candidates(best, evaluations + sum(optimum.evaluations for optimum in optima))
 
 
 def _boundary_fits(
     boundary: Boundary,
-    data: RegistrationData,
+    problem: Problem,
     start: Rigid,
     rng: np.random.Generator,
-    options: RegistrationOptions,
 ) -> tuple[Rigid, ...]:
-    """The start, and the best distinct fits of the boundary from it and displaced copies of it."""
+    """Return the start, and the best distinct fits of the boundary from it and displaced copies of it."""
     fits = boundary_starts(
         boundary,
         start,
-        data.center_mm,
+        problem.center_mm,
         rng=rng,
-        count=BOUNDARY_STARTS if options.starts else 0,
+        count=BOUNDARY_STARTS if problem.options.starts else 0,
         spread_mm=BOUNDARY_SPREAD_MM,
         keep=BOUNDARY_KEPT,
     )
@@ -81,28 +80,27 @@ def _boundary_fits(
 
 
 def _displaced_optima(
-    data: RegistrationData,
+    problem: Problem,
     metric: Lc2,
     start: Rigid,
     rng: np.random.Generator,
-    options: RegistrationOptions,
     report_progress: Callable[[float], None],
 ) -> tuple[tuple[Rigid, ...], int]:
-    """The best distinct ends of short optimisations from the start and displaced copies; evaluations."""
-    chart = PoseChart(start, data.center_mm)
+    """Run short descents from displaced copies of the start; return the best distinct ends and the effort."""
+    chart, options = PoseChart(start, problem.center_mm), problem.options
     displacements = random_displacements(rng, options.starts, options.spread_mm)
     optima: list[Optimum] = []
     for k, xi in enumerate(np.vstack([np.zeros(6), displacements])):
-        optima.append(optimise(metric, chart.pose(xi), data.center_mm, data.prior, EXPLORATION))
+        optima.append(optimise(metric, chart.pose(xi), problem.center_mm, problem.prior, EXPLORATION))
         report_progress((k + 1) / (options.starts + 1))
     evaluations = sum(optimum.evaluations for optimum in optima)
-    return _best_distinct(optima, data, 2 * options.candidates), evaluations
+    return _best_distinct(optima, problem, 2 * options.candidates), evaluations
 
 
-def _best_distinct(optima: Sequence[Optimum], data: RegistrationData, count: int) -> tuple[Rigid, ...]:
+def _best_distinct(optima: Sequence[Optimum], problem: Problem, count: int) -> tuple[Rigid, ...]:
     """Poses of the best optima that are not one another's neighbours, best first."""
     poses = [optimum.pose for optimum in sorted(optima, key=lambda optimum: optimum.cost)]
-    return tuple(poses[k] for k in distinct(poses, data.center_mm)[:count])
+    return tuple(poses[k] for k in distinct(poses, problem.center_mm)[:count])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -112,7 +110,7 @@ class Refined:
     Attributes:
         whole: LC2 on all fine slices.
         optima: of the candidates by `whole`, best first.
-        inside: LC2 on what of the fine slices lies within the model's volume at the best optimum.
+        inside: LC2 on the part of the fine slices within the model's volume at the best optimum.
         best: optimum by `inside`.
     """
 
@@ -126,22 +124,14 @@ class Refined:
         return sum(optimum.evaluations for optimum in (*self.optima, self.best))
 
 
-def refine(
-    data: RegistrationData,
-    candidates: Candidates,
-    *,
-    options: RegistrationOptions,
-    threads: SliceThreads,
-    report_progress: Callable[[float], None],
-) -> Refined:
-    """Optimise every candidate on fine slices, and rank them by their cost there."""
-    whole = data.fine.metric(options, threads)
+def refine(problem: Problem, candidates: Candidates, *, report_progress: Callable[[float], None]) -> Refined:
+    """Optimise every candidate on fine slices, and the best once more within the model's volume."""
+    whole = problem.fine_lc2()
     optima: list[Optimum] = []
     for k, pose in enumerate(candidates.poses):
-        optima.append(optimise(whole, pose, data.center_mm, data.prior, FINE))
+        optima.append(optimise(whole, pose, problem.center_mm, problem.prior, FINE))
         report_progress((k + 1) / len(candidates.poses))
     optima.sort(key=lambda optimum: optimum.cost)
-    covered = within(data.fine.slices, data.fine.model.grid, optima[0].pose)
-    inside = replace(data.fine, slices=covered).metric(options, threads)
-    best = optimise(inside, optima[0].pose, data.center_mm, data.prior, FINE)
+    inside = problem.fine_lc2(within(problem.images.fine.slices, problem.heart.fine.grid, optima[0].pose))
+    best = optimise(inside, optima[0].pose, problem.center_mm, problem.prior, FINE)
     return Refined(whole, tuple(optima), inside, best)

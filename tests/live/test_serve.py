@@ -14,13 +14,13 @@ from waiting import until
 from dvf_ig.cli.main import app
 from dvf_ig.cli.serve.setup import LiveSetup
 from dvf_ig.core import DvfIgError, Points, Preop, Rigid, Scenario, UnreadableFileError
+from dvf_ig.intake.calibrations import calibrate
 from dvf_ig.io import LivePatient, read_live_patient
 from dvf_ig.io.session_file.fit import require_live_fit
 from dvf_ig.io.session_file.live import EcgFieldConfig, EcgTailConfig, LiveConfig
 from dvf_ig.live.igtl import Image, Message, Transform
 from dvf_ig.live.link import Inbox, connect, listen
 from dvf_ig.live.player import ECG, IMAGE, PROBE, TOOL, messages_of, play
-from dvf_ig.replay.calibrations import calibrate
 from dvf_ig.replay.view_file import read_view_file
 
 RUNNER = CliRunner()

@@ -35,9 +35,10 @@ from dvf_ig.kernels.boundary import (
     boundary_residuals,
     boundary_step_sums,
 )
-from dvf_ig.registration.boundary.points import BoundaryPoints
-from dvf_ig.registration.boundary.target import BoundaryTarget
 from dvf_ig.registration.pose_chart import PoseChart, covariance_from_mm, distinct, random_displacements
+
+from .points import BoundaryPoints
+from .target import BoundaryTarget
 
 NEAR_MM = 2.0
 """A point lies on the surface where it is so near to it."""

@@ -22,8 +22,9 @@ from typing import Any
 import numpy as np
 
 from dvf_ig.core import FloatArray, read_only_arrays
-from dvf_ig.registration.evidence.checks import Evidence
 from dvf_ig.registration.lc2.slices import SliceSet
+
+from .checks import Evidence
 
 SUCCESS_MM = 2.0
 """A pose whose mean target error is below this is a success."""

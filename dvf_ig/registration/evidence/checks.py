@@ -17,12 +17,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dvf_ig.core import HEART_RADIUS_MM, BoolArray, FloatArray, Rigid, mean_displacement_mm, read_only_arrays
-from dvf_ig.registration.evidence.pair_evidence import PairEvidence
-from dvf_ig.registration.evidence.phase_offset import PhaseOffset
 from dvf_ig.registration.lc2.lc2 import Lc2
 from dvf_ig.registration.lc2.optimise import GaussianPrior, OptimiserOptions, optimise
 from dvf_ig.registration.lc2.slices import SliceSet
 from dvf_ig.registration.pose_chart import PoseChart, random_displacements
+
+from .pair_evidence import PairEvidence
+from .phase_offset import PhaseOffset
 
 WRONG_POSES, WRONG_MM = 24, 20.0
 """How many wrong poses the z-score compares with, and how far away they lie."""

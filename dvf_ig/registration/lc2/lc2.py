@@ -39,9 +39,10 @@ from dvf_ig.kernels.lc2.slices import (
     lc2_slices,
 )
 from dvf_ig.kernels.lc2.step import FORCE, MATRIX, STEP_SCORE, STEP_SUMS, STEP_WEIGHT, lc2_step_slices
-from dvf_ig.registration.lc2.channels import ModelChannels
-from dvf_ig.registration.lc2.patches import patches_of, pixel_runs, slice_parts
-from dvf_ig.registration.lc2.slices import SliceSet
+
+from .channels import ModelChannels
+from .patches import patches_of, pixel_runs, slice_parts
+from .slices import SliceSet
 
 _TRIANGLE = np.array([[0, 1, 3], [1, 2, 4], [3, 4, 5]])
 """Where the entries of a symmetric matrix lie in its lower triangle by rows."""

@@ -12,8 +12,9 @@ from typing import Protocol
 import numpy as np
 
 from dvf_ig.core import FloatArray, Rigid, read_only_arrays
-from dvf_ig.registration.lc2.lc2 import NormalEquations, Slope
 from dvf_ig.registration.pose_chart import PoseChart
+
+from .lc2 import NormalEquations, Slope
 
 DAMPING = 1e-3
 """Share of each coordinate's curvature that is added to it: undetermined directions take no steps."""

@@ -25,7 +25,8 @@ from dvf_ig.kernels.lc2.slices import (
     ROW,
     PatchedSlices,
 )
-from dvf_ig.registration.lc2.slices import SliceSet
+
+from .slices import SliceSet
 
 LEAST_DENSITY = 0.3
 """Share of the median density below which a patch counts no more: a lone patch is not worth many."""

@@ -18,9 +18,8 @@ from dvf_ig.kernels.lc2.blocks import (
     sample_blocks,
     sum_count,
 )
-from dvf_ig.registration.lc2.lc2 import SliceThreads
 
-from .lc2 import NormalEquations, Score, Slope
+from .lc2 import NormalEquations, Score, SliceThreads, Slope
 
 MIN_FILL = 0.5
 """Least share of a patch that must be insonified."""

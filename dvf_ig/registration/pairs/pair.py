@@ -11,9 +11,9 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from dvf_ig.core import BoolArray, InvalidInputError, NoOverlapError, Rigid, Stop, Volume, untold
-from dvf_ig.registration.data import RegistrationOptions
 from dvf_ig.registration.evidence.checks import Evidence, Limits
 from dvf_ig.registration.evidence.pair_evidence import PairEvidence
+from dvf_ig.registration.images import RegistrationOptions
 from dvf_ig.registration.lc2.lc2 import SliceThreads
 from dvf_ig.registration.lc2.volume_lc2 import VolumeLc2, blocks_of
 from dvf_ig.registration.result import RegistrationResult
@@ -90,6 +90,7 @@ def register_pair(
     overlap = share_inside(anatomies, fans[-1], found.pose)
     return RegistrationResult(
         target_from_source=found.pose,
+        start=start,
         stop=stop_of(pair, overlap, moved_mm),
         success_probability=pair.success_probability,
         tre_bound_mm=None,

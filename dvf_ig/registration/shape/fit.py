@@ -24,7 +24,8 @@ from scipy.linalg.lapack import dpstrf
 from dvf_ig.core import HEART_RADIUS_MM, FloatArray, Rigid, read_only_arrays
 from dvf_ig.kernels.boundary import UNKNOWNS
 from dvf_ig.registration.pose_chart import PoseChart, rigid_motion
-from dvf_ig.registration.shape.blocks import POSE, SHIFT, BlockCosts, BlockedMatch, Influences, about_no_shift
+
+from .blocks import POSE, SHIFT, BlockCosts, BlockedMatch, Influences, about_no_shift
 
 LENGTH_MM, RMS_MM = 45.0, 1.5
 """Tracked sweeps of tuning hearts 1001–1008, calm, 1.2 mm different over 30 mm: on average 1.68 mm off

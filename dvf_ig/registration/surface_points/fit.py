@@ -31,7 +31,8 @@ from dvf_ig.core import (
 )
 from dvf_ig.registration.evidence.covariance import LeastConstrained, least_constrained_direction
 from dvf_ig.registration.pose_chart import PoseChart, covariance_from_mm, distinct, random_displacements
-from dvf_ig.registration.surface_points.touched import SurfaceDistance, TouchedPoints, require_spread
+
+from .touched import SurfaceDistance, TouchedPoints, require_spread
 
 AROUND, AROUND_MM = 24, 20.0
 """Displaced copies of a coarse start, and how far they are displaced at the heart's radius."""

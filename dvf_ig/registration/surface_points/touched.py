@@ -186,17 +186,24 @@ class SurfaceDisagreement:
         return f"{found}; needed at most {self.limit_mm:.1f} mm): the pose or the touched points are wrong"
 
 
-def surface_disagreement(pose: Rigid, touched: TouchedPoints, model: DvfModel) -> SurfaceDisagreement:
-    """Check a registered pose against points touched on the surface.
+@dataclass(frozen=True, slots=True, eq=False)
+class TouchedSurface:
+    """Points touched on the heart, and the model whose surface they should lie on."""
 
-    The median of |d| of n points of normal spread s is (0.89 ± 0.79/√n) s with OUTLIER_SHARE of outliers;
-    s² = σ² + ALLOWED_MM²/3, and three standard deviations are allowed. A pose that slides the surface on
-    itself stays unseen.
+    points: TouchedPoints
+    model: DvfModel
 
-    Raises:
-        FrameMismatchError: the pose does not map the points into the model's frame.
-    """
-    distance = SurfaceDistance(touched, model, np.zeros(3)).residuals_mm(pose)
-    spread = float(np.hypot(touched.sigma_mm, ALLOWED_MM / np.sqrt(3)))
-    limit = spread * (0.89 + 3 * 0.79 / np.sqrt(len(touched)))
-    return SurfaceDisagreement(float(np.median(np.abs(distance))), float(limit), distance)
+    def disagreement(self, pose: Rigid) -> SurfaceDisagreement:
+        """Check a registered pose.
+
+        The median of |d| of n points of normal spread s is (0.89 ± 0.79/√n) s with OUTLIER_SHARE of outliers;
+        s² = σ² + ALLOWED_MM²/3, and three standard deviations are allowed. A pose that slides the surface on
+        itself stays unseen.
+
+        Raises:
+            FrameMismatchError: the pose does not map the points into the model's frame.
+        """
+        distance = SurfaceDistance(self.points, self.model, np.zeros(3)).residuals_mm(pose)
+        spread = float(np.hypot(self.points.sigma_mm, ALLOWED_MM / np.sqrt(3)))
+        limit = spread * (0.89 + 3 * 0.79 / np.sqrt(len(self.points)))
+        return SurfaceDisagreement(float(np.median(np.abs(distance))), float(limit), distance)

@@ -5,10 +5,10 @@ from typing import Any
 import numpy as np
 
 from dvf_ig.registration import PairEvidence, RegistrationResult, least_constrained_direction
-from dvf_ig.session import Attempt
+from dvf_ig.session import RegistrationRecord
 
 
-def attempt_fields(attempt: Attempt) -> dict[str, Any]:
+def attempt_fields(attempt: RegistrationRecord) -> dict[str, Any]:
     """One registration that was asked for, with its evidence where it gave a pose."""
     result = attempt.result
     out: dict[str, Any] = {

@@ -12,6 +12,7 @@ import numpy as np
 
 from dvf_ig.core import FloatArray, Rigid, read_only_arrays
 from dvf_ig.registration import (
+    DENSITY_WIDTH_MM,
     BeatMeasurement,
     FrameRejection,
     Lc2,
@@ -21,7 +22,6 @@ from dvf_ig.registration import (
     measure_beat,
 )
 
-from .frame_registration import DENSITY_WIDTH_MM
 from .gated_frames import UltrasoundRecording, gate_recording, slices_of, ultrasound_mask
 
 BEAT_PITCH_MM = 2.0

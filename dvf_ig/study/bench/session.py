@@ -10,7 +10,7 @@ import numpy as np
 
 from data_synth import ScenarioSpec, phantom_scenario
 from dvf_ig.core import DvfModel, FloatArray, InvalidInputError, Scenario
-from dvf_ig.replay.calibrations import calibrate
+from dvf_ig.intake.calibrations import calibrate
 from dvf_ig.replay.operator import SimulatedOperator
 from dvf_ig.session import InCaller, Session, SessionSetup, beat_source_of, build_heart
 

@@ -13,7 +13,7 @@ from data_synth import PairSpec, ScenarioSpec, child_rng, image_pair, phantom_sc
 from data_synth.organ_pair.pair import displaced_start, organ_pair
 from dvf_ig.core import Rigid
 from dvf_ig.registration import RegistrationResult, register_pair, target_errors_mm
-from dvf_ig.replay import register_scenario
+from dvf_ig.replay.registration import recorded_ultrasound
 from dvf_ig.session import (
     build_heart,
     gate_recording,
@@ -108,7 +108,7 @@ def _sweep(seed: int, quality: str) -> Case:
     targets = truth.targets.points
     known = Truth(truth.mr_from_tracker_at(0.0), targets, targets.xyz_mm.mean(axis=0))
     start = start_with_error(known, START_MM, child_rng(seed, "constants"))
-    recording = register_scenario(scenario, start).recording
+    recording = recorded_ultrasound(replace(scenario, start=start))
 
     def register(anew: bool) -> RegistrationResult:
         heart = build_heart(scenario.preop, recording.heart.model) if anew else recording.heart

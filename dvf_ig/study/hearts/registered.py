@@ -150,8 +150,8 @@ def _registered_sweep(
     center = (box.min(axis=0) + box.max(axis=0)) / 2
     known = Truth(truth.mr_from_tracker_at(0.0), truth.targets.points, center)
     start = start_with_error(known, float(rng.uniform(*start_mm)), rng)
-    done = register_scenario(scenario, start, heart=heart, seed=seed)
-    return RegisteredHeart(done.result, start, known, drawn)
+    result = register_scenario(scenario, start, heart=heart, seed=seed)
+    return RegisteredHeart(result, start, known, drawn)
 
 
 def _disturbed(preset: Preset, rng: np.random.Generator) -> tuple[Preset, dict[str, float]]:

@@ -9,7 +9,7 @@ from dvf_ig.core import BoolArray, FloatArray, IntArray, ScenarioTruth, read_onl
 from dvf_ig.guidance import Status, SupervisorState
 from dvf_ig.replay import Replay
 from dvf_ig.replay.result.score import pose_errors_mm
-from dvf_ig.session import Attempt
+from dvf_ig.session import RegistrationRecord
 
 from .asked import asked_at
 from .run import LiveRun
@@ -112,7 +112,7 @@ def _registrations(live: LiveRun, replay: Replay) -> list[dict[str, Any]]:
     return rows
 
 
-def _attempt(attempt: Attempt | None, offset_s: float) -> dict[str, Any] | None:
+def _attempt(attempt: RegistrationRecord | None, offset_s: float) -> dict[str, Any] | None:
     if attempt is None:
         return None
     asked_s, ready_s = attempt.asked_s + offset_s, attempt.ready_s + offset_s

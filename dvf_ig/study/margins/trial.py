@@ -13,11 +13,11 @@ import numpy as np
 from data_synth import ScenarioSpec, child_rng, phantom_scenario
 from dvf_ig.core import FloatArray, InvalidInputError, Scenario, ScenarioTruth
 from dvf_ig.guidance import Evaluator, Sigmoid, Status
+from dvf_ig.intake.calibrations import calibrate
+from dvf_ig.intake.start import landmarks_start, start_pose
 from dvf_ig.io import cached_model
 from dvf_ig.replay import events_of
-from dvf_ig.replay.calibrations import calibrate
 from dvf_ig.replay.preconditions import tool_of
-from dvf_ig.replay.start import landmarks_start, start_pose
 from dvf_ig.session import GuidanceState, Heart, Session, SessionSetup, beat_source_of, build_heart
 from dvf_ig.session.margins import sigma_at
 from dvf_ig.study.hearts.registered import MOTION, VARIED

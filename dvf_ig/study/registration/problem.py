@@ -29,21 +29,19 @@ from dvf_ig.core import (
     read_only_arrays,
 )
 from dvf_ig.registration import (
-    GREY_VOLUMES,
     VOLUME_SMOOTHING_MM,
-    Boundary,
     BoundaryTarget,
+    HeartChannels,
     Level,
     ModelChannels,
-    RegistrationData,
     RegistrationResult,
     TrackedImages,
-    VolumeTarget,
+    UltrasoundImages,
     boundary_points,
     channels_from_mr,
+    images_of_volumes,
     prepare_slices,
-    register_rigid,
-    register_volumes,
+    register,
     target_from_labels,
 )
 from dvf_ig.session.heart import label_map
@@ -141,17 +139,18 @@ def volume_problem(pair: ImagePair, volumes: tuple[TrackedVolume, ...]) -> Regis
 def _problem_with(
     pair: ImagePair, volumes: tuple[TrackedVolume, ...], preop: _PreOperative, surface: BoundaryTarget | None
 ) -> RegistrationProblem:
-    target, mr = VolumeTarget(preop.gated, pair.center_mm, surface, kind=GREY_VOLUMES), preop.mr
+    heart, mr = HeartChannels(preop.gated, preop.gated, pair.center_mm, surface), preop.mr
 
-    def register(start: Rigid, rng: np.random.Generator) -> RegistrationResult:
-        return register_volumes(volumes, target, start, rng=rng, clock=perf_counter)
+    def solve(start: Rigid, rng: np.random.Generator) -> RegistrationResult:
+        images = images_of_volumes(volumes, grey=True)
+        return register(images, heart, start, rng=rng, clock=perf_counter)
 
     first = volumes[0]
     return RegistrationProblem(
         pair.mr_from_tracker,
         pair.targets.points,
         pair.center_mm,
-        register,
+        solve,
         in_tracker(first.image, first.tracker_from_image),
         in_tracker(first.mask, first.tracker_from_image),
         mr.phase(_nearest(mr, first.model_phase)),
@@ -206,22 +205,19 @@ def _planes(pair: ImagePair, condition: dict[str, Any]) -> RegistrationProblem:
     mask = probe.fan.mask(*images.shape[1:])
     tracked = TrackedImages(images, stream.rotations, stream.translations_mm, model_phase, sequence.t_s)
     levels = [
-        Level(
-            prepare_slices(tracked, mask, image_map, pitch_mm=pitch),
-            _channels(pair.spec.seed, pair.spec.motion, pair.spec.heart, smoothing),
-            pitch,
-        )
-        for pitch, smoothing in PLANE_LEVELS
+        Level(prepare_slices(tracked, mask, image_map, pitch_mm=pitch), pitch) for pitch, _ in PLANE_LEVELS
     ]
+    coarse, fine = (
+        _channels(pair.spec.seed, pair.spec.motion, pair.spec.heart, smoothing)
+        for _, smoothing in PLANE_LEVELS
+    )
+    heart = HeartChannels(coarse, fine, pair.center_mm, target_from_labels(preop.labels, model_phase))
 
-    surface = target_from_labels(preop.labels, model_phase)
+    def solve(start: Rigid, rng: np.random.Generator) -> RegistrationResult:
+        images = UltrasoundImages(levels[0], levels[1], boundary_points(levels[1].slices))
+        return register(images, heart, start, rng=rng, clock=perf_counter)
 
-    def register(start: Rigid, rng: np.random.Generator) -> RegistrationResult:
-        boundary = Boundary(boundary_points(levels[1].slices), surface)
-        data = RegistrationData(levels[0], levels[1], pair.center_mm, boundary)
-        return register_rigid(data, start, rng=rng, clock=perf_counter)
-
-    return RegistrationProblem(pair.mr_from_tracker, pair.targets.points, pair.center_mm, register)
+    return RegistrationProblem(pair.mr_from_tracker, pair.targets.points, pair.center_mm, solve)
 
 
 def _miscalibrated(probe: SectorProbe, off_mm: float, seed: int) -> ImageMap:

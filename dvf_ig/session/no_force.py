@@ -1,16 +1,13 @@
-"""Why a replay gave no force at all, and how to mend it."""
+"""Why a session gave no force at all, and what to do."""
 
 from collections.abc import Mapping
 from enum import Enum
 
-import numpy as np
-
 from dvf_ig.guidance import Status
-from dvf_ig.replay.engine import Replay
 
 
 class NoForce(Enum):
-    """Each value is the sentence that a user reads; `{share}` is of the ticks from the first pose on."""
+    """Each value is the sentence that a user reads; `{share}` counts the ticks from the first pose on."""
 
     STALE_TOOL = (
         "the tool's pose was not known in {share:.0%} of the ticks: check that its recording covers the time "
@@ -33,27 +30,20 @@ class NoForce(Enum):
     )
 
 
-def no_force_of(replay: Replay) -> str | None:
-    """The sentence of the status that most ticks had once there was a pose; None where a tick was valid."""
-    found, count = np.unique(replay.ticks.status, return_counts=True)
-    counts = {Status(code): n for code, n in zip(found.tolist(), count.tolist(), strict=True)}
-    reason = replay.attempts[-1].reason if replay.attempts else None
-    return no_force(counts, posed=bool(replay.poses), reason=reason)
-
-
 def no_force(counts: Mapping[Status, int], *, posed: bool, reason: str | None) -> str | None:
-    """The same of how often there was each status.
+    """The sentence of the status that most ticks had once there was a pose; None if a tick was valid.
 
     Args:
+        counts: how many ticks had each status.
         posed: whether a pose was ever in use.
         reason: how the last registration ended; None without one.
     """
     if counts.get(Status.OK, 0) or not sum(counts.values()):
         return None
-    found: dict[Status, int] = {status: n for status, n in counts.items() if n}
-    if posed and set(found) != {Status.NO_POSE}:
-        found.pop(Status.NO_POSE, None)
-    most = max(sorted(found), key=found.__getitem__)
-    share = found[most] / sum(found.values())
-    told = reason or "none, the recording is too short"
-    return NoForce[most.name].value.format(share=share, reason=told)
+    ticks: dict[Status, int] = {status: n for status, n in counts.items() if n}
+    if posed and set(ticks) != {Status.NO_POSE}:
+        ticks.pop(Status.NO_POSE, None)
+    most = max(sorted(ticks), key=ticks.__getitem__)
+    share = ticks[most] / sum(ticks.values())
+    last = reason or "none, the recording is too short"
+    return NoForce[most.name].value.format(share=share, reason=last)

@@ -1,6 +1,7 @@
 """Known-transform recovery on the toy heart, its evidence, and what must be refused."""
 
 from dataclasses import replace
+from functools import lru_cache
 from time import perf_counter
 
 import numpy as np
@@ -22,27 +23,28 @@ from dvf_ig.core import (
 from dvf_ig.registration import (
     BLOOD,
     WALL,
-    Boundary,
     BoundaryPoints,
     FrameInformation,
     FrameRejection,
+    HeartChannels,
     LandmarkPrior,
     Level,
-    RegistrationData,
     RegistrationOptions,
     RegistrationResult,
+    UltrasoundImages,
     channels_from_mr,
     gate_frames,
     pose_difference,
     prior_from_landmarks,
+    register,
     register_pair,
-    register_rigid,
     start_from_landmarks,
     target_errors_mm,
     target_from_labels,
 )
 
 QUICK = RegistrationOptions(starts=4)
+PITCHES_MM = (3.0, 1.5)
 
 
 def _register(
@@ -51,22 +53,36 @@ def _register(
     *,
     seed: int = 0,
     prior: LandmarkPrior | None = None,
+    landmarks: Rigid | None = None,
     options: RegistrationOptions = QUICK,
 ) -> RegistrationResult:
-    data = RegistrationData(*levels, CENTER_MM, prior=prior)
-    return register_rigid(data, start, rng=np.random.default_rng(seed), clock=perf_counter, options=options)
+    return register(
+        UltrasoundImages(*levels, options=options),
+        _heart(),
+        start,
+        rng=np.random.default_rng(seed),
+        clock=perf_counter,
+        prior=prior,
+        landmarks=landmarks,
+    )
+
+
+@lru_cache(maxsize=1)
+def _heart() -> HeartChannels:
+    coarse, fine = (channels_from_mr(toy_mr(), smoothing_mm=pitch / 1.5) for pitch in PITCHES_MM)
+    return HeartChannels(coarse, fine, CENTER_MM)
 
 
 def _levels(speckle: float, *, matching: bool = True) -> tuple[Level, Level]:
     mr = toy_mr()
     pose = toy_pose()
     out = []
-    for pitch in (3.0, 1.5):
+    for pitch in PITCHES_MM:
         slices = toy_slices(mr, pose, np.random.default_rng(50), pitch_mm=pitch, speckle=speckle)
         if not matching:
             noise = np.random.default_rng(9).random(slices.images.shape).astype(np.float32)
             slices = replace(slices, images=noise)
-        out.append(Level(slices, channels_from_mr(mr, smoothing_mm=pitch / 1.5), pitch))
+        out.append(Level(slices, pitch))
     return out[0], out[1]
 
 
@@ -161,10 +177,10 @@ def test_slices_that_show_none_of_the_models_boundary_end_in_disagreement() -> N
     mr = toy_mr()
     labels = VolumeSeries(mr.grid, np.where(mr.values > 230, BLOOD, WALL).astype(np.uint8), mr.timing)
     none = BoundaryPoints("tracker", np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros(0))
-    boundary = Boundary(none, target_from_labels(labels, mr.timing.fractions))
-    data = RegistrationData(*_levels(0.1), CENTER_MM, boundary)
-    result = register_rigid(
-        data, _displaced(3.0, 2.0, 1), rng=np.random.default_rng(0), clock=perf_counter, options=QUICK
+    heart = replace(_heart(), surface=target_from_labels(labels, mr.timing.fractions))
+    images = UltrasoundImages(*_levels(0.1), none, options=QUICK)
+    result = register(
+        images, heart, _displaced(3.0, 2.0, 1), rng=np.random.default_rng(0), clock=perf_counter
     )
     assert result.stop is Stop.DISAGREEMENT
     assert result.evidence.boundary_mm == np.inf
@@ -258,3 +274,12 @@ def test_landmarks_hold_the_pose_where_the_image_says_nothing() -> None:
     result = _register(_levels(speckle=0.0, matching=False), start, prior=prior)
     assert _tre(result.target_from_source).mean() < 1.5
     assert result.stop is Stop.POOR_MATCH
+
+
+@pytest.mark.parametrize(("off_mm", "stop"), [(3.0, Stop.CONVERGED), (6.0, Stop.DISAGREEMENT)])
+def test_landmarks_elsewhere_rule_a_pose_out(off_mm: float, stop: Stop) -> None:
+    elsewhere = toy_pose().perturbed_left(np.zeros(3), np.array([off_mm, 0.0, 0.0]), CENTER_MM)
+    result = _register(_levels(speckle=0.3), toy_pose(), landmarks=elsewhere)
+    assert result.stop is stop
+    assert result.landmarks_mm == pytest.approx(off_mm, abs=0.6)
+    assert (result.tre_bound_mm, result.touched) == (None, None)

@@ -1,4 +1,4 @@
-"""The pose that a recorded intervention's registration starts from, and what was touched to check it."""
+"""The pose that a registration starts from, and what was touched on the patient to check it."""
 
 from typing import Protocol
 
@@ -7,14 +7,14 @@ import numpy as np
 from dvf_ig.core import DvfModel, InvalidInputError, Landmarks, Points, QualityGateError, Rigid
 from dvf_ig.registration import (
     LandmarkPrior,
-    SurfaceDisagreement,
     TouchedPoints,
+    TouchedSurface,
     prior_from_landmarks,
+    require_on_model,
+    require_unflipped,
     start_from_landmarks,
     start_from_surface_points,
-    surface_disagreement,
 )
-from dvf_ig.registration.start import require_on_model, require_unflipped
 from dvf_ig.session import Heart
 
 NO_START = (
@@ -25,7 +25,7 @@ NO_START = (
 
 
 class Startable(Protocol):
-    """What holds something to start a registration from, as `Scenario` does."""
+    """A source of something to start a registration from, such as `Scenario`."""
 
     @property
     def start(self) -> Rigid | None: ...
@@ -44,13 +44,13 @@ class Startable(Protocol):
 
 
 def require_start(scenario: Startable) -> None:
-    """Raise InvalidInputError where a scenario holds nothing to start a registration from."""
+    """Raise InvalidInputError if a scenario holds nothing to start a registration from."""
     if scenario.start is None and scenario.touched is None and landmark_pose(scenario) is None:
         raise InvalidInputError(NO_START)
 
 
 def start_pose(scenario: Startable, heart: Heart, seed: int) -> Rigid:
-    """The operator's coarse pose, else the landmark fit, else the fit of points touched on the surface.
+    """Choose the operator's coarse pose, else the landmark fit, else the fit of touched points.
 
     Raises:
         InvalidInputError: the scenario holds none of them, they are too few, or one is flipped (RAS for LPS).
@@ -64,32 +64,28 @@ def start_pose(scenario: Startable, heart: Heart, seed: int) -> Rigid:
     given = scenario.start if scenario.start is not None else landmark_pose(scenario)
     if given is not None:
         return given
-    touched = touched_points(scenario, heart.model)
+    touched = touched_surface(scenario, heart.model)
     if touched is None:
         raise InvalidInputError(NO_START)
-    fit = start_from_surface_points(touched, heart.model, heart.center_mm, rng=np.random.default_rng(seed))
+    fit = start_from_surface_points(
+        touched.points, heart.model, heart.center_mm, rng=np.random.default_rng(seed)
+    )
     if not fit.stop.usable:
         raise QualityGateError(f"no start: {fit.sentence}")
     return fit.target_from_source
 
 
-def touched_disagreement(scenario: Startable, pose: Rigid, model: DvfModel) -> SurfaceDisagreement | None:
-    """How far the points touched on the surface lie from the model's at a pose; None without such points."""
-    touched = touched_points(scenario, model)
-    return None if touched is None else surface_disagreement(pose, touched, model)
-
-
-def touched_points(scenario: Startable, model: DvfModel) -> TouchedPoints | None:
-    """The touched points with their place in the model's cycle: at end-diastole unless it was given."""
+def touched_surface(scenario: Startable, model: DvfModel) -> TouchedSurface | None:
+    """Points touched on the heart with their position in the cycle: end-diastole unless it was given."""
     if scenario.touched is None:
         return None
     phase = scenario.touched_phase
     at = float(model.timing.fractions[model.ed_phase]) if phase is None else phase
-    return TouchedPoints(scenario.touched, np.full(len(scenario.touched), at))
+    return TouchedSurface(TouchedPoints(scenario.touched, np.full(len(scenario.touched), at)), model)
 
 
 def landmark_pose(scenario: Startable) -> Rigid | None:
-    """The landmark fit, where landmarks were touched."""
+    """Fit the touched landmarks; None without any."""
     if scenario.landmarks_mr is None or scenario.landmarks_tracker is None:
         return None
     return start_from_landmarks(scenario.landmarks_mr, scenario.landmarks_tracker).mr_from_tracker
@@ -101,7 +97,7 @@ def landmarks_start(scenario: Startable) -> bool:
 
 
 def landmark_prior(scenario: Startable) -> LandmarkPrior | None:
-    """Landmarks take part where the start came from them; a start pose takes their place."""
+    """Landmarks as a prior of the pose; None without any, or if a start pose takes their place."""
     if scenario.start is not None or scenario.landmarks_mr is None or scenario.landmarks_tracker is None:
         return None
     return prior_from_landmarks(scenario.landmarks_mr, scenario.landmarks_tracker)

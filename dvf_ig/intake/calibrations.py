@@ -1,4 +1,4 @@
-"""The three calibrations of a scenario: each from its recording, or as a file gave it."""
+"""Calibrations of probe, latency and tool: each from its recording, or as a file gave it."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -39,12 +39,12 @@ ProbeResult = NWireResult | TargetResult[PointTarget] | TargetResult[PlaneTarget
 
 @dataclass(frozen=True, slots=True)
 class Calibrations:
-    """What a replay works with, and the evidence of what was calibrated from a recording.
+    """Calibrations in use, and the evidence of those that were made from a recording.
 
     Attributes:
         ultrasound: image and latency.
-        tip: tool tip in frame "tool"; None where neither a recording nor a file gives it.
-        pivot, probe, latency: results with their evidence; None where a file gave the calibration.
+        tip: tool tip in frame "tool"; None if neither a recording nor a file gives it.
+        pivot, probe, latency: results with their evidence; None if a file gave the calibration.
     """
 
     ultrasound: UltrasoundCalibration
@@ -68,7 +68,7 @@ class Calibrations:
 
 
 class Calibratable(Protocol):
-    """What holds the calibrations or their recordings, as `Scenario` does."""
+    """A source of the calibrations or their recordings, such as `Scenario`."""
 
     @property
     def probe(self) -> NWireRecording | TargetRecording | ImageMap: ...
@@ -92,7 +92,7 @@ def calibrate(scenario: Calibratable, seed: int) -> Calibrations:
 
 
 def calibrated(scenario: Scenario, found: Calibrations) -> Scenario:
-    """The same scenario with results in place of the recordings that they were made from."""
+    """Replace the recordings of calibrations in a scenario by their results."""
     image, lag_s = found.ultrasound.probe_from_image, found.ultrasound.lag_s
     return replace(scenario, probe=image, latency=lag_s, tip=found.tip)
 
