@@ -40,7 +40,7 @@ class Fused:
 def fuse(problem: Problem, refined: Refined) -> Fused:
     """Go from LC2's pose to the one that blocks of LC2 and of the boundary agree on best."""
     chart, center_mm = PoseChart(refined.best.pose, problem.center_mm), problem.center_mm
-    covered = within(problem.images.coarse.slices, problem.heart.coarse.grid, chart.base)
+    covered = within(problem.images.coarse.slices, problem.heart.channels.grid, chart.base)
     seen = problem.visible_boundary
     boundary = None if seen is None else fit_boundary(seen, chart.base, center_mm)
     match = _match(problem, refined, boundary, chart) if covered.masks.any() else None

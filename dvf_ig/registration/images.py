@@ -111,13 +111,8 @@ class HeartTarget(Protocol):
     """What ultrasound is registered to, in the model's frame: `session.Heart` is one."""
 
     @property
-    def coarse(self) -> ModelChannels:
-        """Channels that coarse slices are compared with."""
-        ...
-
-    @property
-    def fine(self) -> ModelChannels:
-        """Channels that fine slices are compared with."""
+    def channels(self) -> ModelChannels:
+        """Channels by which LC2 explains the ultrasound."""
         ...
 
     @property
@@ -136,8 +131,7 @@ class HeartTarget(Protocol):
 class HeartChannels:
     """A plain `HeartTarget`."""
 
-    coarse: ModelChannels
-    fine: ModelChannels
+    channels: ModelChannels
     center_mm: FloatArray
     surface: BoundaryTarget | None = None
 
@@ -173,16 +167,16 @@ class Problem:
 
     def coarse_lc2(self, slices: SliceSet | None = None) -> Lc2:
         """LC2 of the coarse slices, or of some of them."""
-        return self._lc2(self.images.coarse, self.heart.coarse, slices)
+        return self._lc2(self.images.coarse, slices)
 
     def fine_lc2(self, slices: SliceSet | None = None) -> Lc2:
         """LC2 of the fine slices, or of some of them."""
-        return self._lc2(self.images.fine, self.heart.fine, slices)
+        return self._lc2(self.images.fine, slices)
 
-    def _lc2(self, level: Level, model: ModelChannels, slices: SliceSet | None) -> Lc2:
+    def _lc2(self, level: Level, slices: SliceSet | None) -> Lc2:
         return Lc2(
             level.slices if slices is None else slices,
-            model,
+            self.heart.channels,
             patch_mm=self.options.patch_mm,
             pitch_mm=level.pitch_mm,
             density_width_mm=self.options.density_width_mm,

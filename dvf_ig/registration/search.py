@@ -132,6 +132,6 @@ def refine(problem: Problem, candidates: Candidates, *, report_progress: Callabl
         optima.append(optimise(whole, pose, problem.center_mm, problem.prior, FINE))
         report_progress((k + 1) / len(candidates.poses))
     optima.sort(key=lambda optimum: optimum.cost)
-    inside = problem.fine_lc2(within(problem.images.fine.slices, problem.heart.fine.grid, optima[0].pose))
+    inside = problem.fine_lc2(within(problem.images.fine.slices, problem.heart.channels.grid, optima[0].pose))
     best = optimise(inside, optima[0].pose, problem.center_mm, problem.prior, FINE)
     return Refined(whole, tuple(optima), inside, best)

@@ -60,15 +60,14 @@ class Heart:
 
     Attributes:
         model: signed distance per phase.
-        coarse, fine: channels at the two pitches of registration.
+        channels: by which LC2 explains ultrasound at every pitch.
         center_mm: (3,) centre of the heart box.
         surface: the boundary of blood and wall, which ultrasound shows; None without a cavity.
         beats_update_pose: whether LC2 on these channels is good enough for a single beat to move the pose.
     """
 
     model: DvfModel
-    coarse: ModelChannels
-    fine: ModelChannels
+    channels: ModelChannels
     center_mm: FloatArray
     surface: BoundaryTarget | None
     beats_update_pose: bool = True
@@ -110,8 +109,8 @@ def build_heart(
             channels = channels_from_labels(labels, smoothing_mm=LABEL_SMOOTHING_MM)
         surface = target.result() if target is not None else None
     if preop.mr is not None:
-        return Heart(model, channels, channels, center, surface)
-    return Heart(model, channels, channels, center, surface, False)
+        return Heart(model, channels, center, surface)
+    return Heart(model, channels, center, surface, False)
 
 
 def _require_within(mr: VolumeSeries, model: DvfModel, center_mm: FloatArray) -> None:

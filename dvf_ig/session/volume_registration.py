@@ -104,13 +104,13 @@ def register_gated_volumes(
 def _as_volumes_see(heart: Heart, volumes: Sequence[TrackedVolume], mr: VolumeSeries | None) -> Heart:
     """The heart with MR smoothed as volumes need it, at the phases in use alone."""
     phases = np.array([volume.model_phase for volume in volumes])
-    nearest = heart.fine.nearest_phase(phases)
-    _warn_of_distant_phases(phases, heart.fine.fractions[nearest])
+    nearest = heart.channels.nearest_phase(phases)
+    _warn_of_distant_phases(phases, heart.channels.fractions[nearest])
     if mr is None:
-        return replace(heart, coarse=heart.fine)
+        return heart
     used = np.unique(nearest).tolist()
     channels = channels_from_mr(mr, smoothing_mm=VOLUME_SMOOTHING_MM, phases=used)
-    return replace(heart, coarse=channels, fine=channels)
+    return replace(heart, channels=channels)
 
 
 def _warn_of_distant_phases(phases: FloatArray, nearest: FloatArray) -> None:
@@ -128,7 +128,7 @@ def _warn_of_distant_phases(phases: FloatArray, nearest: FloatArray) -> None:
 
 def _require_overlap(volumes: Sequence[TrackedVolume], heart: Heart, start: Rigid) -> None:
     """Raise NoOverlapError where no insonified voxel lies within the model's image at the start."""
-    grid = heart.fine.grid
+    grid = heart.channels.grid
     for volume in volumes:
         seen = OVERLAP_STEP * np.argwhere(volume.mask.values[::OVERLAP_STEP, ::OVERLAP_STEP, ::OVERLAP_STEP])
         mr_from_image = start @ volume.tracker_from_image

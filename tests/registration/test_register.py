@@ -69,8 +69,7 @@ def _register(
 
 @lru_cache(maxsize=1)
 def _heart() -> HeartChannels:
-    coarse, fine = (channels_from_mr(toy_mr(), smoothing_mm=pitch / 1.5) for pitch in PITCHES_MM)
-    return HeartChannels(coarse, fine, CENTER_MM)
+    return HeartChannels(channels_from_mr(toy_mr(), smoothing_mm=1.0), CENTER_MM)
 
 
 def _levels(speckle: float, *, matching: bool = True) -> tuple[Level, Level]:

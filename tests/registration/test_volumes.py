@@ -292,7 +292,7 @@ def registered(
     channels = channels_from_mr(toy_mr(), smoothing_mm=VOLUME_SMOOTHING_MM)
     return register(
         images_of_volumes([changed(view) for view in views], grey=False),
-        HeartChannels(channels, channels, CENTER_MM, surface),
+        HeartChannels(channels, CENTER_MM, surface),
         PoseChart(toy_pose(), CENTER_MM).pose(away_mm * xi / np.linalg.norm(xi)),
         rng=np.random.default_rng(0),
         clock=perf_counter,

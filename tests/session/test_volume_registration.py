@@ -79,7 +79,7 @@ def toy_cine() -> VolumeSeries:
 
 def toy_beating_heart() -> Heart:
     channels = channels_from_mr(toy_cine(), smoothing_mm=2.5)
-    return Heart(ball_model(), channels, channels, CENTER_MM, None, 0.35)
+    return Heart(ball_model(), channels, CENTER_MM, None, True)
 
 
 def at(phase: float, seed: int = 1) -> TrackedVolume:
@@ -109,8 +109,8 @@ def test_volumes_meet_mr_of_the_phases_in_use_smoothed_for_volumes(asked: list[S
     register_gated_volumes(volumes, toy_beating_heart(), toy_pose(), mr=toy_cine(), seed=7, clock=clock)
     (call,) = asked
     expected = channels_from_mr(toy_cine(), smoothing_mm=3.0, phases=[0, 3])
-    np.testing.assert_array_equal(call.heart.fine.values, expected.values)
-    np.testing.assert_array_equal(call.heart.fine.fractions, [0.0, 0.6])
+    np.testing.assert_array_equal(call.heart.channels.values, expected.values)
+    np.testing.assert_array_equal(call.heart.channels.fractions, [0.0, 0.6])
     assert call.images.options.kind == "volumes"
     assert call.rng.integers(1 << 30) == np.random.default_rng(7).integers(1 << 30)
 
@@ -118,7 +118,7 @@ def test_volumes_meet_mr_of_the_phases_in_use_smoothed_for_volumes(asked: list[S
 def test_without_mr_they_meet_the_models_own_channels(asked: list[SimpleNamespace]) -> None:
     heart = toy_beating_heart()
     register_gated_volumes([at(0.4)], heart, toy_pose(), mr=None, seed=0, clock=clock)
-    assert asked[0].heart.coarse is asked[0].heart.fine is heart.fine
+    assert asked[0].heart is heart
     assert asked[0].images.options.kind is None
 
 

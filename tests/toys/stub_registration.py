@@ -30,7 +30,7 @@ def any_result() -> RegistrationResult:
     slices = toy_slices(toy_mr(), toy_pose(), np.random.default_rng(0), pitch_mm=3.0, speckle=0.1)
     level, channels = Level(slices, 3.0), channels_from_mr(toy_mr(), smoothing_mm=3.0)
     images = UltrasoundImages(level, level, options=RegistrationOptions(starts=1))
-    heart = HeartChannels(channels, channels, CENTER_MM)
+    heart = HeartChannels(channels, CENTER_MM)
     return register(images, heart, toy_pose(), rng=np.random.default_rng(0), clock=perf_counter)
 
 

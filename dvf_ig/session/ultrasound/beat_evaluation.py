@@ -178,7 +178,7 @@ def compare_beat(
     slices = slices_of(recording, frames, ultrasound_mask(recording, frames), pitch_mm=BEAT_PITCH_MM)
     metric = Lc2(
         slices,
-        recording.heart.fine,
+        recording.heart.channels,
         patch_mm=PATCH_MM,
         pitch_mm=BEAT_PITCH_MM,
         density_width_mm=DENSITY_WIDTH_MM,

@@ -143,7 +143,7 @@ def gate_recording(
     model_phase = retimed(recording.heart.model, beat.phi, beat.rr_s, recording.retiming)
     gated = gate_frames(
         model_phase,
-        recording.heart.fine.fractions,
+        recording.heart.channels.fractions,
         image_valid=ultrasound.image_valid[here],
         pose_valid=tracked,
         beat_valid=beat.regular,

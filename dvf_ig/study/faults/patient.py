@@ -25,7 +25,7 @@ def wall_heart() -> Heart:
     model = wall_model(AMPLITUDE_MM, rr_s=MODEL_RR_S)
     grid = Grid.axis_aligned("mr", (2, 2, 2), np.zeros(3), 1.0)
     channels = ModelChannels(grid, np.zeros((20, 2, 2, 2, 2), dtype=np.float32), np.arange(20) / 20)
-    return Heart(model, channels, channels, CENTER, None)
+    return Heart(model, channels, CENTER, None)
 
 
 def wall_setup() -> SessionSetup:

@@ -48,8 +48,8 @@ from dvf_ig.session.heart import label_map
 
 GATED = (0.0, 0.35, 0.75)
 """Gated phases: end-diastole, end-systole, diastasis, where the heart moves least."""
-PLANE_LEVELS = ((3.0, 3.0), (2.0, 2.0))
-"""(pitch, smoothing of the model's channels) in mm, coarse and fine, of tracked planes."""
+PLANE_PITCHES_MM, PLANE_SMOOTHING_MM = (3.0, 2.0), 2.0
+"""Coarse and fine pixels of tracked planes, and the smoothing of the model's channels."""
 
 Register = Callable[[Rigid, np.random.Generator], RegistrationResult]
 
@@ -139,7 +139,7 @@ def volume_problem(pair: ImagePair, volumes: tuple[TrackedVolume, ...]) -> Regis
 def _problem_with(
     pair: ImagePair, volumes: tuple[TrackedVolume, ...], preop: _PreOperative, surface: BoundaryTarget | None
 ) -> RegistrationProblem:
-    heart, mr = HeartChannels(preop.gated, preop.gated, pair.center_mm, surface), preop.mr
+    heart, mr = HeartChannels(preop.gated, pair.center_mm, surface), preop.mr
 
     def solve(start: Rigid, rng: np.random.Generator) -> RegistrationResult:
         images = images_of_volumes(volumes, grey=True)
@@ -205,13 +205,10 @@ def _planes(pair: ImagePair, condition: dict[str, Any]) -> RegistrationProblem:
     mask = probe.fan.mask(*images.shape[1:])
     tracked = TrackedImages(images, stream.rotations, stream.translations_mm, model_phase, sequence.t_s)
     levels = [
-        Level(prepare_slices(tracked, mask, image_map, pitch_mm=pitch), pitch) for pitch, _ in PLANE_LEVELS
+        Level(prepare_slices(tracked, mask, image_map, pitch_mm=pitch), pitch) for pitch in PLANE_PITCHES_MM
     ]
-    coarse, fine = (
-        _channels(pair.spec.seed, pair.spec.motion, pair.spec.heart, smoothing)
-        for _, smoothing in PLANE_LEVELS
-    )
-    heart = HeartChannels(coarse, fine, pair.center_mm, target_from_labels(preop.labels, model_phase))
+    channels = _channels(pair.spec.seed, pair.spec.motion, pair.spec.heart, PLANE_SMOOTHING_MM)
+    heart = HeartChannels(channels, pair.center_mm, target_from_labels(preop.labels, model_phase))
 
     def solve(start: Rigid, rng: np.random.Generator) -> RegistrationResult:
         images = UltrasoundImages(levels[0], levels[1], boundary_points(levels[1].slices))
