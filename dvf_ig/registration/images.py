@@ -1,6 +1,6 @@
 """Input of a registration: slices of ultrasound, the heart they are compared with, and options by kind."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import Protocol
@@ -97,6 +97,7 @@ class UltrasoundImages:
         rr_s: usual length of the beats in which the slices were taken; None for an organ that does not beat.
         placement: uncertainty of calibrations and clocks; None for slices of one image, which needs neither.
         options: how images of this kind are searched and judged.
+        seconds: computing time of their preparation.
     """
 
     coarse: Level
@@ -105,6 +106,7 @@ class UltrasoundImages:
     rr_s: float | None = None
     placement: PlacementUncertainty | None = None
     options: RegistrationOptions = RegistrationOptions()
+    seconds: float = 0.0
 
 
 class HeartTarget(Protocol):
@@ -184,16 +186,20 @@ class Problem:
         )
 
 
-def images_of_volumes(volumes: Sequence[TrackedVolume], *, grey: bool) -> UltrasoundImages:
+def images_of_volumes(
+    volumes: Sequence[TrackedVolume], *, grey: bool, clock: Callable[[], float]
+) -> UltrasoundImages:
     """Cut gated 3-D images into planes along their axes, each with its position and phase.
 
     Args:
         volumes: any number of views and phases.
         grey: they are compared with grey levels of MR, smoothed by VOLUME_SMOOTHING_MM; otherwise no
             probability is stated.
+        clock: seconds from any origin, for `seconds`.
     Raises:
         InvalidInputError: no volume, or nothing insonified.
     """
+    began = clock()
     with ThreadPoolExecutor(thread_count()) as pool:
         boundary = pool.submit(_boundary, volumes)
         coarse, fine = pool.map(
@@ -202,7 +208,7 @@ def images_of_volumes(volumes: Sequence[TrackedVolume], *, grey: bool) -> Ultras
         )
         points = boundary.result()
     options = VOLUMES if grey else replace(VOLUMES, kind=None)
-    return UltrasoundImages(coarse, fine, points, options=options)
+    return UltrasoundImages(coarse, fine, points, options=options, seconds=clock() - began)
 
 
 def _boundary(volumes: Sequence[TrackedVolume]) -> BoundaryPoints:

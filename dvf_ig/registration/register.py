@@ -103,7 +103,7 @@ def register(
             second_best=_second_best(problem, refined, fused.pose),
             moved_mm=moved_mm,
             evaluations=candidates.evaluations + refined.evaluations,
-            seconds=clock() - began,
+            seconds=images.seconds + clock() - began,
             slices=len(images.fine.slices),
             options=images.options,
             matched=refined.best.pose,

@@ -34,7 +34,8 @@ class RegistrationResult:
         overlap: share of the slices inside the model's volume.
         second_best: LC2 of the best candidate more than 4 mm away; 0 if there was none.
         moved_mm: mean distance over the heart between start and result.
-        evaluations: of LC2's normal equations; seconds: by the caller's clock; slices: effort.
+        evaluations: of LC2's normal equations; slices: effort.
+        seconds: computing time by the caller's clock, the preparation of the images included.
         options: what it was searched with, and the limits of its evidence.
         covariance_scale: by which the covariance was multiplied, see `evidence.assessment`.
         matched: where the images match best, were the heart's shape that of the model; None: at the pose.

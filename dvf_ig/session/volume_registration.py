@@ -80,25 +80,22 @@ def register_gated_volumes(
         start: mr_from_tracker to begin at.
         mr: the 4-D grey levels; None if the model alone is known.
         seed: of the displaced starts.
-        clock: seconds from any origin, for the result's `seconds`, which include cutting the volumes.
+        clock: seconds from any origin, for the result's `seconds`.
         prior, landmarks: see `registration.register`.
     Raises:
         InvalidInputError: no volume, or nothing insonified.
         NoOverlapError: at the start pose no volume reaches the model.
     """
     _require_overlap(volumes, heart, start)
-    target = _as_volumes_see(heart, volumes, mr)
-    began = clock()
-    result = register(
-        images_of_volumes(volumes, grey=mr is not None),
-        target,
+    return register(
+        images_of_volumes(volumes, grey=mr is not None, clock=clock),
+        _as_volumes_see(heart, volumes, mr),
         start,
         rng=np.random.default_rng(seed),
         clock=clock,
         prior=prior,
         landmarks=landmarks,
     )
-    return replace(result, seconds=clock() - began)
 
 
 def _as_volumes_see(heart: Heart, volumes: Sequence[TrackedVolume], mr: VolumeSeries | None) -> Heart:

@@ -291,7 +291,7 @@ def registered(
     views = [toy_volume((0.5, 0.2, -0.4), seed), toy_volume((-0.6, 0.9, 0.3), seed + 100)]
     channels = channels_from_mr(toy_mr(), smoothing_mm=VOLUME_SMOOTHING_MM)
     return register(
-        images_of_volumes([changed(view) for view in views], grey=False),
+        images_of_volumes([changed(view) for view in views], grey=False, clock=perf_counter),
         HeartChannels(channels, CENTER_MM, surface),
         PoseChart(toy_pose(), CENTER_MM).pose(away_mm * xi / np.linalg.norm(xi)),
         rng=np.random.default_rng(0),

@@ -113,7 +113,7 @@ def register_frames(
         NoOverlapError: too few frames passed the gate; says why.
     """
     return register(
-        images_of_frames(recording, frames, warm=warm),
+        images_of_frames(recording, frames, clock, warm=warm),
         recording.heart,
         start,
         rng=np.random.default_rng(seed),
@@ -125,7 +125,9 @@ def register_frames(
     )
 
 
-def images_of_frames(recording: UltrasoundRecording, frames: GatedFrames, *, warm: bool) -> UltrasoundImages:
+def images_of_frames(
+    recording: UltrasoundRecording, frames: GatedFrames, clock: Callable[[], float], *, warm: bool
+) -> UltrasoundImages:
     """Prepare the used frames at the two pitches of a registration.
 
     Raises:
@@ -133,19 +135,21 @@ def images_of_frames(recording: UltrasoundRecording, frames: GatedFrames, *, war
     """
     if not frames.enough:
         raise NoOverlapError(frames.shortage)
-    heart, mask = recording.heart, ultrasound_mask(recording, frames)
+    began, heart, mask = clock(), recording.heart, ultrasound_mask(recording, frames)
     coarse, fine = (
         Level(slices_of(recording, frames, mask, pitch_mm=pitch), pitch)
         for pitch in (COARSE_PITCH_MM, FINE_PITCH_MM)
     )
+    boundary = None if heart.surface is None else boundary_points(fine.slices)
     options = SWEEP if heart.beats_update_pose else replace(SWEEP, kind=None)
     return UltrasoundImages(
         coarse,
         fine,
-        None if heart.surface is None else boundary_points(fine.slices),
+        boundary,
         _usual_rr_s(recording, frames),
         USUAL_PLACEMENT,
         replace(options, starts=0) if warm else options,
+        clock() - began,
     )
 
 

@@ -142,7 +142,7 @@ def _problem_with(
     heart, mr = HeartChannels(preop.gated, pair.center_mm, surface), preop.mr
 
     def solve(start: Rigid, rng: np.random.Generator) -> RegistrationResult:
-        images = images_of_volumes(volumes, grey=True)
+        images = images_of_volumes(volumes, grey=True, clock=perf_counter)
         return register(images, heart, start, rng=rng, clock=perf_counter)
 
     first = volumes[0]
