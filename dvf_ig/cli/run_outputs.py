@@ -57,7 +57,7 @@ def write_logged_run(
     history: "SessionHistory",
     findings: "tuple[Finding, ...]",
 ) -> None:
-    """Write the files of a live run beside its finished log, and print their names.
+    """Write the files of a live run next to its finished log, and print their names.
 
     Args:
         findings: in what the session's files disagreed, though they could be used.

@@ -23,9 +23,9 @@ class Fused:
 
     Attributes:
         pose: target_from_source.
-        covariance: (6, 6) rad², mm²; NaN where the pose is no minimum.
+        covariance: (6, 6) rad², mm²; NaN if the pose is no minimum.
         noise_covariance: (6, 6) likewise, of what independent patches would leave open.
-        boundary: fit of the boundary from LC2's pose; None where the model's surface is not known or the
+        boundary: fit of the boundary from LC2's pose; None if the model's surface is not known or the
             slices show no boundary.
         covered: the part of the coarse slices within the model's volume at LC2's pose.
     """

@@ -32,7 +32,7 @@ MIN_STRUCTURE = 0.25
 (full width), of any brightness, reach 0.13; all frames of tuning seeds 101 to 103, calm and with poor images,
 show 0.45 or more; real scans of a phantom and a tank (Ultrasonix, BK; pitch taken as 0.15 to 0.3 mm) 0.36."""
 LEAST_VARIANCE = 0.01
-"""Of block means, in squared grey levels, below which there is nothing to correlate."""
+"""Variance of block means, in squared grey levels, below which there is nothing to correlate."""
 PHASE_WINDOW = 0.02
 """Largest distance, in fractions of the cycle, between a frame and the model phase it is compared with."""
 
@@ -40,7 +40,7 @@ PHASE_WINDOW = 0.02
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameInformation:
-    """What each of n frames has to show.
+    """Content of each of n frames.
 
     Attributes:
         lit_share: (n,) share of the sector's pixels brighter than LIT_GREY.
@@ -68,12 +68,12 @@ def frame_information(
     *,
     before: NDArray[np.uint8] | None = None,
 ) -> FrameInformation:
-    """What each of (n, rows, columns) images has to show.
+    """Measure the content of each of (n, rows, columns) images.
 
     Args:
         mask: (rows, columns) sector; frames without any are dark.
         pitch_mm: mm a row and mm a column.
-        before: (rows, columns) the frame before the first; None where there was none.
+        before: (rows, columns) the frame before the first; None without one.
     """
     repeated = _repeated(images, mask, before)
     shape = [size // max(1, round(BLOCK_MM / mm)) for size, mm in zip(mask.shape, pitch_mm, strict=True)]

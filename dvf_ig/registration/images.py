@@ -110,7 +110,7 @@ class UltrasoundImages:
 
 
 class HeartTarget(Protocol):
-    """What ultrasound is registered to, in the model's frame: `session.Heart` is one."""
+    """A heart that ultrasound is registered to, in the model's frame: `session.Heart` is one."""
 
     @property
     def channels(self) -> ModelChannels:

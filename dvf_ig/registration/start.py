@@ -35,7 +35,8 @@ POINT_MM = 5.0
 2 mm of scatter lie 1.5 to 2.4 mm from it, flipped ones of a heart on the flip's axis 6 to 15 mm (hearts 101
 to 112)."""
 POSE_MM = 20.0
-"""The same of landmarks under a coarse start, which is off by 10 mm and 8° as a rule."""
+"""Median distance of landmarks under a coarse start that needs no explanation: starts are 10 mm and 8° off
+as a rule."""
 FALLS_TO = 0.5
 """A flip that takes the error to less than this share explains it (docs/theory/safety.md)."""
 FLIP = np.diag(RAS_FROM_LPS)[:3].copy()
@@ -54,7 +55,7 @@ class LandmarkStart:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LandmarkPrior:
-    """Touched landmarks as a likelihood of the pose beside the image: paired points and their spread.
+    """Touched landmarks as a likelihood of the pose in addition to the image: paired points and their spread.
 
     Attributes:
         target: (n, 3) marked on the model.
@@ -102,7 +103,7 @@ def start_from_landmarks(mr: Landmarks, tracker: Landmarks) -> LandmarkStart:
     if len(names) < 3:
         raise InvalidInputError(
             f"model and patient share {len(names)} landmark names ({', '.join(names) or 'none'}); "
-            "needed at least 3: name the same points alike in both files"
+            "needed at least 3: give the same points the same names in both files"
         )
     pose = fit_paired_points(target, source)
     residuals = np.linalg.norm(pose.apply(source).xyz_mm - target.xyz_mm, axis=1)

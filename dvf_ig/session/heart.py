@@ -1,4 +1,4 @@
-"""What the pre-operative data give: the fixture model and the channels that ultrasound is compared with."""
+"""The pre-operative heart: its fixture model, and the channels that ultrasound is compared with."""
 
 import logging
 from collections.abc import Callable
@@ -39,7 +39,7 @@ MR_SMOOTHING_MM = 2.5
 """On tuning seeds 101–104 TRE and force error are 1.29 mm and 0.077 N with 2.0; 1.15 and 0.079 with 2.5;
 1.09 and 0.092 with 3.0."""
 LABEL_VOXEL_MM = 2.0
-"""Of labels that are made from surfaces."""
+"""Voxels of labels that are made from surfaces."""
 LABEL_SMOOTHING_MM = 1.5
 """Standard deviation of the Gaussian on them, where they stand for grey levels."""
 LABEL_MARGIN_MM = 20.0

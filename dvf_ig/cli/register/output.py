@@ -1,4 +1,4 @@
-"""What `dvf-ig register` writes and prints, and the exit code of a pose that must not be used."""
+"""Output of `dvf-ig register`: its files, its lines, and the exit code of a pose that must not be used."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -85,7 +85,7 @@ def payload_of(result: "RegistrationResult", shown: "ShownInput", name: str, see
 
 
 def files_of(out: Path, name: str) -> OutputFiles:
-    """The files of a folder, or beside a transform file that the user named."""
+    """The files of a folder, or next to a transform file that the user named."""
     if out.suffix == ".tfm":
         evidence, view = (out.with_name(f"{out.stem}.{end}") for end in ("result.json", "view.html"))
         return OutputFiles(out, evidence, out.with_suffix(".html"), view)
@@ -93,7 +93,7 @@ def files_of(out: Path, name: str) -> OutputFiles:
 
 
 def _surface_points(touched: "SurfaceDisagreement | None") -> dict[str, Any] | None:
-    """How far points touched on the surface lie from it; None where none were touched."""
+    """Distance of touched points from the surface; None if none were touched."""
     if touched is None:
         return None
     return {

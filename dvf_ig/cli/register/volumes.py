@@ -35,7 +35,7 @@ def register_volume_files(
     """Volumes named FILE@PHASE or FILE=SECONDS.
 
     Args:
-        options: by their names on the command line; None where they were not given.
+        options: by their names on the command line; None if they were not given.
     """
     from time import perf_counter
 

@@ -46,7 +46,7 @@ POINTS_PER_OBSERVATION = 30.0
 """Neighbouring points share their difference from the model: with this divisor the standard deviations match
 the errors of fits on tuning seeds 101–103."""
 QUICK_POINTS = 800
-"""Of the first fits from many starts."""
+"""Points of the quick first fits from many starts."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -256,7 +256,7 @@ def fit_at_end(
 
 
 def _covariance(sums: FloatArray, opts: BoundaryFitOptions) -> FloatArray:
-    """Of the pose with the offset unknown: inverse curvature times the variance of one observation."""
+    """(6, 6) of the pose with the offset unknown: inverse curvature times the variance of one observation."""
     matrix = normal_matrices(sums[None])[0]
     size = UNKNOWNS if opts.free_offset_mm > 0 else UNKNOWNS - 1
     curvature = matrix[:size, :size]
@@ -282,7 +282,7 @@ def boundary_starts(
 
     Args:
         rng: draws the displacements, of length `spread_mm` in the coordinates of `PoseChart`.
-        count: displaced copies; keep: at most so many ends.
+        count: displaced copies; keep: most ends that are returned.
     Returns:
         ends by `score`, best first; see the module docstring on ranking them.
     """

@@ -26,7 +26,7 @@ class BoundaryPointOptions:
         smoothing_mm: standard deviation of the Gaussian before the gradient.
         min_contrast: least relative contrast of a boundary.
         min_support: least share of the Gaussian that must lie inside the sector.
-        points: at most so many are kept, evenly spread.
+        points: most points that are kept, evenly spread.
     """
 
     smoothing_mm: float = 3.0

@@ -86,7 +86,7 @@ class ImageStatistics:
     information: float
 
     def values(self) -> dict[str, float]:
-        """By name."""
+        """Statistics by name."""
         return asdict(self)
 
 
@@ -133,7 +133,7 @@ def _view_spread_deg(slices: SliceSet) -> float:
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class Table:
-    """What was fitted for one kind of images.
+    """Calibration of the evidence for one kind of images.
 
     Attributes:
         hearts: that it was fitted on.
@@ -142,7 +142,7 @@ class Table:
         missing: (f,) what a check counts as that could not be made.
         predicted: (k,) increasing μ; probability: (k,) decreasing P there, linear between them.
         refused_probability: share of successes among poses that a check refused.
-        bound_quantile: q; inf where there were too few hearts for one.
+        bound_quantile: q; inf if there were too few hearts for one.
         largest: μ above which a pose must not guide.
         scale_intercept, scale_weights: v₀ and (f,) v_j of the covariance's scale.
         ranges: lowest and highest value of each image statistic.
@@ -168,10 +168,10 @@ class Table:
 
 @dataclass(frozen=True, slots=True)
 class Assessment:
-    """What may be said of a pose's error.
+    """Statement on a pose's error.
 
     Attributes:
-        success_probability: chance that the mean error over the targets is below SUCCESS_MM; None where the
+        success_probability: chance that the mean error over the targets is below SUCCESS_MM; None if the
             images are unlike all that was calibrated, or nothing was calibrated for their kind.
         tre_bound_mm: the largest error over the heart-box targets is below this in 95 of 100 hearts; None as
             above, and of a refused pose.
@@ -188,7 +188,7 @@ class Assessment:
 
 
 def features_of(evidence: Evidence, similarity: float, predicted_mm: float) -> dict[str, float | None]:
-    """Every feature by name; None where the check could not be made.
+    """Features by name; None if the check could not be made.
 
     Args:
         similarity: LC2 at the pose.
@@ -224,10 +224,10 @@ def counted(table: Table, logs: FloatArray) -> FloatArray:
 
 
 def assess(table: Table | None, features: dict[str, float | None], statistics: ImageStatistics) -> Assessment:
-    """What may be said of the error of a pose that no check refused.
+    """State the error to expect of a pose that no check refused.
 
     Args:
-        table: of the images' kind; None where nothing was calibrated for it.
+        table: of the images' kind; None if nothing was calibrated for it.
     """
     if table is None:
         return Assessment(None, None, "no probability was calibrated for images of this kind")
@@ -269,7 +269,7 @@ def _outside(table: Table, statistics: ImageStatistics) -> str:
 
 
 def table_of(kind: str | None) -> Table | None:
-    """The table of a kind of images ("sweep", "volumes", …); None where there is none."""
+    """The table of a kind of images ("sweep", "volumes", …); None without one."""
     return None if kind is None else _tables().get(kind)
 
 

@@ -32,12 +32,12 @@ LEAST_SHARE = 0.1
 PHASE_GROUPS = 3
 """Parts of the cycle, each of which is registered by itself."""
 PART_OPTIMISER = OptimiserOptions(steps=7, cap_mm=4.0, tolerance_mm=0.15)
-"""Of a part of the slices, from the pose of all:"""
+"""Descents of a part of the slices, from the pose of all."""
 
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What each test may be at most (the z-score: at least) in a registration that may guide.
+    """Largest value of each test (the z-score: smallest) in a registration that may guide.
 
     At a wrong local optimum the z-score is low and the boundary lies elsewhere; deformation shows as
     disagreement between half-volumes, a motion other than in the pre-operative images as disagreement between
@@ -53,20 +53,20 @@ class Limits:
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """What a registered pose was tested by, one value a test; None where one could not be made.
+    """Results of the tests of a registered pose, one value a test; None if one could not be made.
 
     Attributes:
         z_score: standard deviations by which LC2 stands above wrong poses WRONG_MM away.
         split_half_mm: mean distance over the heart between the optima of two interleaved halves of the
             slices.
-        phase_mm: the largest such distance between one part of the cycle and the rest; None where the slices
+        phase_mm: the largest such distance between one part of the cycle and the rest; None if the slices
             are of fewer phases than parts.
-        half_volume_mm: RMS distance of the optima of half-volumes from that of all; None where the slices lie
+        half_volume_mm: RMS distance of the optima of half-volumes from that of all; None if the slices lie
             in too little of space.
-        boundary_mm: mean distance over the heart between the poses of LC2 and of the boundary; None where the
-            model's surface was not given, inf where the slices show no boundary.
-        phase_offset: how much later in the cycle the slices fit than the ECG says; None where nothing beats.
-        pair: of a pair of images of an organ that does not beat; None of a heart.
+        boundary_mm: mean distance over the heart between the poses of LC2 and of the boundary; None if the
+            model's surface was not given, inf if the slices show no boundary.
+        phase_offset: how much later in the cycle the slices fit than the ECG says; None if nothing beats.
+        pair: tests of a pair of images of an organ that does not beat; None for a heart.
     """
 
     z_score: float
@@ -160,9 +160,9 @@ MetricOf = Callable[[SliceSet], Lc2]
 
 @dataclass(frozen=True, slots=True)
 class PartDisagreements:
-    """How far apart the poses of parts of the slices lie, mean over the heart; None where there are no parts.
+    """Distances between the poses of parts of the slices, mean over the heart; None without parts.
 
-    Where nothing of the slices is left to compare, their halves are inf apart.
+    If nothing of the slices is left to compare, their halves are inf apart.
 
     Attributes:
         split_half_mm: of two interleaved halves.
@@ -216,7 +216,7 @@ def part_disagreements(
 
 
 def phase_groups(model_phase: FloatArray) -> tuple[BoolArray, ...]:
-    """(s,) masks of parts of the cycle with about equally many slices; none where there are fewer phases."""
+    """(s,) masks of parts of the cycle with about equally many slices; none if there are fewer phases."""
     if len(np.unique(model_phase)) < PHASE_GROUPS:
         return ()
     rank = np.searchsorted(np.sort(model_phase), model_phase, side="left")

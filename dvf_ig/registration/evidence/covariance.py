@@ -11,8 +11,8 @@ for blocks of space share the difference of patient and pre-operative images, sl
 tracker (Cameron, Gelbach and Miller 2011: clusters two ways).
 
 C_placement is what calibrations and clocks leave open. An error of the image calibration turns and shifts
-every slice alike in its own axes, one of the clock (video latency, gating) compares every slice with a wrong
-phase; no check inside the images sees either well. To first order the pose follows the slices' mean
+every slice equally in its own axes, one of the clock (video latency, gating) compares every slice with a
+wrong phase; no check inside the images sees either well. To first order the pose follows the slices' mean
 displacement, and the slope of LC2's gradient over the phase.
 
 The largest eigenvector of C, in mm at the heart's radius, is a small screw motion; its larger part, rotation
@@ -32,7 +32,7 @@ from dvf_ig.registration.shape.blocks import Influences, distinct_rows, none_neg
 from dvf_ig.registration.shape.fit import JointFit
 
 PHASE_STEP = 0.05
-"""Of the difference over the phase: as a rule one phase of the model."""
+"""Step of the difference over the phase: as a rule one phase of the model."""
 UNSEEN_MM = 0.22
 """Standard deviation per coordinate of what every block shares: the bias of LC2."""
 AXES = ("left–right", "front–back", "head–foot")
@@ -66,7 +66,7 @@ def _clustered(influence: FloatArray, key: IntArray) -> FloatArray:
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class PlacementUncertainty:
-    """What calibrations and clocks leave open.
+    """Uncertainty of calibrations and clocks.
 
     Attributes:
         image: (6, 6) rad², mm²: rotation about the image's lateral, axial and elevation axes, and position of
@@ -158,7 +158,7 @@ def placement_covariance_mm2(
     """(6, 6) that image calibration and clocks add.
 
     Args:
-        rr_s: usual length of the beats; None where nothing beats.
+        rr_s: usual length of the beats; None for an organ that does not beat.
     """
     weight = slices.masks.sum(axis=(1, 2)).astype(np.float64)
     added = image_covariance_mm2(slices, weight, pose, center_mm, placement)

@@ -109,7 +109,7 @@ class SliceMotion:
         return cls(steps)
 
     def repeated(self, counts: IntArray) -> "SliceMotion":
-        """Of parts that move as their slice does: `counts` (s,) of each slice."""
+        """Motion of parts that move as their slice does: `counts` (s,) of each slice."""
         return SliceMotion(np.repeat(self.steps, counts, axis=0))
 
     def gradient(self, sums: FloatArray) -> FloatArray:
@@ -254,7 +254,7 @@ class Lc2:
         return _slope(sums, motion)
 
     def normal_equations(self, target_from_source: Rigid, center_mm: FloatArray) -> NormalEquations:
-        """The same with the matrix of Gauss–Newton, at half as much time again."""
+        """`slope` with the matrix of Gauss–Newton, which takes half as much time again."""
         sums, motion = self._step_sums(target_from_source, center_mm, matrix=True)
         return NormalEquations(motion.matrix(sums), _slope(sums, motion))
 
@@ -285,7 +285,7 @@ class Lc2:
     def shifted_part_gradient(
         self, parts: SliceParts, pose: Rigid, shift_mm: FloatArray, center_mm: FloatArray
     ) -> CostGradient:
-        """As `part_gradients` at a pose beside which each part is moved by (k, 3), target frame."""
+        """As `part_gradients` at a pose relative to which each part is moved by (k, 3), target frame."""
         placed, mm_from_pixel = self._placed(pose)
         owner = np.repeat(np.arange(len(self.slices)), np.diff(parts.first_part))
         mm_from_pixel = mm_from_pixel[owner]
@@ -341,7 +341,7 @@ class Lc2:
 
 
 def _scratch(slices: PatchedSlices, columns: int, workers: int) -> Scratch:
-    """Memory of the kernels for so many workers."""
+    """Memory of the kernels for `workers` workers."""
     edge, wide = 2 * slices.radius + 1, columns + 2 * slices.radius
     ends = np.concatenate([slices.runs[:, PIXEL], [len(slices.pixels)]])[slices.first_run]
     pixels, patches = (int(np.diff(first).max(initial=0)) for first in (ends, slices.first_patch))

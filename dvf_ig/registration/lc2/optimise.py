@@ -22,7 +22,7 @@ FIXED_FIT_STIFFNESS = 6.0
 """Gauss–Newton's eigenvalues over the true ones: 8 to 12 at the optimum (tuning seeds 102, 106), less away
 from it."""
 STEP_REDUCTION = 0.3
-"""Of the next step's length after one that raised the cost."""
+"""Factor of the next step's length after one that raised the cost."""
 MIN_CURVATURE_SHARE = 0.05
 """The curvature learnt along a step is at least this share of what was expected (Powell's damping)."""
 MAX_REJECTED = 8
@@ -43,7 +43,7 @@ class PoseMetric(Protocol):
 
 
 class PosePrior(Protocol):
-    """What is known of a pose besides the image, as −log of its likelihood (see `LandmarkPrior`)."""
+    """Knowledge of a pose in addition to the image, as −log of its likelihood (see `LandmarkPrior`)."""
 
     def energy(self, pose: Rigid) -> float: ...
 

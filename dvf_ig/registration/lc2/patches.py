@@ -82,7 +82,7 @@ class PixelRuns:
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class Patches:
-    """Square patches of all slices, and what of them depends on the ultrasound alone.
+    """Square patches of all slices, with the part of LC2 that depends on the ultrasound alone.
 
     Attributes:
         first: (s + 1,) where each slice's patches begin.

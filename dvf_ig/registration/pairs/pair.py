@@ -32,11 +32,11 @@ other poses by which a wrong one is known."""
 BLOCK = 3
 """Voxels along the edge of a block: patches are six pitches wide."""
 MARGIN_MM = 25.0
-"""So much of the anatomy around the fan at its start is kept."""
+"""Width of the anatomy that is kept around the fan at its start."""
 MIN_START_OVERLAP, MIN_OVERLAP = 0.1, 0.35
 """Least share of the fan inside the anatomy, at the start and at the pose found."""
 MAX_IMAGES = 4
-"""So many contrasts of the anatomy are fitted at once."""
+"""Most contrasts of the anatomy that are fitted at once."""
 
 
 def register_pair(

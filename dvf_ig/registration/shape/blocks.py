@@ -17,17 +17,20 @@ from dvf_ig.registration.lc2.patches import patch_centers_mm
 from dvf_ig.registration.pose_chart import PoseChart
 
 POSE, SHIFT = slice(0, 6), slice(3, 6)
-"""Of the unknowns: the six coordinates of `PoseChart`, its translation. The boundary's offset follows."""
+"""Parts of the unknowns: the six coordinates of `PoseChart`, its translation. The boundary's offset
+follows."""
 BLOCK_MM = 30.0
 """Edge of a block: with 20 mm the mean error on tuning hearts 1001–1008 is the same."""
 STEP_MM = 1.0
-"""Of the differences of gradients that give a block's curvature."""
+"""Step of the differences of gradients that give a block's curvature."""
 LC2_INFORMATION = 3.0
-"""Of a block, in units of `Lc2.information`, which counts its difference from the model as noise as well."""
+"""Information of a block, in units of `Lc2.information`, which counts its difference from the model as
+noise as well."""
 POINTS_PER_OBSERVATION = 10.0
-"""Of the boundary. Both are about a third of what counts where the change of shape is not a part of the
-model; on tuning hearts 1009–1020 a boundary that counts three times as much is 0.05 mm worse in calm images
-and 0.1 mm better in poor ones, both three times as much 0.03 mm worse and 0.05 mm better."""
+"""Points of the boundary that count as one. Both are about a third of what counts if the change of shape is
+not a part of the model; on tuning hearts 1009–1020 a boundary that counts three times as much is 0.05 mm
+worse in calm images and 0.1 mm better in poor ones, both three times as much 0.03 mm worse and 0.05 mm
+better."""
 
 
 def distinct_rows(rows: IntArray) -> tuple[IntArray, IntArray]:
@@ -77,12 +80,12 @@ class BlockedLc2:
         self.slice: IntArray = keys[:, 0]
 
     def gradients(self, poses: Sequence[Rigid], center_mm: FloatArray) -> tuple[BlockGradients, ...]:
-        """Of every block at each pose; poses that lie together cost less than one by one."""
+        """Gradients of every block at each pose; several poses at once cost less than one by one."""
         found = self._metric.part_gradients(self._parts, poses, center_mm)
         return tuple(BlockGradients(at.cost, at.gradient) for at in found)
 
     def shifted_gradient(self, pose: Rigid, shift_mm: FloatArray, center_mm: FloatArray) -> FloatArray:
-        """(b, 6) as `gradients` at a pose beside which each block is moved by (b, 3), target frame."""
+        """(b, 6) as `gradients` at a pose relative to which each block is moved by (b, 3), target frame."""
         return self._metric.shifted_part_gradient(self._parts, pose, shift_mm, center_mm).gradient
 
 
@@ -116,7 +119,7 @@ class BlockedBoundary:
         """(n, 7) gradient and (n, 7, 7) curvature of −log likelihood, one observation a point, at a pose.
 
         Args:
-            shift_mm: (n, 3) by which each block is moved beside the pose, target frame.
+            shift_mm: (n, 3) by which each block is moved relative to the pose, target frame.
             offset_mm: of the surface, added to that of the fit.
         """
         problem = self._problem
@@ -178,7 +181,7 @@ class Influences:
 class BlockedMatch:
     """LC2 and boundary of every block of space.
 
-    LC2's curvature is that at the first pose: where blocks have moved on, only gradients are taken anew.
+    LC2's curvature is that at the first pose: where blocks have moved on, only gradients are computed again.
 
     Attributes:
         cell: (n, 3) which block, in steps of BLOCK_MM in the source frame.
@@ -217,7 +220,7 @@ class BlockedMatch:
 
         Args:
             shift_mm: (n, 3) of the blocks, target frame.
-            offset_mm: of the boundary's surface, beside that of its fit.
+            offset_mm: of the boundary's surface, relative to that of its fit.
         """
         found = self._scale * self._lc2.shifted_gradient(pose, shift_mm[self._of_lc2], self._center_mm)
         gradient = np.hstack([found, np.zeros((len(found), 1))])
@@ -236,7 +239,7 @@ class BlockedMatch:
 
 
 def about_no_shift(costs: BlockCosts, shift_mm: FloatArray) -> BlockCosts:
-    """The same expansion, its gradient where blocks are not moved beside the pose."""
+    """Move the gradient of an expansion to blocks that are not shifted relative to the pose."""
     gradient = costs.gradient - np.einsum("bud,bd->bu", costs.curvature[:, :, SHIFT], shift_mm)
     return BlockCosts(gradient, costs.curvature)
 

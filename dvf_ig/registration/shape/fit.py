@@ -5,7 +5,7 @@ pose and m_b the change of shape there its −log likelihood is gᵀu + ½uᵀKu
 optimum bends the pose to whatever part of the heart is seen; with m of the prior's covariance blocks near to
 one another count as what they are, one observation of the pose between them (Aitken 1935).
 
-The change of shape is a Gaussian process a priori: alike over LENGTH_MM, RMS_MM on average, of every
+The change of shape is a Gaussian process a priori: smooth over LENGTH_MM, RMS_MM on average, of every
 direction, and without a rigid part over the heart, since that is the pose. This last condition separates pose
 and change of shape where ultrasound sees a part of the heart only (Rasmussen and Williams 2006, ch. 2;
 processes conditioned on linear functionals).
@@ -34,7 +34,7 @@ Gated volumes of seeds 101–105, where all of the heart is seen: 0.81 without, 
 NODES = 5
 """Along an edge of the cube over which the change of shape has no rigid part."""
 LEAST_VARIANCE = 1e-3
-"""What of a coordinate's variance may be left out, as a share of it."""
+"""Share of a coordinate's variance that may be left out."""
 OWN_MM = 1.0
 """Standard deviation per axis of what a block is off by that its neighbours are not: its part in changes of
 shape shorter than a block, and LC2's own error of place, 0.6 mm in the median. On tuning hearts 1009–1020
@@ -44,7 +44,7 @@ TURNS = 8
 SETTLED_MM = 0.03
 """Steps of the pose shorter than this end the descent."""
 OFFSET_SIGMA_MM = 1.0
-"""Of the boundary's uniform offset about that of its fit."""
+"""Standard deviation of the boundary's uniform offset about that of its fit."""
 
 
 def deformation_factor(places_mm: FloatArray, center_mm: FloatArray) -> FloatArray:
@@ -172,7 +172,7 @@ def pose_and_shape(match: BlockedMatch, chart: PoseChart, known: KnownPose) -> P
         numpy.linalg.LinAlgError: blocks and knowledge leave the pose open.
     """
     pose, offset_mm, shift_mm = chart.base, 0.0, np.zeros((len(match), 3))
-    # blocks move by far less than the length over which changes of shape are alike
+    # blocks move by far less than the length over which changes of shape are smooth
     factor = deformation_factor(match.places_mm(pose), chart.center_mm)
     turns: list[tuple[JointFit, Influences]] = []
     for _ in range(TURNS):

@@ -56,9 +56,9 @@ TOLERANCE_MM = 1e-4
 DAMPING = 1e-3
 """In mean curvatures: undetermined directions take no steps."""
 MAX_SIGMA_RATIO = 2.0
-"""Points may scatter about the surface by so many times their stated standard deviation."""
+"""Largest scatter of the points about the surface, in their stated standard deviations."""
 INLIER = 3.0
-"""An inlier lies within so many standard deviations of the surface."""
+"""Largest distance of an inlier from the surface, in standard deviations."""
 MIN_INLIER_SHARE = 0.7
 """With a smaller share of inliers there is no pose."""
 MAX_WEAK_SIGMA_MM = 3.0
@@ -207,7 +207,7 @@ def _step(distance: SurfaceDistance, pose: Rigid, scale_mm: float) -> FloatArray
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class RunnerUp:
-    """The best other pose, more than 4 mm away: where it is, and how much less likely.
+    """The best other pose, more than 4 mm away, and how much less likely it is.
 
     Attributes:
         target_from_source: the other pose.
@@ -235,7 +235,7 @@ class SurfacePointFit:
         center_mm: (3,) centre of the heart box in the target frame.
         weakest: the least-constrained direction.
         cost: −log of the robust likelihood.
-        runner_up: None where every start ended at one pose.
+        runner_up: None if every start ended at one pose.
         starts: how many were tried.
     """
 
@@ -343,7 +343,7 @@ def _spread_mm(residuals_mm: FloatArray, stated_mm: float) -> float:
 
 
 def _covariance(distance: SurfaceDistance, pose: Rigid, sigma_mm: float) -> FloatArray:
-    """(6, 6): inverse weighted curvature; NaN where it is singular."""
+    """(6, 6): inverse weighted curvature; NaN if it is singular."""
     residuals, jacobian = distance.linearised(pose)
     weights = robust_weights(residuals, REACH * sigma_mm)
     curvature = jacobian.T @ (weights[:, None] * jacobian)

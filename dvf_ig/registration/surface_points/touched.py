@@ -31,7 +31,7 @@ MIN_SPREAD_MM = 8.0
 ALLOWED_MM = 2.0
 """Error of a registration that is good enough; a third of its square shows across a surface."""
 OUTLIER_SHARE = 0.2
-"""Points may be so often off the surface."""
+"""Share of the points that may be off the surface."""
 
 
 @read_only_arrays

@@ -14,9 +14,10 @@ Tracking: an information filter,
     update   Λ = P⁻¹ + J,   ξ̂ = Λ⁻¹ (J ξ),   P ← Λ⁻¹,
 so that directions which one beat cannot observe keep what earlier beats knew of them. P is how well the pose
 is known against the beats to come. What all beats have in common (calibration, mismatch of the anatomy) no
-beat reduces: the covariance S of the registration that the pose goes back to stays beside P, and P + S is how
-well the pose is known against the truth (a consider covariance: Schmidt 1966). A later registration is made
-of frames that the beats have used: it is fused by covariance intersection with S, and leaves P as it is.
+beat reduces: the covariance S of the registration that the pose goes back to is kept as well as P, and P +
+S is how well the pose is known against the truth (a consider covariance: Schmidt 1966). A later
+registration is made of frames that the beats have used: it is fused by covariance intersection with S, and
+leaves P as it is.
 """
 
 import math
@@ -32,7 +33,7 @@ from dvf_ig.registration.lc2.optimise import PRIOR_SIGMA_MM, GaussianPrior, Opti
 from dvf_ig.registration.pose_chart import PoseChart, covariance_to_mm
 
 WEIGHT_TOLERANCE = 1e-3
-"""Of ω: the determinant is flat at its minimum."""
+"""Tolerance of ω: the determinant is flat at its minimum."""
 FLAT = 1e-6
 """Logarithms of det P this near to each other count as the same."""
 FIXED_FIT_STIFFNESS = 4.0
@@ -53,9 +54,9 @@ INFORMATIVE_LOG_RATIO = 1.5
 tuning seeds 101 to 103 good poses have 3.1 or more with poor images, 8 with few slices, 15 calm; black images
 have 0, noise and speckle of any grain up to 0.44."""
 MEAN_SQUARE_OF_COORDINATES = np.array([2 / 3] * 3 + [1.0] * 3)
-"""What a unit of each coordinate adds to the mean square distance over points at the heart's radius."""
+"""Mean square distance over points at the heart's radius for a unit of each coordinate."""
 BEAT_OPTIMISER = OptimiserOptions(steps=10, cap_mm=5.0, tolerance_mm=0.1)
-"""Of a beat's slices, from the pose in use:"""
+"""Descents of a beat's slices, from the pose in use."""
 
 
 def covariance_intersection(
@@ -96,7 +97,7 @@ class PoseEstimate:
         center_mm: (3,) centre of the heart box, target frame.
         shared_mm2: S, of the error that all beats have in common.
         shape_step: the pose is shape_step ∘ that at which images match best, which a change of the heart's
-            shape has pulled aside (`registration.deformation`); None where they are the same.
+            shape has pulled aside (`registration.shape`); None if they are the same.
     """
 
     pose: Rigid
@@ -143,7 +144,7 @@ class PoseEstimate:
         return math.sqrt(square / mean * float(chi2.ppf(0.95, mean * mean / square)))
 
     def predict(self, beats: float) -> "PoseEstimate":
-        """The same pose after so many beats, with the process noise of each."""
+        """Add the process noise of `beats` beats."""
         return replace(self, covariance_mm2=self.covariance_mm2 + beats * PROCESS_NOISE_MM**2 * np.eye(6))
 
     def update(self, offset_information_mm: FloatArray, information: FloatArray) -> "PoseEstimate":

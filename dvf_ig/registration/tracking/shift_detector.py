@@ -40,7 +40,7 @@ SCATTER_BEATS, PRESUMED_BEATS = 30, 5
 """Beats before the window whose scatter counts, and beats that scatter as they should, presumed before them.
 On tuning hearts 1001–1010, 240 s each, 20 or 60 and 2 or 10 do as well."""
 DEGREES_OF_FREEDOM = 6
-"""Of a pose: what a beat's statistic is in the mean if its information is right."""
+"""Degrees of freedom of a pose: mean of a beat's statistic if its information is right."""
 LARGEST_SCATTER = 60.0
 """Statistic of one beat, above which it counts as this."""
 
@@ -137,7 +137,7 @@ class ShiftDetector:
 
     @property
     def variance(self) -> float:
-        """Of beats over what their information promises, at least 1."""
+        """Scatter of beats over what their information promises, at least 1."""
         beats = PRESUMED_BEATS + len(self.scatter)
         return max(1.0, (PRESUMED_BEATS + sum(self.scatter) / DEGREES_OF_FREEDOM) / beats)
 

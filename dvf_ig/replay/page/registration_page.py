@@ -28,7 +28,7 @@ class ShownInput:
         title: for example "Registration of case 7".
         about: whose it is, and from which files.
         source_name, target_name: what the two frames of the pose hold, as a reader calls it.
-        anatomy: what the planes show of the pre-operative data beside contours, for example "MR".
+        anatomy: what the planes show of the pre-operative data in addition to contours, for example "MR".
         remark: what a reader should know about that; empty where nothing.
         planes: ultrasound planes before and after registration.
         data: rows of what was registered and how much of it was used.

@@ -1,4 +1,4 @@
-"""What `result.json` says of each registration: its pose, and what speaks for or against it."""
+"""Registrations as `result.json` lists them: their poses and their evidence."""
 
 from typing import Any
 
@@ -9,7 +9,7 @@ from dvf_ig.session import RegistrationRecord
 
 
 def attempt_fields(attempt: RegistrationRecord) -> dict[str, Any]:
-    """One registration that was asked for, with its evidence where it gave a pose."""
+    """List one registration that was asked for, with its evidence if it gave a pose."""
     result = attempt.result
     out: dict[str, Any] = {
         "asked_s": attempt.asked_s,
@@ -26,7 +26,7 @@ def attempt_fields(attempt: RegistrationRecord) -> dict[str, Any]:
 
 
 def evidence_of(result: RegistrationResult) -> dict[str, Any]:
-    """What speaks for or against a registration, under the names every command uses."""
+    """Evidence of a registration, under the names every command uses."""
     finite = bool(np.isfinite(result.covariance).all())
     offset = result.evidence.phase_offset
     return {
@@ -55,7 +55,7 @@ def evidence_of(result: RegistrationResult) -> dict[str, Any]:
 
 
 def _pair_evidence(pair: PairEvidence | None) -> dict[str, Any]:
-    """Of a pair of images of an organ that does not beat; all None of a heart."""
+    """Evidence of a pair of images of an organ that does not beat; all None for a heart."""
     return {
         "pair_statistic": None if pair is None else _finite(pair.doubt),
         "agreeing_starts": None if pair is None else pair.agreeing_starts,

@@ -91,7 +91,7 @@ class BeatSlices:
     clock: Callable[[], float]
 
     def evaluate_beat(self, pose: Rigid, center_mm: FloatArray, *, in_use: bool) -> BeatEvaluation | None:
-        """Compare the beat with a pose; None where the slices hardly overlap the model."""
+        """Compare the beat with a pose; None if the slices hardly overlap the model."""
         began = self.clock()
         measurement = measure_beat(self.metric, pose, center_mm)
         if measurement.overlap < MIN_OVERLAP:
@@ -128,10 +128,10 @@ def as_of(evaluation: BeatEvaluation, tested: PoseEstimate) -> BeatEvaluation:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ComparedBeat:
-    """What a finished beat told.
+    """A finished beat, compared or not.
 
     Attributes:
-        slices: None where the beat cannot be compared with the model.
+        slices: None if the beat cannot be compared with the model.
         evaluation: of the pose it was compared with; None without one, or where they hardly overlap.
         irregular: the beat came early or late, so that its phase is not known.
     """
@@ -151,7 +151,7 @@ class ComparableBeat(Protocol):
     def end_s(self) -> float: ...
 
     def evaluate_beat(self, pose: Rigid, center_mm: FloatArray, *, in_use: bool) -> BeatEvaluation | None:
-        """Compare the beat with a pose; None where they hardly overlap."""
+        """Compare the beat with a pose; None if they hardly overlap."""
         ...
 
 

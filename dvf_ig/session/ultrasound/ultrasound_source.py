@@ -19,7 +19,7 @@ from .frame_registration import RegistrationRecord, RegistrationRequest, registe
 from .gated_frames import GatedFrames, UltrasoundRecording, gate_recording
 
 _FAILURES = (DvfIgError, np.linalg.LinAlgError)
-"""What a registration or a comparison of unfit images may end with."""
+"""Errors of a registration or a comparison of unfit images."""
 
 
 class UltrasoundSource(Protocol):
