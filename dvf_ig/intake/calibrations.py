@@ -91,10 +91,10 @@ def calibrate(scenario: Calibratable, seed: int) -> Calibrations:
     return Calibrations(UltrasoundCalibration(image, lag_s), tip, pivot, probe, latency)
 
 
-def calibrated(scenario: Scenario, found: Calibrations) -> Scenario:
+def calibrated(scenario: Scenario, result: Calibrations) -> Scenario:
     """Replace the recordings of calibrations in a scenario by their results."""
-    image, lag_s = found.ultrasound.probe_from_image, found.ultrasound.lag_s
-    return replace(scenario, probe=image, latency=lag_s, tip=found.tip)
+    image, lag_s = result.ultrasound.probe_from_image, result.ultrasound.lag_s
+    return replace(scenario, probe=image, latency=lag_s, tip=result.tip)
 
 
 def _tip(
@@ -103,8 +103,8 @@ def _tip(
     if not isinstance(given, PoseStream):
         return given, None
     with _naming("pivot calibration"):
-        found = accepted(calibrate_pivot(given, rng=rng))
-    return found.tip, found
+        result = accepted(calibrate_pivot(given, rng=rng))
+    return result.tip, result
 
 
 def _image(
@@ -112,23 +112,23 @@ def _image(
 ) -> tuple[ImageMap, ProbeResult | None]:
     if isinstance(given, ImageMap):
         return given, None
-    found: ProbeResult
+    result: ProbeResult
     with _naming("probe calibration"):
         if isinstance(given, NWireRecording):
-            found = accepted(compare_nwire_methods(given, rng=rng).best)
+            result = accepted(compare_nwire_methods(given, rng=rng).best)
         elif given.phantom == "cross-wire":
-            found = accepted(calibrate_crosswire(given.poses, given.points_px, rng=rng))
+            result = accepted(calibrate_crosswire(given.poses, given.points_px, rng=rng))
         else:
-            found = accepted(calibrate_wall(given.poses, given.points_px, rng=rng))
-    return found.probe_from_image, found
+            result = accepted(calibrate_wall(given.poses, given.points_px, rng=rng))
+    return result.probe_from_image, result
 
 
 def _lag(given: LatencyRecording | float) -> tuple[float, LatencyResult | None]:
     if isinstance(given, float):
         return given, None
     with _naming("latency calibration"):
-        found = accepted(estimate_latency(given))
-    return found.lag_s, found
+        result = accepted(estimate_latency(given))
+    return result.lag_s, result
 
 
 @contextmanager

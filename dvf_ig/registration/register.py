@@ -188,13 +188,13 @@ def _assessed(
     ones. For images unlike all that was calibrated neither is stated, and the pose is judged as if they were
     like those; where nothing was calibrated for their kind, the checks' own limits decide.
     """
-    found = assess(table, features, statistics)
-    if stop.usable and not found.doubtful:
-        return stop, found
-    chance = found.success_probability
+    assessment = assess(table, features, statistics)
+    if stop.usable and not assessment.doubtful:
+        return stop, assessment
+    chance = assessment.success_probability
     if not stop.usable and table is not None and chance is not None:
         chance = min(chance, table.refused_probability)
-    refused = replace(found, success_probability=chance, tre_bound_mm=None)
+    refused = replace(assessment, success_probability=chance, tre_bound_mm=None)
     return (Stop.DOUBTFUL if stop.usable else stop), refused
 
 

@@ -11,7 +11,6 @@ from toy_heart import CENTER_MM, toy_mr, toy_pose, toy_slices
 
 from dvf_ig.core import (
     Grid,
-    InvalidInputError,
     Landmarks,
     Points,
     Rigid,
@@ -24,8 +23,6 @@ from dvf_ig.registration import (
     BLOOD,
     WALL,
     BoundaryPoints,
-    FrameInformation,
-    FrameRejection,
     HeartChannels,
     LandmarkPrior,
     Level,
@@ -33,7 +30,6 @@ from dvf_ig.registration import (
     RegistrationResult,
     UltrasoundImages,
     channels_from_mr,
-    gate_frames,
     pose_difference,
     prior_from_landmarks,
     register,
@@ -157,21 +153,6 @@ def test_target_error_of_a_known_shift_composes_and_is_frame_invariant() -> None
     assert (summary.median, summary.max, summary.n) == (2.5, 10.0, 4)
 
 
-def test_landmark_start_recovers_the_pose_and_reports_residuals() -> None:
-    names = ("apex", "rv", "aorta", "laa")
-    mr = np.array([[0.0, 0, 0], [60, 0, 10], [0, 50, 20], [10, -20, 70]])
-    tracker = toy_pose().inverse().apply_array(mr)
-    start = start_from_landmarks(
-        Landmarks(names, Points("mr", mr)),
-        Landmarks(names[::-1], Points("tracker", tracker[::-1])),
-    )
-    np.testing.assert_allclose(start.mr_from_tracker.matrix, toy_pose().matrix, atol=1e-9)
-    assert start.residuals_mm.max() < 1e-9
-    few = Landmarks(("apex", "x", "y"), Points("tracker", tracker[:3]))
-    with pytest.raises(InvalidInputError, match="share 1 landmark names"):
-        start_from_landmarks(Landmarks(names, Points("mr", mr)), few)
-
-
 def test_slices_that_show_none_of_the_models_boundary_end_in_disagreement() -> None:
     mr = toy_mr()
     labels = VolumeSeries(mr.grid, np.where(mr.values > 230, BLOOD, WALL).astype(np.uint8), mr.timing)
@@ -184,51 +165,6 @@ def test_slices_that_show_none_of_the_models_boundary_end_in_disagreement() -> N
     assert result.stop is Stop.DISAGREEMENT
     assert result.evidence.boundary_mm == np.inf
     assert _tre(result.target_from_source).mean() < 1.0
-
-
-def test_frames_without_information_are_counted_by_what_they_lack() -> None:
-    good = np.ones(4, dtype=bool)
-    gated = gate_frames(
-        np.zeros(4),
-        np.zeros(1),
-        image_valid=good,
-        pose_valid=good,
-        beat_valid=good,
-        information=FrameInformation(
-            np.array([0.0, 0.9, 0.9, 0.9]),
-            np.array([True, True, False, False]),
-            np.array([0.0, 0.6, 0.1, 0.6]),
-        ),
-    )
-    np.testing.assert_array_equal(gated.index, [3])
-    for reason in (FrameRejection.DARK_IMAGE, FrameRejection.REPEATED_IMAGE, FrameRejection.NOISE_IMAGE):
-        assert gated.rejected[reason] == 1
-
-
-def test_gate_counts_each_reason_once() -> None:
-    model_phase = np.array([0.00, 0.02, 0.50, 0.51, 0.53, 0.99])
-    good = np.ones(6, dtype=bool)
-    tracked = good.copy()
-    tracked[1] = False
-    gated = gate_frames(
-        model_phase,
-        np.array([0.0, 0.5]),
-        image_valid=good,
-        pose_valid=tracked,
-        beat_valid=np.array([True, True, False, True, True, True]),
-        information=FrameInformation(np.ones(6), np.zeros(6, dtype=bool), np.ones(6)),
-        window=0.02,
-    )
-    np.testing.assert_array_equal(gated.index, [0, 3, 5])
-    assert gated.rejected == {
-        "image marked invalid": 0,
-        "image dark": 0,
-        "image frozen": 0,
-        "image without structure": 0,
-        "probe not tracked": 1,
-        "irregular or unfinished beat": 1,
-        "between model phases": 1,
-    }
 
 
 def test_an_image_pair_is_registered_from_its_volumes() -> None:

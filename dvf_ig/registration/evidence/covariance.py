@@ -134,9 +134,9 @@ def clock_covariance_mm2(
 
 def _scaled(metric: Lc2, pose: Rigid, center_mm: FloatArray) -> FloatArray:
     """(6,) gradient of −log likelihood."""
-    found: CostGradient = metric.cost_gradient(pose, center_mm)
-    total = max(float(found.cost.sum()), 1e-12)
-    return np.asarray(0.5 * metric.information / total * found.gradient.sum(axis=0))
+    at_pose: CostGradient = metric.cost_gradient(pose, center_mm)
+    total = max(float(at_pose.cost.sum()), 1e-12)
+    return np.asarray(0.5 * metric.information / total * at_pose.gradient.sum(axis=0))
 
 
 def covariance_mm2(fit: JointFit, influences: Influences) -> FloatArray:

@@ -276,11 +276,11 @@ class Lc2:
         sums = np.empty((len(poses), parts.first_part[-1], MATRIX))
         ordered = np.empty_like(self._scratch.fits)
         self._run(lc2_step_parts, (self._patched, parts, model, self._scratch, ordered, sums))
-        found, counts = [], np.diff(parts.first_part)
+        out, counts = [], np.diff(parts.first_part)
         for own, (_, mm_from_pixel) in zip(sums, placed, strict=True):
             motion = self._motion(mm_from_pixel, center_mm).repeated(counts)
-            found.append(_cost_gradient(own, motion))
-        return tuple(found)
+            out.append(_cost_gradient(own, motion))
+        return tuple(out)
 
     def shifted_part_gradient(
         self, parts: SliceParts, pose: Rigid, shift_mm: FloatArray, center_mm: FloatArray

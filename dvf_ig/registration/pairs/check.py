@@ -93,7 +93,7 @@ def interleaved_halves_mm(fine: VolumeLc2, part: IntArray, pose: Rigid, place: P
 def gather_pair_evidence(
     coarse: VolumeLc2,
     fine: VolumeLc2,
-    found: SearchResult,
+    search: SearchResult,
     place: Place,
     *,
     moved_mm: float,
@@ -102,23 +102,23 @@ def gather_pair_evidence(
 ) -> PairChecks:
     """Gather the evidence for the pose of a search."""
     part = octants(fine.centers_mm, fine.grid.direction)
-    poses = left_out_poses(fine, part, found.pose, place)
+    poses = left_out_poses(fine, part, search.pose, place)
     report_progress(0.6)
-    halves_mm = interleaved_halves_mm(fine, part, found.pose, place)
+    halves_mm = interleaved_halves_mm(fine, part, search.pose, place)
     report_progress(0.8)
-    wrong = wrong_pose_similarities(fine, found.pose, place, rng)
+    wrong = wrong_pose_similarities(fine, search.pose, place, rng)
     evidence = PairEvidence(
-        agreeing_starts=found.agreeing,
-        similarity=found.similarity,
+        agreeing_starts=search.agreeing,
+        similarity=search.similarity,
         chance=float(wrong.mean()),
-        elsewhere=found.elsewhere,
+        elsewhere=search.elsewhere,
         jackknife_mm=jackknife_mm(poses, place),
         halves_mm=halves_mm,
-        z_score=float((found.similarity - wrong.mean()) / max(float(wrong.std()), 1e-12)),
+        z_score=float((search.similarity - wrong.mean()) / max(float(wrong.std()), 1e-12)),
         moved_mm=moved_mm,
-        mirrored_share=mirrored_share(coarse, found.pose, place, rng=rng),
+        mirrored_share=mirrored_share(coarse, search.pose, place, rng=rng),
     )
-    return PairChecks(evidence, jackknife_covariance(poses, found.pose, place))
+    return PairChecks(evidence, jackknife_covariance(poses, search.pose, place))
 
 
 def mirrored_share(coarse: VolumeLc2, pose: Rigid, place: Place, *, rng: np.random.Generator) -> float:

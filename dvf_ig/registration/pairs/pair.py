@@ -74,12 +74,12 @@ def register_pair(
     with SliceThreads() as threads:
         *coarse, fine = (_metric(fan, anatomies, start, threads) for fan in fans)
         report(0.15)
-        found = search(coarse, fine, start, place, rng=rng, report_progress=lambda x: report(0.15 + 0.6 * x))
-        moved_mm = place.apart_mm(start, found.pose)
+        best = search(coarse, fine, start, place, rng=rng, report_progress=lambda x: report(0.15 + 0.6 * x))
+        moved_mm = place.apart_mm(start, best.pose)
         checks = gather_pair_evidence(
             coarse[0],
             fine,
-            found,
+            best,
             place,
             moved_mm=moved_mm,
             rng=rng,
@@ -87,9 +87,9 @@ def register_pair(
         )
         start_similarity = fine.score(start).similarity
     pair = checks.evidence
-    overlap = share_inside(anatomies, fans[-1], found.pose)
+    overlap = share_inside(anatomies, fans[-1], best.pose)
     return RegistrationResult(
-        target_from_source=found.pose,
+        target_from_source=best.pose,
         start=start,
         stop=stop_of(pair, overlap, moved_mm),
         success_probability=pair.success_probability,
@@ -100,12 +100,12 @@ def register_pair(
         noise_covariance=checks.covariance,
         center_mm=place.center_mm,
         evidence=Evidence(pair.z_score, pair.halves_mm, None, pair=pair),
-        similarity=found.similarity,
+        similarity=best.similarity,
         start_similarity=start_similarity,
         overlap=overlap,
         second_best=float(pair.elsewhere[0]) if len(pair.elsewhere) else 0.0,
         moved_mm=moved_mm,
-        evaluations=found.evaluations,
+        evaluations=best.evaluations,
         seconds=clock() - began,
         slices=len(fine.centers_mm),
         options=RegistrationOptions(

@@ -40,8 +40,8 @@ def distinct_rows(rows: IntArray) -> tuple[IntArray, IntArray]:
     """
     lowest = rows.min(axis=0)
     size = tuple((rows.max(axis=0) - lowest + 1).tolist())
-    found, part = np.unique(np.ravel_multi_index(tuple((rows - lowest).T), size), return_inverse=True)
-    return np.column_stack(np.unravel_index(found, size)) + lowest, part
+    distinct, part = np.unique(np.ravel_multi_index(tuple((rows - lowest).T), size), return_inverse=True)
+    return np.column_stack(np.unravel_index(distinct, size)) + lowest, part
 
 
 @read_only_arrays
@@ -81,8 +81,8 @@ class BlockedLc2:
 
     def gradients(self, poses: Sequence[Rigid], center_mm: FloatArray) -> tuple[BlockGradients, ...]:
         """Gradients of every block at each pose; several poses at once cost less than one by one."""
-        found = self._metric.part_gradients(self._parts, poses, center_mm)
-        return tuple(BlockGradients(at.cost, at.gradient) for at in found)
+        gradients = self._metric.part_gradients(self._parts, poses, center_mm)
+        return tuple(BlockGradients(at.cost, at.gradient) for at in gradients)
 
     def shifted_gradient(self, pose: Rigid, shift_mm: FloatArray, center_mm: FloatArray) -> FloatArray:
         """(b, 6) as `gradients` at a pose relative to which each block is moved by (b, 3), target frame."""
@@ -222,8 +222,8 @@ class BlockedMatch:
             shift_mm: (n, 3) of the blocks, target frame.
             offset_mm: of the boundary's surface, relative to that of its fit.
         """
-        found = self._scale * self._lc2.shifted_gradient(pose, shift_mm[self._of_lc2], self._center_mm)
-        gradient = np.hstack([found, np.zeros((len(found), 1))])
+        of_lc2 = self._scale * self._lc2.shifted_gradient(pose, shift_mm[self._of_lc2], self._center_mm)
+        gradient = np.hstack([of_lc2, np.zeros((len(of_lc2), 1))])
         curvature = np.zeros((len(self), UNKNOWNS, UNKNOWNS))
         curvature[:, POSE, POSE] = self._lc2_curvature
         number = self._lc2.slice

@@ -118,16 +118,16 @@ def joint_fit(costs: BlockCosts, factor: FloatArray, known: FloatArray, slope: F
     normal = np.block([[rigid, mixed.T], [mixed, own + np.eye(len(own))]])
     gradient = np.einsum("buv,bv->bu", kept, costs.gradient)
     shape = np.einsum("bdk,bd->k", factor, gradient[:, SHIFT], optimize=True)
-    wanted = np.eye(len(normal), 7)
-    wanted[:, 6] = -np.concatenate([gradient.sum(axis=0) + slope, shape])
-    solved = np.linalg.solve(normal, wanted)
-    found, of_pose = solved[:, 6], solved[:, POSE].T
+    right = np.eye(len(normal), 7)
+    right[:, 6] = -np.concatenate([gradient.sum(axis=0) + slope, shape])
+    solved = np.linalg.solve(normal, right)
+    solution, of_pose = solved[:, 6], solved[:, POSE].T
     pull = np.repeat(of_pose[None, :, :UNKNOWNS], len(factor), axis=0)
     pull[:, :, SHIFT] += np.einsum("pk,bdk->bpd", of_pose[:, UNKNOWNS:], factor, optimize=True)
     return JointFit(
-        step_mm=found[POSE],
-        offset_step_mm=float(found[6]),
-        shift_mm=np.einsum("bdk,k->bd", factor, found[UNKNOWNS:], optimize=True),
+        step_mm=solution[POSE],
+        offset_step_mm=float(solution[6]),
+        shift_mm=np.einsum("bdk,k->bd", factor, solution[UNKNOWNS:], optimize=True),
         covariance_mm2=0.5 * (of_pose[:, POSE] + of_pose[:, POSE].T),
         pull=pull @ kept,
     )

@@ -126,8 +126,8 @@ class SurfaceIcp:
         if not np.isfinite(matrix).all():
             return start
         chart = PoseChart(start, self._center_mm)
-        found = chart.coordinates(Rigid.from_matrix(matrix, start.target, start.source))
-        return chart.pose(np.round(found, ICP_DIGITS))
+        xi = chart.coordinates(Rigid.from_matrix(matrix, start.target, start.source))
+        return chart.pose(np.round(xi, ICP_DIGITS))
 
     def _cloud(self, xyz_mm: FloatArray) -> Any:
         return self._open3d.geometry.PointCloud(self._open3d.utility.Vector3dVector(np.array(xyz_mm)))

@@ -178,12 +178,12 @@ class SurfaceDisagreement:
     @property
     def sentence(self) -> str:
         """The check, as a user reads it."""
-        found = (
+        measured = (
             f"touched points lie {self.median_mm:.1f} mm from the surface (median of {len(self.distance_mm)}"
         )
         if self.agrees:
-            return f"{found}; up to {self.limit_mm:.1f} mm agrees with the pose)"
-        return f"{found}; needed at most {self.limit_mm:.1f} mm): the pose or the touched points are wrong"
+            return f"{measured}; up to {self.limit_mm:.1f} mm agrees with the pose)"
+        return f"{measured}; needed at most {self.limit_mm:.1f} mm): the pose or the touched points are wrong"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -177,9 +177,9 @@ class PoseEstimate:
         there = replace(self, pose=chart.pose(offset), shared_mm2=shared)
         if registered.shape_step is self.shape_step:
             return there
-        found = replace(there, shape_step=registered.shape_step)
-        pulled = PoseChart(there.matched_pose, self.center_mm).coordinates(found.matched_pose)
-        return replace(found, covariance_mm2=self.covariance_mm2 + np.outer(pulled, pulled))
+        reshaped = replace(there, shape_step=registered.shape_step)
+        pulled = PoseChart(there.matched_pose, self.center_mm).coordinates(reshaped.matched_pose)
+        return replace(reshaped, covariance_mm2=self.covariance_mm2 + np.outer(pulled, pulled))
 
     def sigma_mm(self) -> float:
         """Standard deviation per coordinate by `total_mm2`, RMS over the six."""

@@ -65,8 +65,10 @@ class ComparedBeat:
     @property
     def statistic(self) -> float:
         """χ² of six degrees of this beat alone, where nothing has shifted and its information is right."""
-        told = self.measurement
-        return _statistic(told.offset_information_mm, told.information, self.estimate.covariance_mm2)
+        measurement = self.measurement
+        return _statistic(
+            measurement.offset_information_mm, measurement.information, self.estimate.covariance_mm2
+        )
 
 
 @read_only_arrays
@@ -150,9 +152,11 @@ class ShiftDetector:
         worst: ShiftTest | None = None
         at, total, offset_total, share = np.zeros(6), np.zeros((6, 6)), np.zeros(6), 1.0 / self.variance
         for count, beat in enumerate(reversed(self.compared), start=1):
-            told = beat.measurement
-            total = total + share * told.information
-            offset_total = offset_total + share * (told.offset_information_mm + told.information @ at)
+            measurement = beat.measurement
+            total = total + share * measurement.information
+            offset_total = offset_total + share * (
+                measurement.offset_information_mm + measurement.information @ at
+            )
             offset = offset_total - total @ at
             statistic = _statistic(offset, total, beat.estimate.covariance_mm2)
             if worst is None or statistic > worst.statistic:

@@ -174,11 +174,11 @@ def patch_around(
 def sighting(patches: TipPatches) -> TipSighting | None:
     """Locate the tool; None if it is not seen, or too few beats could have shown it."""
     planes = np.arange(-SEARCHED_MM, SEARCHED_MM + 0.5 * PLANE_MM, PLANE_MM)
-    found = [one for one in (_in_plane(patches, float(plane)) for plane in planes) if one is not None]
-    brightest = max((one.contrast_grey for one in found), default=0.0)
+    seen = [one for one in (_in_plane(patches, float(plane)) for plane in planes) if one is not None]
+    brightest = max((one.contrast_grey for one in seen), default=0.0)
     if brightest < SEEN_GREY:
         return None
-    nearest = min((one for one in found if one.contrast_grey >= NEARLY * brightest), key=_distance)
+    nearest = min((one for one in seen if one.contrast_grey >= NEARLY * brightest), key=_distance)
     return nearest if nearest.ratio >= SEEN_RATIO else None
 
 

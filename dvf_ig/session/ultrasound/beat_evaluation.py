@@ -117,8 +117,8 @@ def evaluation_of(
     beat: "ComparableBeat", tested: PoseEstimate, center_mm: FloatArray, *, in_use: bool
 ) -> BeatEvaluation | None:
     """Compare a beat with an estimate: where its images should match, told of its pose."""
-    found = beat.evaluate_beat(tested.matched_pose, center_mm, in_use=in_use)
-    return None if found is None else as_of(found, tested)
+    evaluation = beat.evaluate_beat(tested.matched_pose, center_mm, in_use=in_use)
+    return None if evaluation is None else as_of(evaluation, tested)
 
 
 def as_of(evaluation: BeatEvaluation, tested: PoseEstimate) -> BeatEvaluation:

@@ -1,4 +1,4 @@
-"""Frames without anatomy are told from frames with it at every brightness: dark, frozen, noise, speckle."""
+"""Gating: frames without anatomy are recognised at every brightness, and rejections counted by reason."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ from scipy import ndimage
 
 from dvf_ig.core import BoolArray
 from dvf_ig.kernels.grid.block_sums import block_sums
-from dvf_ig.registration import FrameInformation, frame_information
+from dvf_ig.registration import FrameInformation, FrameRejection, frame_information, gate_frames
 
 ROWS, COLUMNS = 240, 260
 PITCH_MM = (0.5, 0.5)
@@ -91,3 +91,48 @@ def test_block_sums_are_those_of_numpy() -> None:
     inside = np.where(mask, images, 0)[:, :, : 32 * 8].astype(np.int64)
     np.testing.assert_array_equal(sums, inside.reshape(2, 30, 8, 32, 8).sum(axis=(2, 4)))
     np.testing.assert_array_equal(lit, (inside > 10).sum(axis=(1, 2)))
+
+
+def test_frames_without_information_are_counted_by_what_they_lack() -> None:
+    good = np.ones(4, dtype=bool)
+    gated = gate_frames(
+        np.zeros(4),
+        np.zeros(1),
+        image_valid=good,
+        pose_valid=good,
+        beat_valid=good,
+        information=FrameInformation(
+            np.array([0.0, 0.9, 0.9, 0.9]),
+            np.array([True, True, False, False]),
+            np.array([0.0, 0.6, 0.1, 0.6]),
+        ),
+    )
+    np.testing.assert_array_equal(gated.index, [3])
+    for reason in (FrameRejection.DARK_IMAGE, FrameRejection.REPEATED_IMAGE, FrameRejection.NOISE_IMAGE):
+        assert gated.rejected[reason] == 1
+
+
+def test_gate_counts_each_reason_once() -> None:
+    model_phase = np.array([0.00, 0.02, 0.50, 0.51, 0.53, 0.99])
+    good = np.ones(6, dtype=bool)
+    tracked = good.copy()
+    tracked[1] = False
+    gated = gate_frames(
+        model_phase,
+        np.array([0.0, 0.5]),
+        image_valid=good,
+        pose_valid=tracked,
+        beat_valid=np.array([True, True, False, True, True, True]),
+        information=FrameInformation(np.ones(6), np.zeros(6, dtype=bool), np.ones(6)),
+        window=0.02,
+    )
+    np.testing.assert_array_equal(gated.index, [0, 3, 5])
+    assert gated.rejected == {
+        "image marked invalid": 0,
+        "image dark": 0,
+        "image frozen": 0,
+        "image without structure": 0,
+        "probe not tracked": 1,
+        "irregular or unfinished beat": 1,
+        "between model phases": 1,
+    }

@@ -1,13 +1,14 @@
-"""RAS taken for LPS is refused at the start, and nothing else is."""
+"""Landmarks give a start with its residuals; RAS taken for LPS is refused there, and nothing else is."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from toy_ball import ball_model
+from toy_heart import toy_pose
 
 from dvf_ig.core import DvfModel, InvalidInputError, Landmarks, Mesh, Points, Rigid
-from dvf_ig.registration.start import FLIP, require_on_model, require_unflipped
+from dvf_ig.registration.start import FLIP, require_on_model, require_unflipped, start_from_landmarks
 
 POSE = Rigid.from_rotation_vector([0.3, -0.5, 0.8], [60.0, -30.0, 12.0], "mr", "tracker")
 NAMES = tuple(f"p{k}" for k in range(6))
@@ -58,3 +59,18 @@ def test_a_start_pose_in_ras_is_refused(side: str) -> None:
 def test_two_landmarks_tell_nothing() -> None:
     two = Landmarks(NAMES[:2], Points("tracker", np.zeros((2, 3))))
     require_unflipped(POSE, marked(), two)
+
+
+def test_landmark_start_recovers_the_pose_and_reports_residuals() -> None:
+    names = ("apex", "rv", "aorta", "laa")
+    mr = np.array([[0.0, 0, 0], [60, 0, 10], [0, 50, 20], [10, -20, 70]])
+    tracker = toy_pose().inverse().apply_array(mr)
+    start = start_from_landmarks(
+        Landmarks(names, Points("mr", mr)),
+        Landmarks(names[::-1], Points("tracker", tracker[::-1])),
+    )
+    np.testing.assert_allclose(start.mr_from_tracker.matrix, toy_pose().matrix, atol=1e-9)
+    assert start.residuals_mm.max() < 1e-9
+    few = Landmarks(("apex", "x", "y"), Points("tracker", tracker[:3]))
+    with pytest.raises(InvalidInputError, match="share 1 landmark names"):
+        start_from_landmarks(Landmarks(names, Points("mr", mr)), few)
