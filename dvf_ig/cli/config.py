@@ -230,11 +230,11 @@ def _wrong(verdict: "Verdict", purpose: "Use | None") -> "list[Problem]":
 
 def _calibrated(verdict: "Verdict", config: "SessionDraft", folder: Path, named_by: str) -> "Verdict":
     """The same with what a replay would say of calibrations that are still recordings."""
+    from dvf_ig.intake.calibrations import calibrate, calibrated
     from dvf_ig.io.session_file.draft import complete
     from dvf_ig.io.session_file.fit import fit_of, parts_of
     from dvf_ig.io.session_file.problem import ProblemList
     from dvf_ig.io.session_file.read import read_recordings
-    from dvf_ig.replay.calibrations import calibrate, calibrated
 
     problems = ProblemList()
     with problems.about("calibration"):

@@ -23,6 +23,7 @@ from .fixture_options import (
     with_margin,
 )
 from .patient_model import patient_model
+from .run_outputs import run_files, write_run
 from .shell import JsonFlag, SeedOption, ThreadsOption, command, emit, output_dir, progress, warn, wrote
 
 if TYPE_CHECKING:
@@ -74,17 +75,8 @@ def replay(
     """
     with command(threads):
         from dvf_ig.core import QualityGateError
-        from dvf_ig.io import (
-            files_together,
-            output_folder,
-            provenance_fields,
-            write_json,
-            write_text,
-        )
+        from dvf_ig.io import output_folder
         from dvf_ig.replay import result_of, run_replay, table
-        from dvf_ig.replay.outputs import NAMES, write_outputs
-        from dvf_ig.replay.page.replay_page import report_html
-        from dvf_ig.replay.view_file import VIEW, write_view_file
 
         given = {"law": law, "gamma": gamma, "delta": delta, "m": m, "cap_n": cap_n, "depth_mm": depth_mm}
         given |= {"inside": inside, "blend": blend}
@@ -95,8 +87,7 @@ def replay(
             options = recordings.fixtures
         mode = chosen_retiming(retiming, recordings.retiming or of_file)
         recorded = recordings.scenario
-        names = ("result.json", "report.html", VIEW, *NAMES)
-        with output_folder(out, names):
+        with output_folder(out, run_files()):
             built, origin = patient_model(recorded.preop, recordings.model or model)
             with progress("replay") as report:
                 done = run_replay(
@@ -109,16 +100,12 @@ def replay(
                     live=recordings.live,
                 )
             result = result_of(done)
-            with files_together(out, names) as new:
-                write_text(new / "report.html", report_html(done, result))
-                write_json(new / "result.json", {**result, **provenance_fields()})
-                frames = write_outputs(done.poses, done.ticks, new, recorded.tracked_against)
-                write_view_file(done, new, out, config or scenario or Path(), model)
+            files = write_run(done, result, out, config or scenario or Path(), model)
         heading = ("", "estimate", "error against the truth" if done.scenario.truth is not None else "")
         emit(result, [heading, *table(result)], as_json=as_json)
         typer.echo(origin, err=True)
-        for name in ("result.json", "report.html", VIEW, *frames):
-            wrote(out / name, frames.get(name))
+        for name, frame in files.items():
+            wrote(out / name, frame)
         for warning in result["warnings"]:
             warn(f"{warning['key']}: {warning['sentence']}")
         if done.poses and done.history.updates[-1].pose is None:

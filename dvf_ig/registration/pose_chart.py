@@ -1,7 +1,8 @@
-"""A rigid pose as six numbers of one size, and what is measured between poses.
+"""A rigid pose as six numbers in one unit, and errors and distances between poses.
 
 ξ = (rotation vector · radius, translation), all in mm at the heart's radius: a left perturbation of a pose
-about the centre of the heart box in the target frame.
+about the centre of the heart box in the target frame. The target registration error is the only accuracy of a
+registration (Fitzpatrick, ch. 8).
 """
 
 from collections.abc import Sequence
@@ -13,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from dvf_ig.core import (
     HEART_RADIUS_MM,
     FloatArray,
+    Points,
     Rigid,
     mean_displacement_mm,
     read_only_arrays,
@@ -88,3 +90,30 @@ def covariance_from_mm(covariance_mm2: FloatArray) -> FloatArray:
     """(6, 6) of rotation vector and translation in rad², mm², from that of ξ: the inverse of the above."""
     unit = np.diag([1 / HEART_RADIUS_MM] * 3 + [1.0] * 3)
     return np.asarray(unit @ covariance_mm2 @ unit)
+
+
+def target_errors_mm(estimate: Rigid, truth: Rigid, targets: Points) -> FloatArray:
+    """(n,) distance at each target between the estimated and the true map.
+
+    Args:
+        estimate, truth: target_from_source, same frames.
+        targets: points in the *target* frame ("mr"), where the declared anatomy lies.
+    """
+    source = truth.inverse().apply(targets)
+    return np.asarray(np.linalg.norm(estimate.apply(source).xyz_mm - targets.xyz_mm, axis=1))
+
+
+def pose_difference(estimate: Rigid, truth: Rigid, center_mm: FloatArray) -> tuple[float, FloatArray]:
+    """Rotation angle in degrees, and translation (3,) in mm at `center_mm` (target frame)."""
+    step = estimate @ truth.inverse()
+    shift = step.rotation @ center_mm + step.translation_mm - center_mm
+    return float(np.degrees(step.angle_rad)), shift
+
+
+def predicted_error_mm(covariance: FloatArray) -> float:
+    """RMS target error over a sphere of the heart's radius that a covariance (rad², mm²) predicts.
+
+    Of a unit turn about a random axis a point of the sphere moves by two thirds of its squared radius.
+    """
+    variance = np.diag(covariance_to_mm(covariance))
+    return float(np.sqrt(2.0 / 3.0 * variance[:3].sum() + variance[3:].sum()))

@@ -3,10 +3,11 @@
 from dataclasses import dataclass, replace
 
 from dvf_ig.core import FloatArray, Rigid, Stop, read_only_arrays
+from dvf_ig.registration.evidence.assessment import ImageStatistics
 from dvf_ig.registration.evidence.checks import Evidence
-from dvf_ig.registration.evidence.image_statistics import ImageStatistics
+from dvf_ig.registration.surface_points.touched import SurfaceDisagreement
 
-from .data import RegistrationOptions
+from .images import RegistrationOptions
 
 
 @read_only_arrays
@@ -16,29 +17,34 @@ class RegistrationResult:
 
     Attributes:
         target_from_source: the pose; the frames are in the value.
+        start: target_from_source that it began at.
         stop: how it ended.
         success_probability: chance that the mean error over the heart is below 2 mm (see
             `evidence.assessment`); None where `outside` says why none can be stated, or it was refused.
         tre_bound_mm: in 95 of 100 hearts the largest error over the targets of the heart box is below this;
-            None where that cannot be stated, and of a pose that is not usable.
+            None if that cannot be stated, or the pose is not usable.
         covariance: (6, 6) rad², mm²; rotation vector then translation, left perturbation about `center_mm`.
         noise_covariance: (6, 6) likewise, of what independent patches would leave open: the part that
             later heart beats, of the same calibrations and anatomy, can reduce.
         center_mm: (3,) centre of the heart box in the target frame.
         evidence: what the pose was tested by.
-        statistics: of the slices, and how they lie to the model; None of a pair of organs, which has none.
+        statistics: of the slices, and how they lie to the model; None for a pair of organs.
         outside: why neither probability nor bound can be stated; empty where they are.
         similarity, start_similarity: LC2 at the result and at the start pose.
         overlap: share of the slices inside the model's volume.
         second_best: LC2 of the best candidate more than 4 mm away; 0 if there was none.
         moved_mm: mean distance over the heart between start and result.
-        evaluations: of LC2's normal equations; seconds: by the caller's clock; slices: effort.
-        options: what it was searched with, and the limits that its evidence was held against.
+        evaluations: of LC2's normal equations; slices: effort.
+        seconds: computing time by the caller's clock, the preparation of the images included.
+        options: what it was searched with, and the limits of its evidence.
         covariance_scale: by which the covariance was multiplied, see `evidence.assessment`.
         matched: where the images match best, were the heart's shape that of the model; None: at the pose.
+        landmarks_mm: mean distance over the heart from the pose of touched landmarks; None without any.
+        touched: how far points touched on the heart's surface lie from it at the pose; None without any.
     """
 
     target_from_source: Rigid
+    start: Rigid
     stop: Stop
     success_probability: float | None
     tre_bound_mm: float | None
@@ -59,9 +65,11 @@ class RegistrationResult:
     options: RegistrationOptions
     covariance_scale: float = 1.0
     matched: Rigid | None = None
+    landmarks_mm: float | None = None
+    touched: SurfaceDisagreement | None = None
 
     def refused(self, stop: Stop) -> "RegistrationResult":
-        """The same pose, refused by what lies outside of the images, as touched landmarks."""
+        """Refuse the pose by evidence from outside of the images, such as touched landmarks."""
         return replace(self, stop=stop, success_probability=None, tre_bound_mm=None)
 
     @property

@@ -1,10 +1,24 @@
-"""A coarse start from anatomical points touched on the patient and marked on the model."""
+"""Landmarks touched on the patient and marked on the model: a start, a prior, and checks of their axes.
+
+Coordinates in RAS taken for LPS, or the reverse, turn by 180° about the long axis of the body: no check of
+rigidity can see it, and a fit to landmarks absorbs it. The model, which the marked points lie on, and a pose
+given in addition to the landmarks reveal it.
+"""
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from dvf_ig.core import FloatArray, InvalidInputError, Landmarks, Points, Rigid, read_only_arrays
+from dvf_ig.core import (
+    RAS_FROM_LPS,
+    DvfModel,
+    FloatArray,
+    InvalidInputError,
+    Landmarks,
+    Points,
+    Rigid,
+    read_only_arrays,
+)
 from dvf_ig.core.space.paired import fit_paired_points
 
 from .pose_chart import rigid_motion
@@ -13,6 +27,20 @@ MIN_FOR_PRIOR = 5
 """Fewer pairs of landmarks leave too few residuals to know how far off the points are."""
 LEAST_SIGMA_MM = 0.5
 """A stylus on a beating heart is never better than this per coordinate."""
+LANDMARKS_MM = 4.0
+"""Mean distance over the heart from the landmarks' pose that rules out a registration. Landmark fits of
+tuning seeds 101–106 lie 0.9 to 1.4 mm from the truth, good poses 2 mm."""
+POINT_MM = 5.0
+"""Median distance of marked points from the model's surfaces that needs no explanation. Points marked with
+2 mm of scatter lie 1.5 to 2.4 mm from it, flipped ones of a heart on the flip's axis 6 to 15 mm (hearts 101
+to 112)."""
+POSE_MM = 20.0
+"""Median distance of landmarks under a coarse start that needs no explanation: starts are 10 mm and 8° off
+as a rule."""
+FALLS_TO = 0.5
+"""A flip that takes the error to less than this share explains it (docs/theory/safety.md)."""
+FLIP = np.diag(RAS_FROM_LPS)[:3].copy()
+_REPAIR = "the file holds RAS where it says LPS, or the reverse; write it again"
 
 
 @read_only_arrays
@@ -27,7 +55,7 @@ class LandmarkStart:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LandmarkPrior:
-    """Touched landmarks as a likelihood of the pose beside the image: paired points and their spread.
+    """Touched landmarks as a likelihood of the pose in addition to the image: paired points and their spread.
 
     Attributes:
         target: (n, 3) marked on the model.
@@ -75,8 +103,66 @@ def start_from_landmarks(mr: Landmarks, tracker: Landmarks) -> LandmarkStart:
     if len(names) < 3:
         raise InvalidInputError(
             f"model and patient share {len(names)} landmark names ({', '.join(names) or 'none'}); "
-            "needed at least 3: name the same points alike in both files"
+            "needed at least 3: give the same points the same names in both files"
         )
     pose = fit_paired_points(target, source)
     residuals = np.linalg.norm(pose.apply(source).xyz_mm - target.xyz_mm, axis=1)
     return LandmarkStart(pose, names, residuals)
+
+
+def landmarks_disagree(apart_mm: float | None) -> bool:
+    """Whether touched landmarks rule out a pose.
+
+    Args:
+        apart_mm: mean distance over the heart between it and theirs; None without landmarks.
+    """
+    return apart_mm is not None and apart_mm > LANDMARKS_MM
+
+
+def require_on_model(marked: Landmarks, model: DvfModel) -> None:
+    """Raise InvalidInputError where flipped landmarks lie much nearer the model's surfaces than as given.
+
+    Args:
+        marked: on the model at end-diastole, its frame.
+    """
+    ed = model.ed_phase
+    meshes = [model.reference[ed], *(chamber.surfaces[ed] for chamber in model.chambers)]
+    surface = np.concatenate([mesh.vertices_mm for mesh in meshes])
+    given_mm = _off_mm(marked.points.xyz_mm, surface)
+    if given_mm <= POINT_MM:
+        return
+    flipped_mm = _off_mm(FLIP * marked.points.xyz_mm, surface)
+    if flipped_mm < FALLS_TO * given_mm:
+        raise InvalidInputError(
+            f"the landmarks marked on the model lie {given_mm:.0f} mm from it, and {flipped_mm:.0f} mm with "
+            f"x and y reversed: {_REPAIR}"
+        )
+
+
+def require_unflipped(pose: Rigid, marked: Landmarks, touched: Landmarks) -> None:
+    """Raise InvalidInputError where landmarks agree with a flipped pose much better than with the given one.
+
+    Args:
+        pose: that was given, from the frame of `touched` to that of `marked`.
+    """
+    _, there, here = marked.paired_with(touched)
+    if len(there) < 3:
+        return
+
+    def off_mm(before: FloatArray, after: FloatArray) -> float:
+        at = after * pose.apply_array(before * here.xyz_mm)
+        return float(np.median(np.linalg.norm(at - there.xyz_mm, axis=1)))
+
+    same = np.ones(3)
+    given_mm = off_mm(same, same)
+    flipped_mm = min(off_mm(FLIP, same), off_mm(same, FLIP), off_mm(FLIP, FLIP))
+    if given_mm > POSE_MM and flipped_mm < FALLS_TO * given_mm:
+        raise InvalidInputError(
+            f"the start pose puts the touched landmarks {given_mm:.0f} mm from where they are marked, and "
+            f"{flipped_mm:.0f} mm with x and y reversed: {_REPAIR}"
+        )
+
+
+def _off_mm(points_mm: FloatArray, surface_mm: FloatArray) -> float:
+    apart = np.linalg.norm(points_mm[:, None] - surface_mm[None], axis=2)
+    return float(np.median(apart.min(axis=1)))

@@ -16,14 +16,16 @@ import numpy as np
 from dvf_ig.cardiac import RetimeMode
 from dvf_ig.core import DvfModel, FloatArray, Progress, Rigid, Scenario, untold
 from dvf_ig.guidance import FORBIDDEN_SURFACE, FixtureSet
+from dvf_ig.intake.calibrations import Calibrations, calibrate, calibrated
+from dvf_ig.intake.start import landmarks_start, require_start, start_pose
 from dvf_ig.io import SessionRecordings
 from dvf_ig.io.session_file.agreement.finding import Finding
 from dvf_ig.io.session_file.fit import fit_of, parts_of
 from dvf_ig.io.session_file.live_record import LiveRecord
 from dvf_ig.session import (
-    Attempt,
     GuidanceState,
     Heart,
+    RegistrationRecord,
     Session,
     SessionHistory,
     SessionSetup,
@@ -31,12 +33,10 @@ from dvf_ig.session import (
     build_heart,
 )
 
-from .calibrations import Calibrations, calibrate, calibrated
 from .events import events_of
 from .operator import SimulatedOperator
 from .preconditions import require_heart_beats, require_tracked_poses, tick_times
 from .repetition import AsRecorded, repeat
-from .start import landmarks_start, require_start, start_pose
 from .ticks import TickRecorder, Ticks
 
 Clock = Callable[[], float]
@@ -74,7 +74,7 @@ class Replay:
         return self.setup.heart
 
     @property
-    def attempts(self) -> tuple[Attempt, ...]:
+    def attempts(self) -> tuple[RegistrationRecord, ...]:
         return tuple(self.history.attempts)
 
     @property

@@ -1,4 +1,4 @@
-"""What the pre-operative data give: the fixture model and the channels that ultrasound is compared with."""
+"""The pre-operative heart: its fixture model, and the channels that ultrasound is compared with."""
 
 import logging
 from collections.abc import Callable
@@ -39,7 +39,7 @@ MR_SMOOTHING_MM = 2.5
 """On tuning seeds 101–104 TRE and force error are 1.29 mm and 0.077 N with 2.0; 1.15 and 0.079 with 2.5;
 1.09 and 0.092 with 3.0."""
 LABEL_VOXEL_MM = 2.0
-"""Of labels that are made from surfaces."""
+"""Voxels of labels that are made from surfaces."""
 LABEL_SMOOTHING_MM = 1.5
 """Standard deviation of the Gaussian on them, where they stand for grey levels."""
 LABEL_MARGIN_MM = 20.0
@@ -60,15 +60,14 @@ class Heart:
 
     Attributes:
         model: signed distance per phase.
-        coarse, fine: channels at the two pitches of registration.
+        channels: by which LC2 explains ultrasound at every pitch.
         center_mm: (3,) centre of the heart box.
         surface: the boundary of blood and wall, which ultrasound shows; None without a cavity.
         beats_update_pose: whether LC2 on these channels is good enough for a single beat to move the pose.
     """
 
     model: DvfModel
-    coarse: ModelChannels
-    fine: ModelChannels
+    channels: ModelChannels
     center_mm: FloatArray
     surface: BoundaryTarget | None
     beats_update_pose: bool = True
@@ -110,8 +109,8 @@ def build_heart(
             channels = channels_from_labels(labels, smoothing_mm=LABEL_SMOOTHING_MM)
         surface = target.result() if target is not None else None
     if preop.mr is not None:
-        return Heart(model, channels, channels, center, surface)
-    return Heart(model, channels, channels, center, surface, False)
+        return Heart(model, channels, center, surface)
+    return Heart(model, channels, center, surface, False)
 
 
 def _require_within(mr: VolumeSeries, model: DvfModel, center_mm: FloatArray) -> None:

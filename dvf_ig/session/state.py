@@ -10,9 +10,9 @@ from dvf_ig.guidance import PoseAndPhase, RearmAnswer, Status, SupervisedForce, 
 from dvf_ig.registration import PoseEstimate, TipSighting
 
 from .calibrations import CalibrationsInUse
-from .pose.doubt import Doubt
-from .pose.history import Attempt
+from .refusal import Doubt
 from .tool_tracker import ToolReading
+from .ultrasound.frame_registration import RegistrationRecord
 
 
 @read_only_arrays
@@ -51,7 +51,7 @@ class GuidanceState:
     tre_bound_mm: float
     doubt: Doubt | None
     tip_seen: TipSighting | None
-    registration: Attempt | None
+    registration: RegistrationRecord | None
     model_phase: float
     tool: ToolReading
     calibrations: CalibrationsInUse

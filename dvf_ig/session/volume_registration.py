@@ -2,6 +2,7 @@
 
 import logging
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -12,29 +13,26 @@ from dvf_ig.core import (
     InvalidInputError,
     NoOverlapError,
     Rigid,
-    Stop,
     TrackedVolume,
     VolumeSeries,
     phase_distance,
 )
 from dvf_ig.registration import (
-    GREY_VOLUMES,
     PHASE_WINDOW,
     VOLUME_SMOOTHING_MM,
     LandmarkPrior,
     RegistrationResult,
-    VolumeTarget,
     channels_from_mr,
-    register_volumes,
+    images_of_volumes,
+    register,
 )
 
 from .heart import Heart
-from .pose.registration_monitor import landmark_disagreement_mm
 from .ultrasound.gated_frames import retimed
 
 _LOG = logging.getLogger(__name__)
 OVERLAP_STEP = 6
-"""Every so many voxels along each axis are looked at for overlap."""
+"""Every sixth voxel along each axis is tested for overlap."""
 
 
 def model_phase_at(model: DvfModel, peaks: Sequence[RPeak], t_s: float) -> float:
@@ -77,47 +75,42 @@ def register_gated_volumes(
 ) -> RegistrationResult:
     """Register gated volumes to the model's phases nearest to theirs.
 
-    It ends in DISAGREEMENT where landmarks were touched and lie elsewhere (see `registration_monitor`).
-
     Args:
-        heart: what `build_heart` made, of `mr` where that is known.
+        heart: what `build_heart` made, of `mr` if that is known.
         start: mr_from_tracker to begin at.
-        mr: the 4-D grey levels; None where the model alone is known.
+        mr: the 4-D grey levels; None if the model alone is known.
         seed: of the displaced starts.
         clock: seconds from any origin, for the result's `seconds`.
-        prior: touched landmarks that the pose must also agree with.
-        landmarks: mr_from_tracker from touched landmarks.
+        prior, landmarks: see `registration.register`.
     Raises:
         InvalidInputError: no volume, or nothing insonified.
         NoOverlapError: at the start pose no volume reaches the model.
     """
     _require_overlap(volumes, heart, start)
-    result = register_volumes(
-        volumes,
-        _target(volumes, heart, mr),
+    return register(
+        images_of_volumes(volumes, grey=mr is not None, clock=clock),
+        _as_volumes_see(heart, volumes, mr),
         start,
         rng=np.random.default_rng(seed),
         clock=clock,
         prior=prior,
+        landmarks=landmarks,
     )
-    off_mm = landmark_disagreement_mm(result.target_from_source, landmarks, heart.center_mm)
-    disagrees = off_mm is not None and result.stop.usable
-    return result.refused(Stop.DISAGREEMENT) if disagrees else result
 
 
-def _target(volumes: Sequence[TrackedVolume], heart: Heart, mr: VolumeSeries | None) -> VolumeTarget:
-    """The heart as volumes see it: MR smoothed as they need it, at the phases in use alone."""
+def _as_volumes_see(heart: Heart, volumes: Sequence[TrackedVolume], mr: VolumeSeries | None) -> Heart:
+    """The heart with MR smoothed as volumes need it, at the phases in use alone."""
     phases = np.array([volume.model_phase for volume in volumes])
-    nearest = heart.fine.nearest_phase(phases)
-    _tell_distant_phases(phases, heart.fine.fractions[nearest])
+    nearest = heart.channels.nearest_phase(phases)
+    _warn_of_distant_phases(phases, heart.channels.fractions[nearest])
     if mr is None:
-        return VolumeTarget(heart.fine, heart.center_mm, heart.surface)
+        return heart
     used = np.unique(nearest).tolist()
     channels = channels_from_mr(mr, smoothing_mm=VOLUME_SMOOTHING_MM, phases=used)
-    return VolumeTarget(channels, heart.center_mm, heart.surface, GREY_VOLUMES)
+    return replace(heart, channels=channels)
 
 
-def _tell_distant_phases(phases: FloatArray, nearest: FloatArray) -> None:
+def _warn_of_distant_phases(phases: FloatArray, nearest: FloatArray) -> None:
     for phase, fraction in zip(phases, nearest, strict=True):
         apart = float(phase_distance(np.array([fraction]), np.array([phase]))[0, 0])
         if apart > PHASE_WINDOW:
@@ -132,7 +125,7 @@ def _tell_distant_phases(phases: FloatArray, nearest: FloatArray) -> None:
 
 def _require_overlap(volumes: Sequence[TrackedVolume], heart: Heart, start: Rigid) -> None:
     """Raise NoOverlapError where no insonified voxel lies within the model's image at the start."""
-    grid = heart.fine.grid
+    grid = heart.channels.grid
     for volume in volumes:
         seen = OVERLAP_STEP * np.argwhere(volume.mask.values[::OVERLAP_STEP, ::OVERLAP_STEP, ::OVERLAP_STEP])
         mr_from_image = start @ volume.tracker_from_image

@@ -27,6 +27,7 @@ from dvf_ig.core import (
     read_only_arrays,
 )
 from dvf_ig.guidance import Status, SupervisorState
+from dvf_ig.intake.start import landmarks_start
 from dvf_ig.io import cached_model, read_scenario
 from dvf_ig.io.session_file.live import EcgFieldConfig, LiveConfig
 from dvf_ig.live.igtl import Message, Transform, encode
@@ -39,8 +40,7 @@ from dvf_ig.replay import Replay, run_replay
 from dvf_ig.replay.events import events_of
 from dvf_ig.replay.operator import REARM_AFTER_S, SimulatedOperator
 from dvf_ig.replay.result.score import pose_errors_mm
-from dvf_ig.replay.start import landmarks_start
-from dvf_ig.session import Attempt, EcgSource, Session, SessionHistory, SessionSetup
+from dvf_ig.session import EcgSource, RegistrationRecord, Session, SessionHistory, SessionSetup
 from dvf_ig.study.driver import Driver, Result, Rows, Study, option
 
 
@@ -322,7 +322,7 @@ def _registrations(live: LiveRun, replay: Replay) -> list[dict[str, Any]]:
     return rows
 
 
-def _attempt(attempt: Attempt | None, offset_s: float) -> dict[str, Any] | None:
+def _attempt(attempt: RegistrationRecord | None, offset_s: float) -> dict[str, Any] | None:
     if attempt is None:
         return None
     asked_s, ready_s = attempt.asked_s + offset_s, attempt.ready_s + offset_s

@@ -88,7 +88,7 @@ def test_register_with_the_ecg_inside_the_sweep(
     scenario: Scenario, replay: Replay, lab: Path, tmp_path: Path
 ) -> None:
     """An option for each file; phases and patient come from the files alone."""
-    own = register_scenario(scenario, heart=replay.heart).result.target_from_source.matrix
+    own = register_scenario(scenario, heart=replay.heart).target_from_source.matrix
     found = run(
         "register", "--us", lab / "sweep_with_ecg.igs.mha", "--cine", lab / "cine.nrrd",
         "--labels", lab / "labels.nrrd", "--cavity", BLOOD, "--probe", lab / "probe.json",

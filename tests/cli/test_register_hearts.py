@@ -61,7 +61,7 @@ def given(files: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., tuple[S
         return found.pop()
 
     monkeypatch.chdir(files)
-    monkeypatch.setattr("dvf_ig.replay.register_scenario", keep)
+    monkeypatch.setattr("dvf_ig.replay.registration.recorded_ultrasound", keep)
     return run
 
 

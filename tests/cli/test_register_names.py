@@ -83,7 +83,7 @@ def given(files: Path, monkeypatch: pytest.MonkeyPatch) -> Given:
     """The working directory is the lab's."""
     found = Given()
     monkeypatch.chdir(files)
-    monkeypatch.setattr("dvf_ig.replay.register_scenario", found)
+    monkeypatch.setattr("dvf_ig.replay.registration.recorded_ultrasound", found)
     monkeypatch.setattr("dvf_ig.replay.run_replay", found)
     return found
 

@@ -50,7 +50,7 @@ def files(ball: DvfModel, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def lab(files: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The working directory; what would be registered or replayed is not."""
     monkeypatch.chdir(files)
-    monkeypatch.setattr("dvf_ig.replay.register_scenario", reached)
+    monkeypatch.setattr("dvf_ig.replay.registration.recorded_ultrasound", reached)
     monkeypatch.setattr("dvf_ig.replay.run_replay", reached)
     shutil.rmtree(files / "out", ignore_errors=True)
     return files

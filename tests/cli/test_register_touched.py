@@ -17,8 +17,8 @@ from typer.testing import CliRunner, Result
 from dvf_ig.cli.main import app
 from dvf_ig.core import DvfModel, FloatArray, Rigid, TrackedSequence
 from dvf_ig.io import write_sequence, write_transform
-from dvf_ig.registration import target_errors_mm
-from dvf_ig.replay.page.registration_page import RegisteredInput
+from dvf_ig.registration import against_touched, target_errors_mm
+from dvf_ig.replay.page.registration_page import ShownInput
 
 POSE = random_pose(np.random.default_rng(4))
 FILES = ["--us", "sweep.igs.mha", "--model", "heart.npz", "--probe", "probe.json", "--lag-s", "-0.065"]
@@ -66,13 +66,13 @@ def lab(files: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setattr("dvf_ig.replay.registration.gate_recording", lambda *_, **__: None)
     monkeypatch.setattr(
         "dvf_ig.replay.registration.register_frames",
-        lambda recording, _frames, start, **_: registration(start, recording.heart.center_mm),
+        lambda recording, _frames, start, *, landmarks, touched, **_: against_touched(
+            registration(start, recording.heart.center_mm), landmarks, touched
+        ),
     )
     monkeypatch.setattr(
         "dvf_ig.replay.page.registration_inputs.frames_shown",
-        lambda done, name, _: RegisteredInput(
-            name, "patient toy", "tracker", "mr", "MR", "", [], [], touched=done.touched
-        ),
+        lambda *_: ShownInput("toy", "patient toy", "tracker", "mr", "MR", "", [], []),
     )
     return files
 

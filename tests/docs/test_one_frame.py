@@ -39,7 +39,7 @@ def test_no_module_stands_there_twice_and_every_step_of_the_session_once() -> No
     folders = (ROOT / "dvf_ig/session" / folder for folder in (".", "ultrasound", "pose"))
     steps = {path.relative_to(ROOT).as_posix() for folder in folders for path in folder.glob("*.py")}
     beside = {"__init__", "ultrasound/__init__", "pose/__init__", "calibrations", "heart", "setup"}
-    beside |= {"pose/doubt", "pose/history", "pose/refusal", "pose/touched_landmarks"}
+    beside |= {"no_force", "refusal", "pose/history", "pose/touched_landmarks"}
     beside |= {"volume_registration"}  # of gated 3-D images, not frames
     assert steps - set(paths) == {f"dvf_ig/session/{name}.py" for name in beside}
 

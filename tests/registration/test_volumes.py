@@ -26,13 +26,14 @@ from dvf_ig.kernels.grid.pool import pool_blocks, pool_cubes
 from dvf_ig.registration import (
     VOLUME_SMOOTHING_MM,
     BoundaryTarget,
+    HeartChannels,
     PoseChart,
     RegistrationResult,
     SliceSet,
-    VolumeTarget,
     channels_from_mr,
+    images_of_volumes,
     prepare_volumes,
-    register_volumes,
+    register,
     target_errors_mm,
 )
 from dvf_ig.registration.lc2.slices import joined, within
@@ -288,9 +289,10 @@ def registered(
     """Two views of the toy heart from a start `away_mm` off."""
     xi = np.random.default_rng(seed).normal(size=6)
     views = [toy_volume((0.5, 0.2, -0.4), seed), toy_volume((-0.6, 0.9, 0.3), seed + 100)]
-    return register_volumes(
-        [changed(view) for view in views],
-        VolumeTarget(channels_from_mr(toy_mr(), smoothing_mm=VOLUME_SMOOTHING_MM), CENTER_MM, surface),
+    channels = channels_from_mr(toy_mr(), smoothing_mm=VOLUME_SMOOTHING_MM)
+    return register(
+        images_of_volumes([changed(view) for view in views], grey=False, clock=perf_counter),
+        HeartChannels(channels, CENTER_MM, surface),
         PoseChart(toy_pose(), CENTER_MM).pose(away_mm * xi / np.linalg.norm(xi)),
         rng=np.random.default_rng(0),
         clock=perf_counter,

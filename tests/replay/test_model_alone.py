@@ -16,7 +16,7 @@ def test_a_recording_is_registered_to_a_model_alone(scenario: Scenario, *, with_
     model, truth = cached_model(scenario.preop).model, scenario.truth
     assert truth is not None
     preop = Preop(scenario.preop.patient_id, mr=scenario.preop.mr if with_mr else None)
-    result = register_scenario(replace(scenario, preop=preop), model=model).result
+    result = register_scenario(replace(scenario, preop=preop), model=model)
     errors_mm = target_errors_mm(
         result.target_from_source, truth.mr_from_tracker[-1][1], truth.targets.points
     )

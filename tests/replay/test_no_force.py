@@ -12,7 +12,7 @@ from dvf_ig.cli.main import app
 from dvf_ig.guidance import Status
 from dvf_ig.io.session_file.agreement.finding import Disagreement, finding
 from dvf_ig.replay import Replay, result_of
-from dvf_ig.replay.result.no_force import NoForce, no_force_of
+from dvf_ig.session.no_force import NoForce
 
 
 def with_status(replay: Replay, *codes: Status) -> Replay:
@@ -26,13 +26,13 @@ def with_status(replay: Replay, *codes: Status) -> Replay:
 
 
 def test_a_force_needs_no_excuse(replay: Replay) -> None:
-    assert no_force_of(replay) is None
+    assert result_of(replay)["no_force"] is None
     assert result_of(replay)["warnings"] == []
 
 
 @pytest.mark.parametrize("status", [s for s in Status if s is not Status.OK])
 def test_every_status_is_told_with_what_to_do(replay: Replay, status: Status) -> None:
-    told = no_force_of(with_status(replay, Status.NO_POSE, status))
+    told = result_of(with_status(replay, Status.NO_POSE, status))["no_force"]
     assert told is not None
     assert told.startswith(NoForce[status.name].value.split("{", maxsplit=1)[0])
     assert ": check " in told or ": give " in told
@@ -40,7 +40,7 @@ def test_every_status_is_told_with_what_to_do(replay: Replay, status: Status) ->
 
 def test_what_kept_the_force_back_is_looked_for_after_the_first_pose(replay: Replay) -> None:
     mixed = (Status.OUT_OF_VOLUME, Status.OUT_OF_VOLUME, Status.NO_PHASE)
-    told = no_force_of(with_status(replay, Status.NO_POSE, *mixed))
+    told = result_of(with_status(replay, Status.NO_POSE, *mixed))["no_force"]
     assert told is not None
     assert told.startswith("the tool stayed outside the box of the model in 67% of the ticks")
 

@@ -134,7 +134,7 @@ def test_surface_only_models_show_their_blood() -> None:
     grid = Grid.axis_aligned("mr", (6, 6, 6), np.full(3, -5.0), 2.0)
     values = np.zeros((1, 6, 6, 6, 2), dtype=np.float32)
     values[..., :3, :, :, 0], values[..., 3:, :, :, 0] = -0.5, 2.0
-    heart = replace(toy_heart(), fine=ModelChannels(grid, values, np.zeros(1)))
+    heart = replace(toy_heart(), channels=ModelChannels(grid, values, np.zeros(1)))
     anatomy = anatomy_of_heart(heart, None)
     xyz_mm = np.array([[[-4.0, 0.0, 0.0], [4.0, 0.0, 0.0], [9.0, 0.0, 0.0]]])
     two_rows = np.concatenate([xyz_mm, xyz_mm + Y])

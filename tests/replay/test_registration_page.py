@@ -14,7 +14,7 @@ from dvf_ig.registration import Evidence, RegistrationOptions, RegistrationResul
 from dvf_ig.registration.evidence.checks import VOLUME_LIMITS
 from dvf_ig.registration.evidence.phase_offset import SHIFTS, PhaseOffset
 from dvf_ig.replay.page.registration_checks import checks_of
-from dvf_ig.replay.page.registration_page import RegisteredInput, registration_page
+from dvf_ig.replay.page.registration_page import ShownInput, registration_page
 from dvf_ig.report.registration import Check, Outcome
 
 START = HOME.perturbed_left(np.array([0.1, 0.0, 0.0]), np.array([0.0, 3.0, 0.0]), CENTER)
@@ -34,12 +34,13 @@ def named(
     landmarks_mm: float | None = None,
     touched: SurfaceDisagreement | None = None,
 ) -> Check:
-    (found,) = [check for check in checks_of(result, landmarks_mm, touched) if check.name == name]
+    checked = replace(result, landmarks_mm=landmarks_mm, touched=touched)
+    (found,) = [check for check in checks_of(checked) if check.name == name]
     return found
 
 
 def page(result: RegistrationResult, **shown: object) -> str:
-    given = RegisteredInput(
+    given = ShownInput(
         title="Registration of a toy",
         about="patient nobody",
         source_name="the tracker",
@@ -50,11 +51,11 @@ def page(result: RegistrationResult, **shown: object) -> str:
         data=[("frames compared with the model", "48 of 50")],
     )
     given = replace(given, **shown)
-    return registration_page(result, START, given, Path("out/mr_from_tracker.tfm"), 7, "")
+    return registration_page(replace(result, start=START), given, Path("out/mr_from_tracker.tfm"), 7, "")
 
 
 def test_what_does_not_exist_for_the_input_is_not_checked() -> None:
-    outcomes = {check.name: check.outcome for check in checks_of(good(), None, None)}
+    outcomes = {check.name: check.outcome for check in checks_of(good())}
     not_checked = {name for name, outcome in outcomes.items() if outcome is Outcome.NOT_CHECKED}
     assert not_checked == {
         "Half-volumes",

@@ -50,7 +50,7 @@ def test_mr_gives_the_grey_levels_and_the_model_the_boundary(model: DvfModel) ->
     mr = mr_at(0.0)
     heart = build_heart(Preop("ball", mr=mr), model)
     assert heart.surface is not None
-    assert np.array_equal(heart.fine.fractions, mr.timing.fractions)
+    assert np.array_equal(heart.channels.fractions, mr.timing.fractions)
     assert np.array_equal(heart.surface.fractions, model.timing.fractions)
     assert heart.beats_update_pose
 
@@ -67,7 +67,7 @@ def test_without_chambers_it_says_what_is_lacking_and_goes_on(
     with caplog.at_level(logging.WARNING, logger="dvf_ig"):
         heart = build_heart(Preop("ball", mr=mr), replace(model, chambers=()))
     assert heart.surface is None
-    assert np.isfinite(heart.fine.values).all()
+    assert np.isfinite(heart.channels.values).all()
     assert len(caplog.records) == 1
     assert "holds no chamber of blood" in caplog.text
     assert "--cavity" in caplog.text

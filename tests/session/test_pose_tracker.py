@@ -19,8 +19,8 @@ from dvf_ig.session.pose.pose_tracker import FIRST_ATTEMPT_S, RECOVER_S, PoseTra
 from dvf_ig.session.pose.registration_jobs import COMPUTE_S
 from dvf_ig.session.pose.registration_monitor import RegistrationMonitor
 from dvf_ig.session.ultrasound.beat_evaluation import BEAT_COMPUTE_S, ComparedBeat
+from dvf_ig.session.ultrasound.frame_registration import RegistrationRecord, RegistrationRequest
 from dvf_ig.session.ultrasound.gated_frames import GatedFrames
-from dvf_ig.session.ultrasound.ultrasound_source import RegistrationAnswer, RegistrationRequest
 
 CENTER = np.array([10.0, -20.0, 30.0])
 HOME = Rigid("mr", "tracker", np.eye(3), np.zeros(3))
@@ -39,14 +39,14 @@ class KnownUltrasound:
     patient: Patient
     blind_from_s: float
 
-    def register(self, request: RegistrationRequest, known_s: float) -> Job[RegistrationAnswer]:
+    def register(self, request: RegistrationRequest, known_s: float) -> Job[RegistrationRecord]:
         event_s = np.arange(request.from_s, request.until_s, 1 / 12)
         n = len(event_s)
         index = np.arange(n, dtype=np.int64)
         still = np.tile(np.eye(3), (n, 1, 1))
         frames = GatedFrames(0, 0, Gated(index, {}), index, event_s, np.zeros(n), still, np.zeros((n, 3)))
         mean = np.mean([self.patient(t) for t in event_s], axis=0)
-        return answered(RegistrationAnswer(frames, registration(PoseChart(HOME, CENTER).pose(mean), CENTER)))
+        return answered(request.record(frames, registration(PoseChart(HOME, CENTER).pose(mean), CENTER)))
 
     def beat(
         self, peaks: tuple[RPeak, ...], known_s: float, pose: Rigid | None, *, in_use: bool

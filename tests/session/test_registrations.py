@@ -13,13 +13,13 @@ from dvf_ig.registration import Gated, PoseChart
 from dvf_ig.session import Landmark, Refusal, SessionHistory
 from dvf_ig.session.executor import Job, answered
 from dvf_ig.session.pose.confirmation import MAX_AGE_S
-from dvf_ig.session.pose.doubt import DoubtCause
 from dvf_ig.session.pose.pose_tracker import FIRST_ATTEMPT_S, RETRY_S, PoseTracker
 from dvf_ig.session.pose.registration_jobs import COMPUTE_S, GATHER_S, LATEST_S, POLL_S
 from dvf_ig.session.pose.registration_monitor import RegistrationMonitor
+from dvf_ig.session.refusal import DoubtCause
 from dvf_ig.session.ultrasound.beat_evaluation import ComparedBeat
+from dvf_ig.session.ultrasound.frame_registration import RegistrationRecord, RegistrationRequest
 from dvf_ig.session.ultrasound.gated_frames import GatedFrames
-from dvf_ig.session.ultrasound.ultrasound_source import RegistrationAnswer, RegistrationRequest
 
 T = TypeVar("T")
 CENTER = np.array([10.0, -20.0, 30.0])
@@ -65,9 +65,9 @@ class Ultrasound:
     requests: list[RegistrationRequest] = field(default_factory=list)
     known_s: list[float] = field(default_factory=list)
     stepped_s: list[float] = field(default_factory=list)
-    jobs: list[Simulated[RegistrationAnswer]] = field(default_factory=list)
+    jobs: list[Simulated[RegistrationRecord]] = field(default_factory=list)
 
-    def register(self, request: RegistrationRequest, known_s: float) -> Job[RegistrationAnswer]:
+    def register(self, request: RegistrationRequest, known_s: float) -> Job[RegistrationRecord]:
         self.requests.append(request)
         self.known_s.append(known_s)
         event_s = np.arange(request.from_s, request.until_s, 1 / 12)
@@ -75,11 +75,11 @@ class Ultrasound:
         turns = np.tile(np.eye(3), (n, 1, 1))
         frames = GatedFrames(0, 0, Gated(index, {}), index, event_s, np.zeros(n), turns, np.zeros((n, 3)))
         mean = np.mean([self.patient(t) for t in event_s], axis=0)
-        found = RegistrationAnswer(frames, registration(PoseChart(HOME, CENTER).pose(mean), CENTER))
+        found = request.record(frames, registration(PoseChart(HOME, CENTER).pose(mean), CENTER))
         if request.until_s > self.refused_from_s and found.result is not None:
             found = replace(found, result=replace(found.result, stop=Stop.POOR_MATCH))
         if self.failures:
-            found = RegistrationAnswer(frames, None, self.failures.pop(0))
+            found = request.record(frames, failure=self.failures.pop(0))
         seconds = self.seconds.pop(0) if self.seconds else 0.0
         self.jobs.append(Simulated(self.clock, request.until_s + seconds, found))
         return self.jobs[-1]
@@ -185,7 +185,7 @@ def test_a_failure_leaves_the_pose_in_use_alone() -> None:
     ultrasound.failures = []
     original = ultrasound.register
 
-    def second_fails(request: RegistrationRequest, known_s: float) -> Job[RegistrationAnswer]:
+    def second_fails(request: RegistrationRequest, known_s: float) -> Job[RegistrationRecord]:
         if ultrasound.requests:
             ultrasound.failures = ["no"]
         return original(request, known_s)

@@ -20,8 +20,7 @@ from toy_session import (
 from dvf_ig.core import FloatArray
 from dvf_ig.guidance import Hazard
 from dvf_ig.session import GuidanceState, Session, TrackedFrame
-from dvf_ig.session.pose.doubt import DoubtCause
-from dvf_ig.session.pose.refusal import Refusal
+from dvf_ig.session.refusal import DoubtCause, Refusal
 
 pytestmark = pytest.mark.usefixtures("known_ultrasound")
 

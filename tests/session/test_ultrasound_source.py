@@ -14,7 +14,8 @@ from dvf_ig.registration import SliceThreads
 from dvf_ig.session import TrackedFrame
 from dvf_ig.session.executor import InCaller, Job
 from dvf_ig.session.ultrasound.frame_buffer import FrameBuffer
-from dvf_ig.session.ultrasound.ultrasound_source import ArrivedUltrasound, RegistrationRequest
+from dvf_ig.session.ultrasound.frame_registration import RegistrationRequest
+from dvf_ig.session.ultrasound.ultrasound_source import ArrivedUltrasound
 
 T = TypeVar("T")
 PEAKS = tuple(RPeak(0.4 + RR_S * k, 0.52 + RR_S * k, 1.0) for k in range(14))

@@ -22,7 +22,7 @@ from dvf_ig.core import (
     TrackedVolume,
     VolumeSeries,
 )
-from dvf_ig.registration import channels_from_mr
+from dvf_ig.registration import against_touched, channels_from_mr
 from dvf_ig.session import Heart, model_phase_at, register_gated_volumes
 
 RR_S = 0.6
@@ -79,7 +79,7 @@ def toy_cine() -> VolumeSeries:
 
 def toy_beating_heart() -> Heart:
     channels = channels_from_mr(toy_cine(), smoothing_mm=2.5)
-    return Heart(ball_model(), channels, channels, CENTER_MM, None, 0.35)
+    return Heart(ball_model(), channels, CENTER_MM, None, True)
 
 
 def at(phase: float, seed: int = 1) -> TrackedVolume:
@@ -91,11 +91,12 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[SimpleNamespace]:
     """Registrations end where they began; what they were asked."""
     calls: list[SimpleNamespace] = []
 
-    def register(volumes: Any, target: Any, start: Rigid, **options: Any) -> Any:
-        calls.append(SimpleNamespace(volumes=volumes, target=target, start=start, **options))
-        return replace(any_result(), target_from_source=start, stop=Stop.CONVERGED)
+    def register(images: Any, heart: Any, start: Rigid, *, landmarks: Any, **options: Any) -> Any:
+        calls.append(SimpleNamespace(images=images, heart=heart, start=start, **options))
+        ended = replace(any_result(), target_from_source=start, stop=Stop.CONVERGED)
+        return against_touched(ended, landmarks, None)
 
-    monkeypatch.setattr("dvf_ig.session.volume_registration.register_volumes", register)
+    monkeypatch.setattr("dvf_ig.session.volume_registration.register", register)
     return calls
 
 
@@ -108,17 +109,17 @@ def test_volumes_meet_mr_of_the_phases_in_use_smoothed_for_volumes(asked: list[S
     register_gated_volumes(volumes, toy_beating_heart(), toy_pose(), mr=toy_cine(), seed=7, clock=clock)
     (call,) = asked
     expected = channels_from_mr(toy_cine(), smoothing_mm=3.0, phases=[0, 3])
-    np.testing.assert_array_equal(call.target.channels.values, expected.values)
-    np.testing.assert_array_equal(call.target.channels.fractions, [0.0, 0.6])
+    np.testing.assert_array_equal(call.heart.channels.values, expected.values)
+    np.testing.assert_array_equal(call.heart.channels.fractions, [0.0, 0.6])
+    assert call.images.options.kind == "volumes"
     assert call.rng.integers(1 << 30) == np.random.default_rng(7).integers(1 << 30)
 
 
 def test_without_mr_they_meet_the_models_own_channels(asked: list[SimpleNamespace]) -> None:
     heart = toy_beating_heart()
     register_gated_volumes([at(0.4)], heart, toy_pose(), mr=None, seed=0, clock=clock)
-    target = asked[0].target
-    assert target.channels is heart.fine
-    assert target.kind is None
+    assert asked[0].heart is heart
+    assert asked[0].images.options.kind is None
 
 
 def test_a_phase_that_the_model_lacks_is_told(

@@ -63,6 +63,7 @@ def registration(pose: Rigid, center_mm: FloatArray) -> RegistrationResult:
     covariance = np.diag([(0.4 / 40) ** 2] * 3 + [0.4**2] * 3)
     return RegistrationResult(
         target_from_source=pose,
+        start=pose,
         stop=Stop.CONVERGED,
         success_probability=1.0,
         tre_bound_mm=2.0,

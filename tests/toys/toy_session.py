@@ -50,7 +50,7 @@ def toy_heart() -> Heart:
     """The ball with channels that say when in the cycle it is known, and nothing else."""
     grid = Grid.axis_aligned("mr", (2, 2, 2), np.zeros(3), 1.0)
     channels = ModelChannels(grid, np.zeros((20, 2, 2, 2, 2), dtype=np.float32), np.arange(20) / 20)
-    return Heart(ball_model(), channels, channels, CENTER, None)
+    return Heart(ball_model(), channels, CENTER, None)
 
 
 def toy_setup(*, start: Rigid | None = HOME) -> SessionSetup:

@@ -104,17 +104,17 @@ def register(
         files = files_of(out, name)
         with output_folder(files.transform.parent, [path.name for path in files.every]):
             if scenario is not None:
-                registered = register_folder(scenario, model, start, seed)
+                result, shown = register_folder(scenario, model, start, seed)
             elif kind is Kind.pair:
-                registered = register_images(fixed, moving, start, mask, seed)
+                result, shown = register_images(fixed, moving, start, mask, seed)
             elif us_volume is not None:
-                registered = register_volume_files(us_volume, own_options, seed)
+                result, shown = register_volume_files(us_volume, own_options, seed)
             else:
-                registered = register_own(_recordings(config, us, own_options), seed)
-            payload = payload_of(registered, name, seed)
-            files.write(registered, payload, name)
-        emit(payload, rows_of(registered, name), as_json=as_json)
-        require_usable(registered)
+                result, shown = register_own(_recordings(config, us, own_options), seed)
+            payload = payload_of(result, shown, name, seed)
+            files.write(result, shown, payload, name)
+        emit(payload, rows_of(result, name), as_json=as_json)
+        require_usable(result)
 
 
 def _recordings(config: Path | None, us: Path | None, options: dict[str, Any]) -> "SessionRecordings":

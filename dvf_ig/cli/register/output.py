@@ -1,4 +1,4 @@
-"""What `dvf-ig register` writes and prints, and the exit code of a pose that must not be used."""
+"""Output of `dvf-ig register`: its files, its lines, and the exit code of a pose that must not be used."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -7,18 +7,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from dvf_ig.cli.shell import output_dir, output_file
 
 if TYPE_CHECKING:
-    from dvf_ig.core import Rigid
     from dvf_ig.registration import RegistrationResult, SurfaceDisagreement
-    from dvf_ig.replay.page.registration_page import RegisteredInput
-
-
-class Registered(NamedTuple):
-    """What was found, where it started, what its page shows of the input, and what PLUS calls "tracker"."""
-
-    result: "RegistrationResult"
-    start: "Rigid"
-    shown: "RegisteredInput"
-    tracked_against: str = "tracker"
+    from dvf_ig.replay.page.registration_page import ShownInput
 
 
 class OutputFiles(NamedTuple):
@@ -40,22 +30,23 @@ class OutputFiles(NamedTuple):
         transforms = (self.transform, *(self.transform.with_suffix(end) for end in (".h5", ".json")))
         return (*transforms, self.plus_xml, self.evidence, self.page, self.view)
 
-    def write(self, registered: Registered, payload: dict[str, Any], name: str) -> None:
-        """Write all of them or none, and tell the user."""
+    def write(
+        self, result: "RegistrationResult", shown: "ShownInput", payload: dict[str, Any], name: str
+    ) -> None:
+        """Write all of them or none, and print their names."""
         from dvf_ig.cli.shell import wrote
         from dvf_ig.io import files_together, write_registration, write_sidecar, write_text, write_transforms
         from dvf_ig.replay.page.registration_page import registration_page, registration_view
 
-        result, start, shown, tracked_against = registered
         pose = result.target_from_source
         view = registration_view(result, shown)
         linked = "" if view is None else self.view.name
-        page = registration_page(result, start, shown, self.transform, payload["seed"], linked)
+        page = registration_page(result, shown, self.transform, payload["seed"], linked)
         with files_together(self.transform.parent, [path.name for path in self.every]) as new:
             written = [*write_transforms(pose, new / self.transform.name)]
             if name == "mr_from_tracker" and result.stop.usable:
                 written.append(
-                    write_registration(replace(pose, source=tracked_against), new / self.plus_xml.name)
+                    write_registration(replace(pose, source=shown.tracked_against), new / self.plus_xml.name)
                 )
             write_sidecar(new / self.evidence.name, payload, "registration")
             write_text(new / self.page.name, page)
@@ -74,28 +65,27 @@ def output_of_register(out: Path | None) -> Path | None:
     return output_file(out) if out is not None and out.suffix == ".tfm" else output_dir(out)
 
 
-def payload_of(registered: Registered, name: str, seed: int) -> dict[str, Any]:
-    """JSON of a registration: pose, evidence and what it was made of; `name` is that of the transform."""
+def payload_of(result: "RegistrationResult", shown: "ShownInput", name: str, seed: int) -> dict[str, Any]:
+    """JSON of a registration: pose, evidence and its input; `name` is that of the transform."""
     from dvf_ig.kernels.compiled import thread_count
     from dvf_ig.replay import evidence_of
 
-    result, start, shown, _ = registered
     return {
         name: result.target_from_source.matrix.tolist(),
-        "start": start.matrix.tolist(),
+        "start": result.start.matrix.tolist(),
         "stop": result.stop.name,
         "reason": result.sentence,
         **evidence_of(result),
         "frames": shown.frames,
         "frames_rejected": dict(shown.frames_rejected),
-        "surface_points": _surface_points(shown.touched),
+        "surface_points": _surface_points(result.touched),
         "threads": thread_count(),
         "seed": seed,
     }
 
 
 def files_of(out: Path, name: str) -> OutputFiles:
-    """The files of a folder, or beside a transform file that the user named."""
+    """The files of a folder, or next to a transform file that the user named."""
     if out.suffix == ".tfm":
         evidence, view = (out.with_name(f"{out.stem}.{end}") for end in ("result.json", "view.html"))
         return OutputFiles(out, evidence, out.with_suffix(".html"), view)
@@ -103,7 +93,7 @@ def files_of(out: Path, name: str) -> OutputFiles:
 
 
 def _surface_points(touched: "SurfaceDisagreement | None") -> dict[str, Any] | None:
-    """How far points touched on the surface lie from it; None where none were touched."""
+    """Distance of touched points from the surface; None if none were touched."""
     if touched is None:
         return None
     return {
@@ -114,14 +104,14 @@ def _surface_points(touched: "SurfaceDisagreement | None") -> dict[str, Any] | N
     }
 
 
-def rows_of(registered: Registered, name: str) -> list[tuple[str, str]]:
-    """A registration as printed, one row a figure."""
+def rows_of(result: "RegistrationResult", name: str) -> list[tuple[str, str]]:
+    """Describe a registration for printing, one row a figure."""
     import numpy as np
 
     from dvf_ig.registration import least_constrained_direction
     from dvf_ig.replay.page.registration_page import stated_rows
 
-    result, touched = registered.result, registered.shown.touched
+    touched = result.touched
     sd = np.sqrt(np.diag(result.covariance))
     rotation, shift = np.degrees(sd[:3]), sd[3:]
     return [
@@ -171,7 +161,7 @@ def _triple(values: Any) -> str:
     return ", ".join(f"{v:.2f}" for v in values)
 
 
-def require_usable(registered: Registered) -> None:
+def require_usable(result: "RegistrationResult") -> None:
     """Raise unless the pose may be used: the error gives the exit code.
 
     Raises:
@@ -179,7 +169,7 @@ def require_usable(registered: Registered) -> None:
     """
     from dvf_ig.core import NoOverlapError, NotConvergedError, QualityGateError, Stop
 
-    result, touched = registered.result, registered.shown.touched
+    touched = result.touched
     sentence = f"the registration must not be used: {result.sentence}"
     if result.stop in (Stop.MAX_ITERATIONS, Stop.MOVED_TOO_FAR):
         raise NotConvergedError(sentence)

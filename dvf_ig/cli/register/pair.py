@@ -1,17 +1,20 @@
 """`dvf-ig register --fixed US --moving MR`: moving_from_fixed from a pair of images."""
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import typer
 
 from dvf_ig.cli.shell import progress
 
-from .output import Registered
+if TYPE_CHECKING:
+    from dvf_ig.registration import RegistrationResult
+    from dvf_ig.replay.page.registration_page import ShownInput
 
 
 def register_images(
     fixed: Path | None, moving: list[Path] | None, init: Path | None, mask: Path | None, seed: int
-) -> Registered:
+) -> "tuple[RegistrationResult, ShownInput]":
     """Read a pair of images, ultrasound and one or more of MR or CT, and register it."""
     from time import perf_counter
 
@@ -43,4 +46,4 @@ def register_images(
             progress=report,
         )
     about = f"fixed {fixed.name}, moving {' and '.join(path.name for path in moving)}"
-    return Registered(result, start, pair_shown(result, start, ultrasound, anatomies[0], about=about))
+    return result, pair_shown(result, ultrasound, anatomies[0], about=about)

@@ -9,12 +9,12 @@ import typer
 from dvf_ig.cli.patient_model import patient_model
 
 from . import own
-from .output import Registered
 
 if TYPE_CHECKING:
     from dvf_ig.core import DvfModel, Rigid
     from dvf_ig.io import GatedVolumeFile
-    from dvf_ig.registration import LandmarkPrior
+    from dvf_ig.registration import LandmarkPrior, RegistrationResult
+    from dvf_ig.replay.page.registration_page import ShownInput
 
 UsVolumesOption = Annotated[
     list[str] | None,
@@ -29,11 +29,13 @@ UsVolumesOption = Annotated[
 ]
 
 
-def register_volume_files(names: Sequence[str], options: Mapping[str, Any], seed: int) -> Registered:
+def register_volume_files(
+    names: Sequence[str], options: Mapping[str, Any], seed: int
+) -> "tuple[RegistrationResult, ShownInput]":
     """Volumes named FILE@PHASE or FILE=SECONDS.
 
     Args:
-        options: by their names on the command line; None where they were not given.
+        options: by their names on the command line; None if they were not given.
     """
     from time import perf_counter
 
@@ -49,7 +51,6 @@ def register_volume_files(names: Sequence[str], options: Mapping[str, Any], seed
     phases = _model_phases(files, options, model)
     volumes = read_gated_volumes([file.path for file in files], phases)
     heart, mr = build_heart(read.preop, model), read.preop.mr
-    landmarks = None if options["--start-landmarks"] is None else pose
     result = register_gated_volumes(
         volumes,
         heart,
@@ -58,12 +59,11 @@ def register_volume_files(names: Sequence[str], options: Mapping[str, Any], seed
         seed=seed,
         clock=perf_counter,
         prior=prior,
-        landmarks=landmarks,
+        landmarks=None if options["--start-landmarks"] is None else pose,
     )
     typer.echo(origin, err=True)
     about = ", ".join(file.path.name for file in files)
-    shown = volumes_shown(result, pose, volumes, heart, mr, landmarks=landmarks, about=about)
-    return Registered(result, pose, shown)
+    return result, volumes_shown(result, volumes, heart, mr, about=about)
 
 
 def _require_matching(files: "Sequence[GatedVolumeFile]", options: Mapping[str, Any]) -> None:

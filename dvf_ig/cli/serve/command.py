@@ -155,8 +155,7 @@ def _serve(
     from dvf_ig.core import OutputError
     from dvf_ig.live.record import NO_RECORD
     from dvf_ig.live.summary import LiveSummary
-    from dvf_ig.replay.result.no_force import no_force
-    from dvf_ig.session import SessionHistory
+    from dvf_ig.session import SessionHistory, no_force
 
     from .record import recorded_session, write_run
 

@@ -5,15 +5,14 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dvf_ig.cli.shell import warn, wrote
+from dvf_ig.cli.run_outputs import run_files, write_logged_run
+from dvf_ig.cli.shell import warn
 
 if TYPE_CHECKING:
     from dvf_ig.live.record import SessionRecord
     from dvf_ig.session import SessionHistory
 
     from .setup import LiveSetup
-
-RESULT, PAGE = "result.json", "report.html"
 
 
 @contextmanager
@@ -26,8 +25,6 @@ def recorded_session(out: Path, ready: "LiveSetup") -> "Iterator[SessionRecord]"
     from dvf_ig.io.ros.session_document import document_of_live
     from dvf_ig.io.ros.session_topics import DOCUMENT
     from dvf_ig.live.record import session_record
-    from dvf_ig.replay.outputs import NAMES
-    from dvf_ig.replay.view_file import VIEW
 
     setup, patient = ready.setup, ready.patient
     in_use = setup.calibrations
@@ -39,7 +36,7 @@ def recorded_session(out: Path, ready: "LiveSetup") -> "Iterator[SessionRecord]"
         options = live_document(setup.fixtures, setup.retiming, setup.seed)
         log.attach(LIVE, "application/json", options)
 
-    with output_folder(out, (RESULT, PAGE, VIEW, *NAMES)), session_record(out, attach, warn) as record:
+    with output_folder(out, run_files()), session_record(out, attach, warn) as record:
         yield record
 
 
@@ -50,40 +47,6 @@ def write_run(out: Path, ready: "LiveSetup", history: "SessionHistory") -> None:
         UnreadableFileError: the session never began.
         OutputError: not writable.
     """
-    from dvf_ig.io import files_together, provenance_fields, write_json, write_text
     from dvf_ig.live.record import LOG
-    from dvf_ig.replay import Replay, result_of
-    from dvf_ig.replay.export.session_log_read import read_session_log
-    from dvf_ig.replay.outputs import NAMES, write_outputs
-    from dvf_ig.replay.page.replay_page import report_html
-    from dvf_ig.replay.repetition import recorded_ticks
-    from dvf_ig.replay.view_file import VIEW, write_view_file
 
-    recordings = read_session_log(out / LOG, images=False)
-    live = recordings.live
-    if live is None:
-        return
-    ticks = recorded_ticks(live)
-    seconds = float(ticks.t_s[-1] - ticks.t_s[0])
-    done = Replay(
-        recordings.scenario,
-        ready.setup,
-        ready.calibrations,
-        ready.start,
-        history,
-        ticks,
-        (*live.findings, *ready.findings),
-        seconds,
-        seconds,
-    )
-    result = result_of(done)
-    with files_together(out, (RESULT, PAGE, VIEW, *NAMES)) as new:
-        write_text(new / PAGE, report_html(done, result))
-        write_json(new / RESULT, {**result, **provenance_fields()})
-        frames = write_outputs(done.poses, ticks, new, recordings.scenario.tracked_against)
-        write_view_file(done, new, out, out / LOG, None)
-
-    for name in (LOG, RESULT, PAGE, VIEW, *frames):
-        wrote(out / name, frames.get(name))
-    for warning in result["warnings"]:
-        warn(f"{warning['key']}: {warning['sentence']}")
+    write_logged_run(out / LOG, ready.setup, ready.calibrations, ready.start, history, ready.findings)

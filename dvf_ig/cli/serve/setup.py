@@ -10,9 +10,9 @@ if TYPE_CHECKING:
     from dvf_ig.cardiac import RetimeMode
     from dvf_ig.core import Landmarks, Rigid
     from dvf_ig.guidance import FixtureSet
+    from dvf_ig.intake import Calibrations
     from dvf_ig.io import LivePatient
     from dvf_ig.io.session_file.agreement.finding import Finding
-    from dvf_ig.replay.calibrations import Calibrations
     from dvf_ig.session import SessionSetup
 
 
@@ -58,9 +58,8 @@ def live_setup(
     Raises:
         DvfIgError: the first reason why they cannot be used, or not together.
     """
+    from dvf_ig.intake import calibrate, landmarks_start, require_start, start_pose
     from dvf_ig.io.session_file.fit import require_live_fit
-    from dvf_ig.replay.calibrations import calibrate
-    from dvf_ig.replay.start import landmarks_start, require_start, start_pose
     from dvf_ig.session import EcgSource, SessionSetup, build_heart
 
     require_start(patient)

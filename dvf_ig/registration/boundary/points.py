@@ -26,7 +26,7 @@ class BoundaryPointOptions:
         smoothing_mm: standard deviation of the Gaussian before the gradient.
         min_contrast: least relative contrast of a boundary.
         min_support: least share of the Gaussian that must lie inside the sector.
-        points: at most so many are kept, evenly spread.
+        points: most points that are kept, evenly spread.
     """
 
     smoothing_mm: float = 3.0
@@ -79,11 +79,11 @@ def boundary_points(slices: SliceSet, options: BoundaryPointOptions | None = Non
     smooth, usable = _smoothed(slices, pitch, opts)
     gradient = np.stack([_central(smooth, axis) / np.float32(pitch[axis]) for axis in (0, 1)])
     magnitude = np.hypot(gradient[0], gradient[1])
-    found = np.nonzero(usable & (opts.smoothing_mm * magnitude > opts.min_contrast * smooth))
+    steep = np.nonzero(usable & (opts.smoothing_mm * magnitude > opts.min_contrast * smooth))
     # per pixel, so that a step along it is a step along the gradient in mm
-    along = np.stack([gradient[axis][found] / pitch[axis] for axis in (0, 1)], axis=1).astype(np.float64)
-    keep, part = _maxima(magnitude, found, along)
-    s, row, col = (index[keep] for index in found)
+    along = np.stack([gradient[axis][steep] / pitch[axis] for axis in (0, 1)], axis=1).astype(np.float64)
+    keep, part = _maxima(magnitude, steep, along)
+    s, row, col = (index[keep] for index in steep)
     along, contrast = along[keep], opts.smoothing_mm * magnitude[s, row, col] / smooth[s, row, col]
     place = np.column_stack([col + part[keep, 1], row + part[keep, 0], np.ones(len(s))])
     normals = np.einsum("nij,nj->ni", slices.frame_from_pixel[s][:, :, :2], along[:, ::-1])
@@ -134,17 +134,17 @@ def _central(stack: NDArray[np.float32], axis: int) -> NDArray[np.float32]:
 
 
 def _maxima(
-    magnitude: NDArray[np.float32], found: tuple[NDArray[np.intp], ...], along: FloatArray
+    magnitude: NDArray[np.float32], steep: tuple[NDArray[np.intp], ...], along: FloatArray
 ) -> tuple[NDArray[np.bool_], FloatArray]:
     """Which pixels are maxima along (n, 2) rows and columns; (n, 2) way to the maximum of a parabola."""
     step = along / np.linalg.norm(along, axis=1, keepdims=True)
-    at = np.stack(found).astype(np.float64)
+    at = np.stack(steep).astype(np.float64)
     ahead = np.vstack([np.zeros((1, len(step))), step.T])
     before, after = (
         ndimage.map_coordinates(magnitude, at + sign * ahead, order=1, output=np.float64)
         for sign in (-1.0, 1.0)
     )
-    here = magnitude[found].astype(np.float64)
+    here = magnitude[steep].astype(np.float64)
     keep = (here >= before) & (here > after)
     bend = np.minimum(before - 2 * here + after, -1e-12)
     part = np.where(keep, np.clip(0.5 * (before - after) / bend, -0.5, 0.5), 0.0)

@@ -44,7 +44,7 @@ class BoundaryTarget:
         coefficients: (n, cx, cy, cz) float32 mm, as in `DvfModel`.
         knots_from_mm: (3, 4) knot coordinates from mm.
         fractions: (n,) when in the cycle each phase was taken.
-        polarity: of the boundary, −1 where the inside is its dark side (blood), +1 where it is the bright.
+        polarity: of the boundary, −1 if the inside is its dark side (blood), +1 if it is the bright one.
     """
 
     frame: str

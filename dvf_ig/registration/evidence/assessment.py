@@ -7,14 +7,14 @@
     bound  exp(μ + q), q the split-conformal 95 % quantile of log(largest error) − μ, one heart one trial
     scale  exp(v₀ + Σ v_j x_j): of the covariance, whose 90 % region then holds the truth in 90 % of hearts
 
-P and bound are cross-fitted by heart (`study.hearts.fit`). Of images whose statistics lie outside all that
+P and bound are cross-fitted by heart (`study.hearts.fit`). For images whose statistics lie outside all that
 was calibrated neither is stated.
 Sources: Barlow 1972 (isotonic regression); Lei et al. 2018 (split conformal prediction, normalised).
 """
 
 import json
 import math
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import lru_cache
 from importlib import resources
 from typing import Any
@@ -22,9 +22,9 @@ from typing import Any
 import numpy as np
 
 from dvf_ig.core import FloatArray, read_only_arrays
+from dvf_ig.registration.lc2.slices import SliceSet
 
 from .checks import Evidence
-from .image_statistics import ImageStatistics
 
 SUCCESS_MM = 2.0
 """A pose whose mean target error is below this is a success."""
@@ -59,10 +59,81 @@ NAMES = {
 }
 
 
+@dataclass(frozen=True, slots=True)
+class ImageStatistics:
+    """Statistics of the slices at the coarse pitch, and of how they lie to the model.
+
+    Attributes:
+        brightness, contrast: mean of what was insonified, and its standard deviation as a share of that mean.
+        structure: correlation of neighbouring pixels, across and down: 0 of noise, near 1 of smooth images.
+        fill: share of the insonified pixels brighter than a twentieth of the brightest.
+        slices: how many.
+        view_spread_deg: RMS angle of the slices' normals from their principal direction.
+        extent_mm: RMS distance of the slices' centres from their mean.
+        similarity: LC2 at the pose; overlap: share of the slices inside the model's volume.
+        information: number of observations that LC2 counts.
+    """
+
+    brightness: float
+    contrast: float
+    structure: float
+    fill: float
+    slices: float
+    view_spread_deg: float
+    extent_mm: float
+    similarity: float
+    overlap: float
+    information: float
+
+    def values(self) -> dict[str, float]:
+        """Statistics by name."""
+        return asdict(self)
+
+
+def image_statistics(
+    slices: SliceSet, *, similarity: float, overlap: float, information: float
+) -> ImageStatistics:
+    """Statistics of a slice set; see `ImageStatistics`."""
+    masks, images = slices.masks, slices.images.astype(np.float64)
+    lit = images[masks] if masks.any() else np.zeros(1)
+    mean, deviation = float(lit.mean()), float(lit.std())
+    centred = np.where(masks, images - mean, 0.0)
+    pairs = [
+        (centred[:, 1:] * centred[:, :-1], masks[:, 1:] & masks[:, :-1]),
+        (centred[:, :, 1:] * centred[:, :, :-1], masks[:, :, 1:] & masks[:, :, :-1]),
+    ]
+    products = sum(float(product[both].sum()) for product, both in pairs)
+    count = sum(int(both.sum()) for _, both in pairs)
+    rows, columns = images.shape[1:]
+    middle = np.array([(columns - 1) / 2, (rows - 1) / 2, 1.0])
+    centers = slices.frame_from_pixel @ middle
+    return ImageStatistics(
+        brightness=mean,
+        contrast=deviation / max(mean, 1e-12),
+        structure=products / max(count, 1) / max(deviation**2, 1e-12),
+        fill=float((lit > 0.05 * lit.max()).mean()),
+        slices=float(len(slices)),
+        view_spread_deg=_view_spread_deg(slices),
+        extent_mm=float(np.sqrt(((centers - centers.mean(axis=0)) ** 2).sum(axis=1).mean())),
+        similarity=similarity,
+        overlap=overlap,
+        information=information,
+    )
+
+
+def _view_spread_deg(slices: SliceSet) -> float:
+    """Normals count as axes: a slice and its mirror image are one plane."""
+    normals = np.cross(slices.frame_from_pixel[:, :, 0], slices.frame_from_pixel[:, :, 1])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    principal = np.linalg.eigh(normals.T @ normals)[1][:, -1]
+    angles = np.arccos(np.clip(np.abs(normals @ principal), 0.0, 1.0))
+    return float(np.degrees(np.sqrt(np.mean(angles**2))))
+
+
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class Table:
-    """What was fitted for one kind of images.
+    """Calibration of the evidence for one kind of images.
 
     Attributes:
         hearts: that it was fitted on.
@@ -71,7 +142,7 @@ class Table:
         missing: (f,) what a check counts as that could not be made.
         predicted: (k,) increasing μ; probability: (k,) decreasing P there, linear between them.
         refused_probability: share of successes among poses that a check refused.
-        bound_quantile: q; inf where there were too few hearts for one.
+        bound_quantile: q; inf if there were too few hearts for one.
         largest: μ above which a pose must not guide.
         scale_intercept, scale_weights: v₀ and (f,) v_j of the covariance's scale.
         ranges: lowest and highest value of each image statistic.
@@ -97,10 +168,10 @@ class Table:
 
 @dataclass(frozen=True, slots=True)
 class Assessment:
-    """What may be said of a pose's error.
+    """Statement on a pose's error.
 
     Attributes:
-        success_probability: chance that the mean error over the targets is below SUCCESS_MM; None where the
+        success_probability: chance that the mean error over the targets is below SUCCESS_MM; None if the
             images are unlike all that was calibrated, or nothing was calibrated for their kind.
         tre_bound_mm: the largest error over the heart-box targets is below this in 95 of 100 hearts; None as
             above, and of a refused pose.
@@ -117,7 +188,7 @@ class Assessment:
 
 
 def features_of(evidence: Evidence, similarity: float, predicted_mm: float) -> dict[str, float | None]:
-    """Every feature by name; None where the check could not be made.
+    """Features by name; None if the check could not be made.
 
     Args:
         similarity: LC2 at the pose.
@@ -153,10 +224,10 @@ def counted(table: Table, logs: FloatArray) -> FloatArray:
 
 
 def assess(table: Table | None, features: dict[str, float | None], statistics: ImageStatistics) -> Assessment:
-    """What may be said of the error of a pose that no check refused.
+    """State the error to expect of a pose that no check refused.
 
     Args:
-        table: of the images' kind; None where nothing was calibrated for it.
+        table: of the images' kind; None if nothing was calibrated for it.
     """
     if table is None:
         return Assessment(None, None, "no probability was calibrated for images of this kind")
@@ -198,7 +269,7 @@ def _outside(table: Table, statistics: ImageStatistics) -> str:
 
 
 def table_of(kind: str | None) -> Table | None:
-    """The table of a kind of images ("sweep", "volumes", …); None where there is none."""
+    """The table of a kind of images ("sweep", "volumes", …); None without one."""
     return None if kind is None else _tables().get(kind)
 
 

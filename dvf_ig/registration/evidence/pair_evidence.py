@@ -1,4 +1,4 @@
-"""What speaks for the pose of a pair of images of an organ that does not beat."""
+"""Evidence for the pose of a pair of images of an organ that does not beat."""
 
 import math
 from dataclasses import dataclass
@@ -8,28 +8,28 @@ import numpy as np
 from dvf_ig.core import FloatArray, Stop, read_only_arrays
 
 USUAL_MM = 1.05
-"""Error predicted by parts of the ultrasound at which that speaks neither for nor against a pose."""
+"""Error predicted by parts of the ultrasound that is evidence neither for nor against a pose."""
 USUAL_STARTS = 0.1
-"""The same share of agreeing starts: with 32, three."""
+"""Neutral share of agreeing starts: with 32, three."""
 USUAL_SHARE = 0.65
-"""The same share of LC2, above chance, that the next best pose has."""
+"""Neutral share of LC2, above chance, that the next best pose has."""
 LEAST_SHARE = 0.4
 """The next best pose's share counts as no less: that no start ended elsewhere is no proof that nothing else
 explains the image. On tuning pairs (brains 1021–1032, cines 002, 003, 008, 009) it costs one good pose in 336
 and refuses two more of 28 that are 2 to 3 mm off."""
 USUAL_Z = 6.5
-"""The same number of standard deviations above poses 15 mm away. Good brains (FLAIR, T1) have 11 or more,
+"""Neutral number of standard deviations above poses 15 mm away. Good brains (FLAIR, T1) have 11 or more,
 wrong poses and other patients' brains 4.3 or less: their middle is 7.0; good poses of real cines 6.9 or more,
-wrong ones 6.1 or less: 6.5. Each family's middle parts the other one's poses. Height speaks against a pose,
-never for it: a wrong one can stand high where another explains as much."""
+wrong ones 6.1 or less: 6.5. Each family's middle parts the other one's poses. Height is evidence against a
+pose, never for it: a wrong one can stand high where another explains as much."""
 START_SIGMA_MM = 10.0
 """Standard deviation of a start's error: a pose far from it is less likely, which decides where an image says
 little (tuning pair 1015 with a fifth of the usual contrast). A wrong anatomy can have a pose that agrees with
 itself (mirrored MR of four lobes, 12 mm away)."""
 PARTS_WEIGHT, STARTS_WEIGHT, SHARE_WEIGHT, Z_WEIGHT = 3.5, 0.7, 6.0, 8.0
-"""Of their log-odds. Chosen on brains 1001, 1006, 1013, 1015, 1018, 1020 and real cines 002 and 003: with the
-first three alone, fitted on brains, a pose of cine 002 that is 5.4 mm off and that half of the starts reach
-was accepted."""
+"""Weights of their log-odds. Chosen on brains 1001, 1006, 1013, 1015, 1018, 1020 and real cines 002 and
+003: with the first three alone, fitted on brains, a pose of cine 002 that is 5.4 mm off and that half of
+the starts reach was accepted."""
 
 
 @read_only_arrays
@@ -61,7 +61,7 @@ class PairEvidence:
 
     @property
     def next_best_share(self) -> float:
-        """What the best other pose explains beyond chance, as a share of what the pose does."""
+        """Explanation by the best other pose beyond chance, as a share of that by the pose."""
         if not len(self.elsewhere):
             return 0.0
         share = (self.elsewhere[0] - self.chance) / max(self.similarity - self.chance, 1e-12)

@@ -6,8 +6,8 @@ with S(δ) the similarity when every slice belongs δ of a cycle later,
 
     ℓ(δ) = n/2·log((1 − S(0)) / (1 − S(δ)))
 
-is the log-likelihood ratio of the shift against none (see `Lc2.information`). The pose need not be found anew
-for each shift.
+is the log-likelihood ratio of the shift against none (see `Lc2.information`). The pose need not be found
+again for each shift.
 """
 
 from dataclasses import dataclass
@@ -51,7 +51,7 @@ class PhaseOffset:
 
     @property
     def sentence(self) -> str:
-        """What a user reads where it is suspicious."""
+        """The sentence a user reads if it is suspicious."""
         which = "late" if self.offset_s > 0 else "early"
         return (
             f"ECG and ultrasound disagree: the ECG is {1e3 * abs(self.offset_s):.0f} ms {which}; check its "

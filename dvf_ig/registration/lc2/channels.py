@@ -73,8 +73,8 @@ def _gradient_magnitude(smooth: NDArray[np.float32], grid: Grid) -> NDArray[np.f
 def channels_from_labels(labels: VolumeSeries, *, smoothing_mm: float) -> ModelChannels:
     """Soft blood map and outline of the heart, from a label series (0 outside, 1 wall, 2 blood).
 
-    Ultrasound shows blood dark and the heart's outline bright, where wall and what lies beyond it are alike.
-    Where no blood is labelled, the heart itself takes its place.
+    Ultrasound shows blood dark and the heart's outline bright, where wall and what lies beyond it look the
+    same. Where no blood is labelled, the heart itself takes its place.
 
     Raises:
         InvalidInputError: nothing is labelled.

@@ -1,12 +1,23 @@
-"""LC2 of a slice set against the phase-matched model, as a function of the pose."""
+"""LC2, the local linear combination of two model channels, of a slice set as a function of the pose.
 
+The kernels sum over each slice's pixels, at h = (column, row, 1) and in voxels. With x = P h the position of
+a pixel, in mm from the centre of rotation, a small motion ξ (see `PoseChart`) moves the model past it by
+Bᵀ(h) ξ, B(h) = (x × ·/ρ, ·): linear in h, so B(h) = Σ_k h_k B_k (`SliceMotion`).
+
+Source: Wein 2013, eqs 3–5 (docs/theory/registration.md, section 4).
+"""
+
+import itertools
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from types import TracebackType
 from typing import Any
 
 import numpy as np
 
 from dvf_ig.core import (
+    HEART_RADIUS_MM,
     FloatArray,
     IntArray,
     InvalidInputError,
@@ -14,6 +25,7 @@ from dvf_ig.core import (
     read_only_arrays,
     require_same_frame,
 )
+from dvf_ig.kernels.compiled import thread_count
 from dvf_ig.kernels.lc2.parts import SliceParts, lc2_step_parts
 from dvf_ig.kernels.lc2.slices import (
     PIXEL,
@@ -26,18 +38,90 @@ from dvf_ig.kernels.lc2.slices import (
     Scratch,
     lc2_slices,
 )
-from dvf_ig.kernels.lc2.step import MATRIX, STEP_SCORE, STEP_SUMS, STEP_WEIGHT, lc2_step_slices
+from dvf_ig.kernels.lc2.step import FORCE, MATRIX, STEP_SCORE, STEP_SUMS, STEP_WEIGHT, lc2_step_slices
 
 from .channels import ModelChannels
-from .motion import SliceMotion
-from .parts import slice_parts
-from .patches import patches_of, pixel_runs
+from .patches import patches_of, pixel_runs, slice_parts
 from .slices import SliceSet
-from .threads import SliceThreads
 
+_TRIANGLE = np.array([[0, 1, 3], [1, 2, 4], [3, 4, 5]])
+"""Where the entries of a symmetric matrix lie in its lower triangle by rows."""
+_MATRIX = MATRIX + 6 * _TRIANGLE[:, None, :, None] + _TRIANGLE[None, :, None, :]
+"""(3, 3, 3, 3) columns of h_k h_l G_ab among a slice's sums, by k, a, l, b."""
 PATCHES_PER_OBSERVATION = 6.0
 """Neighbouring slices see the same tissue and share its difference from the model: with this divisor the
 standard deviations match the errors of registrations on tuning seeds 101–104 (mismatch 1.2 mm)."""
+
+
+class SliceThreads:
+    """Runs a kernel over slices, an equal share of them on each thread, the caller's own among them.
+
+    A context manager: its threads end with it, and what outlives it runs on the caller's thread. Kernels
+    write one row a slice, so results do not depend on the number of threads.
+    """
+
+    def __init__(self) -> None:
+        self.count = thread_count()
+        self._pool = ThreadPoolExecutor(max(1, self.count - 1))
+
+    def __enter__(self) -> "SliceThreads":
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._pool.shutdown()
+        self.count = 1
+
+    def run(self, work: Callable[[int, int, int], object], items: int) -> None:
+        """work(worker, begin, end) over 0 <= item < `items`, in a range for each thread."""
+        count = max(1, min(self.count, items))
+        limits = [round(k * items / count) for k in range(count + 1)]
+        own, *others = enumerate(itertools.pairwise(limits))
+        running = [self._pool.submit(work, worker, *share) for worker, share in others]
+        work(own[0], *own[1])
+        for share in running:
+            share.result()
+
+
+@read_only_arrays
+@dataclass(frozen=True, slots=True, eq=False)
+class SliceMotion:
+    """See the module docstring.
+
+    Attributes:
+        steps: (s, 3, 3, 6) change of a voxel index, along each axis, with ξ, for each entry of h.
+    """
+
+    steps: FloatArray
+
+    @classmethod
+    def of(cls, mm_from_pixel: FloatArray, index_from_mm: FloatArray) -> "SliceMotion":
+        """From (s, 3, 3) mm from the centre of rotation, target frame; (3, 3) voxel steps of a mm step."""
+        steps = np.zeros((len(mm_from_pixel), 3, 3, 6))
+        # (P_k × Mᵀf)/ρ, row by row of the voxel axes
+        place = mm_from_pixel.transpose(0, 2, 1)[:, :, None, :]
+        steps[..., :3] = np.cross(place, index_from_mm) / HEART_RADIUS_MM
+        steps[:, 2, :, 3:] = index_from_mm
+        return cls(steps)
+
+    def repeated(self, counts: IntArray) -> "SliceMotion":
+        """Motion of parts that move as their slice does: `counts` (s,) of each slice."""
+        return SliceMotion(np.repeat(self.steps, counts, axis=0))
+
+    def gradient(self, sums: FloatArray) -> FloatArray:
+        """(s, 6) Jᵀr of each slice, from the kernel's (s, STEP_SUMS)."""
+        flat = self.steps.reshape(len(self.steps), FORCE, 6)
+        return np.asarray((sums[:, None, :FORCE] @ flat)[:, 0])
+
+    def matrix(self, sums: FloatArray) -> FloatArray:
+        """(6, 6) JᵀJ of all slices together, from the kernel's (s, STEP_SUMS)."""
+        flat = self.steps.reshape(len(self.steps), FORCE, 6)
+        products = sums[:, _MATRIX].reshape(len(sums), FORCE, FORCE)
+        return np.asarray((flat.transpose(0, 2, 1) @ products @ flat).sum(axis=0))
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,7 +254,7 @@ class Lc2:
         return _slope(sums, motion)
 
     def normal_equations(self, target_from_source: Rigid, center_mm: FloatArray) -> NormalEquations:
-        """The same with the matrix of Gauss–Newton, at half as much time again."""
+        """`slope` with the matrix of Gauss–Newton, which takes half as much time again."""
         sums, motion = self._step_sums(target_from_source, center_mm, matrix=True)
         return NormalEquations(motion.matrix(sums), _slope(sums, motion))
 
@@ -192,16 +276,16 @@ class Lc2:
         sums = np.empty((len(poses), parts.first_part[-1], MATRIX))
         ordered = np.empty_like(self._scratch.fits)
         self._run(lc2_step_parts, (self._patched, parts, model, self._scratch, ordered, sums))
-        found, counts = [], np.diff(parts.first_part)
+        out, counts = [], np.diff(parts.first_part)
         for own, (_, mm_from_pixel) in zip(sums, placed, strict=True):
             motion = self._motion(mm_from_pixel, center_mm).repeated(counts)
-            found.append(_cost_gradient(own, motion))
-        return tuple(found)
+            out.append(_cost_gradient(own, motion))
+        return tuple(out)
 
     def shifted_part_gradient(
         self, parts: SliceParts, pose: Rigid, shift_mm: FloatArray, center_mm: FloatArray
     ) -> CostGradient:
-        """As `part_gradients` at a pose beside which each part is moved by (k, 3), target frame."""
+        """As `part_gradients` at a pose relative to which each part is moved by (k, 3), target frame."""
         placed, mm_from_pixel = self._placed(pose)
         owner = np.repeat(np.arange(len(self.slices)), np.diff(parts.first_part))
         mm_from_pixel = mm_from_pixel[owner]
@@ -257,7 +341,7 @@ class Lc2:
 
 
 def _scratch(slices: PatchedSlices, columns: int, workers: int) -> Scratch:
-    """Memory of the kernels for so many workers."""
+    """Memory of the kernels for `workers` workers."""
     edge, wide = 2 * slices.radius + 1, columns + 2 * slices.radius
     ends = np.concatenate([slices.runs[:, PIXEL], [len(slices.pixels)]])[slices.first_run]
     pixels, patches = (int(np.diff(first).max(initial=0)) for first in (ends, slices.first_patch))

@@ -1,4 +1,4 @@
-"""Quasi-Newton optimisation of LC2 over the pose: some ten steps where a derivative-free search needs 100.
+"""Quasi-Newton optimisation of LC2 over the pose: about ten steps where a derivative-free search needs 100.
 
 The gradient is exact (`kernels.lc2.step`). The curvature starts as that of Gauss–Newton with the coefficients
 of the local fits fixed, divided by FIXED_FIT_STIFFNESS: fixed fits make a minimum appear that much narrower,
@@ -22,11 +22,13 @@ FIXED_FIT_STIFFNESS = 6.0
 """Gauss–Newton's eigenvalues over the true ones: 8 to 12 at the optimum (tuning seeds 102, 106), less away
 from it."""
 STEP_REDUCTION = 0.3
-"""Of the next step's length after one that raised the cost."""
+"""Factor of the next step's length after one that raised the cost."""
 MIN_CURVATURE_SHARE = 0.05
 """The curvature learnt along a step is at least this share of what was expected (Powell's damping)."""
 MAX_REJECTED = 8
 """Steps in a row that raised the cost, after which the search ends."""
+PRIOR_SIGMA_MM = 6.0
+"""Standard deviation per coordinate: bounds what a beat, or a part of the slices, cannot observe."""
 
 
 class PoseMetric(Protocol):
@@ -41,7 +43,7 @@ class PoseMetric(Protocol):
 
 
 class PosePrior(Protocol):
-    """What is known of a pose besides the image, as −log of its likelihood (see `LandmarkPrior`)."""
+    """Knowledge of a pose in addition to the image, as −log of its likelihood (see `LandmarkPrior`)."""
 
     def energy(self, pose: Rigid) -> float: ...
 
@@ -169,3 +171,18 @@ def _local(
     share = 1.0 / metric.information
     touched = prior.normal_equations(pose, center_mm)[1]
     return _Local(cost + share * prior.energy(pose), gradient - share * touched)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GaussianPrior:
+    """A pose with a standard deviation of PRIOR_SIGMA_MM in every coordinate, as a prior of `optimise`."""
+
+    chart: PoseChart
+
+    def energy(self, pose: Rigid) -> float:
+        xi = self.chart.coordinates(pose)
+        return float(0.5 * (xi @ xi) / PRIOR_SIGMA_MM**2)
+
+    def normal_equations(self, pose: Rigid, center_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Small turns add: the Jacobian of ξ is taken as the identity, and the centre as the chart's."""
+        return np.eye(6) / PRIOR_SIGMA_MM**2, -self.chart.coordinates(pose) / PRIOR_SIGMA_MM**2

@@ -1,4 +1,4 @@
-"""Tracked ultrasound slices prepared for registration: amplitude, pitch, fan mask, place and phase."""
+"""Ultrasound slices prepared for registration, from tracked frames and from volumes."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -15,9 +15,14 @@ from dvf_ig.core import (
     IntArray,
     InvalidInputError,
     Rigid,
+    TrackedVolume,
     read_only_arrays,
     require_same_frame,
 )
+from dvf_ig.kernels.grid.pool import pool_blocks, pool_cubes
+
+CUBE_TOLERANCE = 1e-3
+"""Relative difference of voxel edges up to which voxels count as cubes of one size."""
 
 
 @read_only_arrays
@@ -203,8 +208,85 @@ def joined(sets: Sequence[SliceSet]) -> SliceSet:
     )
 
 
-def subsample(count: int, wanted: int) -> IntArray:
-    """Indices of `wanted` of `count` items, evenly spread, in order."""
-    if count <= wanted:
+def prepare_volumes(volumes: Sequence[TrackedVolume], *, pitch_mm: float, planes: int) -> SliceSet:
+    """Average grey levels, as shown, down to about `pitch_mm` and take planes of each along its three axes.
+
+    Where all voxels are cubes of one size, the nearest whole number of them is averaged; others, and volumes
+    that differ, are averaged over cubes of `pitch_mm`, each voxel by its share inside the cube.
+
+    Args:
+        volumes: of one transducer, at any number of phases; they share one unknown pose.
+        planes: about this many along each axis.
+    Raises:
+        InvalidInputError: no volume, or nothing insonified.
+    """
+    if not volumes:
+        raise InvalidInputError("no ultrasound volume passed the gate; needed at least one")
+    edges = np.array([volume.image.grid.spacing_mm for volume in volumes])
+    if np.ptp(edges) > CUBE_TOLERANCE * edges.max():
+        return joined([_planes(volume, _cubes(volume, pitch_mm, planes)) for volume in volumes])
+    return joined([_planes(volume, _blocks(volume, pitch_mm, planes)) for volume in volumes])
+
+
+@read_only_arrays
+@dataclass(frozen=True, slots=True, eq=False)
+class _Averaged:
+    """Grey levels averaged over blocks of `edge` voxels, NaN where one of them was not insonified.
+
+    Filled in on every `every`-th plane along each axis (`kernels.grid.pool.on_a_plane`).
+    """
+
+    values: NDArray[np.float32]
+    edge: FloatArray
+    every: int
+
+
+def _blocks(volume: TrackedVolume, pitch_mm: float, planes: int) -> _Averaged:
+    """Average over the nearest whole number of voxels, which are cubes."""
+    grid = volume.image.grid
+    step = max(1, round(pitch_mm / float(grid.spacing_mm[0])))
+    small: NDArray[np.float32] = np.empty([n // step for n in grid.shape], dtype=np.float32)
+    every = _every(small, planes)
+    pool_blocks(volume.image.values, _insonified(volume), step, every, small)
+    return _Averaged(small, np.full(3, float(step)), every)
+
+
+def _cubes(volume: TrackedVolume, pitch_mm: float, planes: int) -> _Averaged:
+    """Average over cubes of exactly `pitch_mm`."""
+    grid = volume.image.grid
+    edge = pitch_mm / grid.spacing_mm
+    counts = [int(n / e + 1e-9) for n, e in zip(grid.shape, edge, strict=True)]  # 6 · 0.1 is 0.6
+    small: NDArray[np.float32] = np.empty(counts, dtype=np.float32)
+    every = _every(small, planes)
+    pool_cubes(volume.image.values, _insonified(volume), edge, every, small)
+    return _Averaged(small, edge, every)
+
+
+def _every(small: NDArray[np.float32], planes: int) -> int:
+    return max(1, int(max(small.shape)) // planes)
+
+
+def _insonified(volume: TrackedVolume) -> NDArray[np.uint8]:
+    """Convert a mask of any type to 8 bits; one of 8 bits is not copied."""
+    values = volume.mask.values
+    return values.view(np.uint8) if values.dtype.itemsize == 1 else np.asarray(values != 0, dtype=np.uint8)
+
+
+def _planes(volume: TrackedVolume, averaged: _Averaged) -> SliceSet:
+    grid, pose = volume.image.grid, volume.tracker_from_image
+    return slices_of_volume(
+        averaged.values,
+        pose.rotation @ (grid.axes_mm * averaged.edge),
+        pose.apply_array(grid.to_mm((averaged.edge - 1.0) / 2)),
+        every=averaged.every,
+        frame=pose.target,
+        model_phase=volume.model_phase,
+        t_s=volume.t_s,
+    )
+
+
+def subsample(count: int, most: int) -> IntArray:
+    """Indices of at most `most` of `count` items, evenly spread, in order."""
+    if count <= most:
         return np.arange(count, dtype=np.int64)
-    return np.unique(np.round(np.linspace(0, count - 1, wanted)).astype(np.int64))
+    return np.unique(np.round(np.linspace(0, count - 1, most)).astype(np.int64))

@@ -19,8 +19,7 @@ from dvf_ig.kernels.lc2.blocks import (
     sum_count,
 )
 
-from .lc2 import NormalEquations, Score, Slope
-from .threads import SliceThreads
+from .lc2 import NormalEquations, Score, SliceThreads, Slope
 
 MIN_FILL = 0.5
 """Least share of a patch that must be insonified."""
@@ -31,7 +30,7 @@ FLAT = 1e-8
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class VolumeChannels:
-    """What ultrasound is explained by.
+    """Channels by which LC2 explains the ultrasound.
 
     Attributes:
         grid: where the channels lie.
@@ -132,7 +131,7 @@ class VolumeLc2:
 
     @property
     def grid(self) -> Grid:
-        """Of the ultrasound."""
+        """Grid of the ultrasound."""
         return self._blocks.grid
 
     @property
@@ -145,7 +144,7 @@ class VolumeLc2:
         return self._model
 
     def against(self, model: VolumeChannels) -> "VolumeLc2":
-        """The same ultrasound against another model with as many channels; shares scratch memory."""
+        """LC2 of this ultrasound against another model with as many channels; shares scratch memory."""
         other = object.__new__(VolumeLc2)
         other.__dict__.update(self.__dict__)
         other._model, other._channels = model, np.array(model.values)
@@ -158,7 +157,7 @@ class VolumeLc2:
         self._active: IntArray = np.unique(members[members >= 0]).astype(np.int64)
 
     def restricted(self, patches: BoolArray) -> "VolumeLc2":
-        """The same on some of the patches (p,) alone; shares scratch memory."""
+        """LC2 on some of the patches (p,) alone; shares scratch memory."""
         other = object.__new__(VolumeLc2)
         other.__dict__.update(self.__dict__)
         other._use(np.where(patches, self._blocks.weights, 0.0))
@@ -200,7 +199,7 @@ class VolumeLc2:
         return NormalEquations(curvature, Slope(right, float(self._weights @ self._scores) / weight, weight))
 
     def slope(self, target_from_source: Rigid, center_mm: FloatArray) -> Slope:
-        """The same without the matrix, which is no dearer."""
+        """`normal_equations` without the matrix, at the same cost."""
         return self.normal_equations(target_from_source, center_mm).slope
 
     def _run(self, kernel: Callable[..., object], arguments: tuple[object, ...], items: int) -> None:

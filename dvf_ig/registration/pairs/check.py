@@ -1,6 +1,6 @@
 """Whether the pose of a pair may be used, by consistency with itself: no limit depends on what LC2 is worth.
 
-Every part of the ultrasound is registered anew from the pose found; parts of a pair that belongs together
+Every part of the ultrasound is registered again from the pose of all; parts of a pair that belongs together
 agree, and the jack-knife over parts says how far off the pose may be (Efron and Tibshirani 1993, ch. 11). A
 wrong pose, or the image of somebody else, is one of many that explain the ultrasound about as well.
 """
@@ -16,16 +16,16 @@ from dvf_ig.registration.lc2.optimise import OptimiserOptions, optimise
 from dvf_ig.registration.lc2.volume_lc2 import VolumeChannels, VolumeLc2
 from dvf_ig.registration.pose_chart import PoseChart, covariance_from_mm, random_displacements
 
-from .search import FINE, Found, Place, similarity_of
+from .search import FINE, Place, SearchResult, similarity_of
 
 PART = OptimiserOptions(steps=12, cap_mm=3.0, tolerance_mm=0.1)
-"""Of a part of the ultrasound, from the pose of all:"""
+"""Descents of a part of the ultrasound, from the pose of all."""
 PARTS = 8
 """Octants about the median place along the ultrasound's axes: each holds about as many patches."""
 LEAST_PATCHES = 12
 """A part with fewer says nothing."""
 MIRRORED = OptimiserOptions(steps=12, cap_mm=5.0, tolerance_mm=0.3)
-"""Of the ultrasound against mirrored anatomy:"""
+"""Descents of the ultrasound against mirrored anatomy."""
 MIRRORED_STARTS, MIRRORED_MM = 4, 8.0
 """Displaced starts of that, and how far they are displaced at the fan's radius."""
 WRONG_POSES, WRONG_MM = 40, 15.0
@@ -37,7 +37,7 @@ FLOOR_MM = 0.2
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class PairChecks:
-    """What a pose was tested by.
+    """Results of the tests of a pose.
 
     Attributes:
         evidence: for or against the pose.
@@ -93,36 +93,36 @@ def interleaved_halves_mm(fine: VolumeLc2, part: IntArray, pose: Rigid, place: P
 def gather_pair_evidence(
     coarse: VolumeLc2,
     fine: VolumeLc2,
-    found: Found,
+    search: SearchResult,
     place: Place,
     *,
     moved_mm: float,
     rng: np.random.Generator,
     report_progress: Callable[[float], None],
 ) -> PairChecks:
-    """What speaks for the pose found."""
+    """Gather the evidence for the pose of a search."""
     part = octants(fine.centers_mm, fine.grid.direction)
-    poses = left_out_poses(fine, part, found.pose, place)
+    poses = left_out_poses(fine, part, search.pose, place)
     report_progress(0.6)
-    halves_mm = interleaved_halves_mm(fine, part, found.pose, place)
+    halves_mm = interleaved_halves_mm(fine, part, search.pose, place)
     report_progress(0.8)
-    wrong = wrong_pose_similarities(fine, found.pose, place, rng)
+    wrong = wrong_pose_similarities(fine, search.pose, place, rng)
     evidence = PairEvidence(
-        agreeing_starts=found.agreeing,
-        similarity=found.similarity,
+        agreeing_starts=search.agreeing,
+        similarity=search.similarity,
         chance=float(wrong.mean()),
-        elsewhere=found.elsewhere,
+        elsewhere=search.elsewhere,
         jackknife_mm=jackknife_mm(poses, place),
         halves_mm=halves_mm,
-        z_score=float((found.similarity - wrong.mean()) / max(float(wrong.std()), 1e-12)),
+        z_score=float((search.similarity - wrong.mean()) / max(float(wrong.std()), 1e-12)),
         moved_mm=moved_mm,
-        mirrored_share=mirrored_share(coarse, found.pose, place, rng=rng),
+        mirrored_share=mirrored_share(coarse, search.pose, place, rng=rng),
     )
-    return PairChecks(evidence, jackknife_covariance(poses, found.pose, place))
+    return PairChecks(evidence, jackknife_covariance(poses, search.pose, place))
 
 
 def mirrored_share(coarse: VolumeLc2, pose: Rigid, place: Place, *, rng: np.random.Generator) -> float:
-    """What the best mirrored anatomy, which no patient fits, explains as a share of what the anatomy does."""
+    """Explanation by the best mirrored anatomy, which fits no patient, as a share of that by the anatomy."""
     explained = similarity_of(optimise(coarse, pose, place.center_mm, None, MIRRORED))
     best = 0.0
     for axis in range(3):

@@ -1,4 +1,4 @@
-"""What of a pair of 3-D images is registered: the eroded fan at one pitch, the anatomy around it."""
+"""Parts of a pair of 3-D images that are registered: the eroded fan at one pitch, the anatomy around it."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

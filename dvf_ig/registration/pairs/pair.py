@@ -11,10 +11,10 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from dvf_ig.core import BoolArray, InvalidInputError, NoOverlapError, Rigid, Stop, Volume, untold
-from dvf_ig.registration.data import RegistrationOptions
 from dvf_ig.registration.evidence.checks import Evidence, Limits
 from dvf_ig.registration.evidence.pair_evidence import PairEvidence
-from dvf_ig.registration.lc2.threads import SliceThreads
+from dvf_ig.registration.images import RegistrationOptions
+from dvf_ig.registration.lc2.lc2 import SliceThreads
 from dvf_ig.registration.lc2.volume_lc2 import VolumeLc2, blocks_of
 from dvf_ig.registration.result import RegistrationResult
 
@@ -32,11 +32,11 @@ other poses by which a wrong one is known."""
 BLOCK = 3
 """Voxels along the edge of a block: patches are six pitches wide."""
 MARGIN_MM = 25.0
-"""So much of the anatomy around the fan at its start is kept."""
+"""Width of the anatomy that is kept around the fan at its start."""
 MIN_START_OVERLAP, MIN_OVERLAP = 0.1, 0.35
 """Least share of the fan inside the anatomy, at the start and at the pose found."""
 MAX_IMAGES = 4
-"""So many contrasts of the anatomy are fitted at once."""
+"""Most contrasts of the anatomy that are fitted at once."""
 
 
 def register_pair(
@@ -74,12 +74,12 @@ def register_pair(
     with SliceThreads() as threads:
         *coarse, fine = (_metric(fan, anatomies, start, threads) for fan in fans)
         report(0.15)
-        found = search(coarse, fine, start, place, rng=rng, report_progress=lambda x: report(0.15 + 0.6 * x))
-        moved_mm = place.apart_mm(start, found.pose)
+        best = search(coarse, fine, start, place, rng=rng, report_progress=lambda x: report(0.15 + 0.6 * x))
+        moved_mm = place.apart_mm(start, best.pose)
         checks = gather_pair_evidence(
             coarse[0],
             fine,
-            found,
+            best,
             place,
             moved_mm=moved_mm,
             rng=rng,
@@ -87,9 +87,10 @@ def register_pair(
         )
         start_similarity = fine.score(start).similarity
     pair = checks.evidence
-    overlap = share_inside(anatomies, fans[-1], found.pose)
+    overlap = share_inside(anatomies, fans[-1], best.pose)
     return RegistrationResult(
-        target_from_source=found.pose,
+        target_from_source=best.pose,
+        start=start,
         stop=stop_of(pair, overlap, moved_mm),
         success_probability=pair.success_probability,
         tre_bound_mm=None,
@@ -99,12 +100,12 @@ def register_pair(
         noise_covariance=checks.covariance,
         center_mm=place.center_mm,
         evidence=Evidence(pair.z_score, pair.halves_mm, None, pair=pair),
-        similarity=found.similarity,
+        similarity=best.similarity,
         start_similarity=start_similarity,
         overlap=overlap,
         second_best=float(pair.elsewhere[0]) if len(pair.elsewhere) else 0.0,
         moved_mm=moved_mm,
-        evaluations=found.evaluations,
+        evaluations=best.evaluations,
         seconds=clock() - began,
         slices=len(fine.centers_mm),
         options=RegistrationOptions(

@@ -28,9 +28,9 @@ REACH_MM = 20.0
 REFINED = 6
 """Distinct coarse ends that are optimised on the fine level."""
 COARSE = OptimiserOptions(steps=18, cap_mm=5.0, tolerance_mm=0.25)
-"""From each start, on a coarse level:"""
+"""Descents from each start, on a coarse level."""
 FINE = OptimiserOptions(steps=16, cap_mm=2.0, tolerance_mm=0.05)
-"""From the distinct coarse ends:"""
+"""Descents from the distinct coarse ends."""
 
 
 @read_only_arrays
@@ -60,8 +60,8 @@ class Place:
 
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
-class Found:
-    """What the search found.
+class SearchResult:
+    """Result of the search.
 
     Attributes:
         pose: the best.
@@ -93,7 +93,7 @@ def search(
     *,
     rng: np.random.Generator,
     report_progress: Callable[[float], None],
-) -> Found:
+) -> SearchResult:
     """The best pose from `start` and displaced copies of it, which the coarse levels take in turn."""
     ends: list[Rigid] = []
     evaluations = 0
@@ -121,7 +121,7 @@ def search(
         similarity_of(refined[k]) for k in order if place.apart_mm(refined[k].pose, best.pose) > ELSEWHERE_MM
     ]
     report_progress(1.0)
-    return Found(
+    return SearchResult(
         best.pose,
         similarity_of(best),
         agreeing / len(ends),

@@ -1,37 +1,64 @@
 """A start pose from points touched on the heart: many ICP fits, judged by the distance of the model.
 
-Some forty points on the surface that can be reached give a start without an image or paired landmarks. What
-they cannot tell is said: directions along which the surface slides on itself, and a second pose that explains
-the points about as well (docs/theory/registration.md).
+Some forty points on the surface that can be reached give a start without an image or paired landmarks. Starts
+lie around a coarse pose, or are spread over all rotations. Robust point-to-plane ICP with Open3D comes near:
+distances to the nearest triangle's centre at one phase under Tukey's biweight, whose reach shrinks (Chen and
+Medioni 1992; Beaton and Tukey 1974). Gauss–Newton on the model's signed distance, phase by phase, finishes
+each, with weights of Geman–McClure, ω = 1/(1 + r²/s²)², and s from far to near.
+
+What points cannot determine is stated: directions along which the surface slides on itself, and a second pose
+that explains the points about as well (docs/theory/registration.md, section 3).
 """
 
+import importlib
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from dvf_ig.core import (
     BoolArray,
     DvfModel,
     FloatArray,
+    MissingDependencyError,
     Rigid,
     Stop,
     mean_displacement_mm,
+    nearest_phase,
     read_only_arrays,
     require_same_frame,
 )
-from dvf_ig.registration.evidence.least_constrained import LeastConstrained, least_constrained_direction
-from dvf_ig.registration.pose_chart import covariance_from_mm, distinct
+from dvf_ig.registration.evidence.covariance import LeastConstrained, least_constrained_direction
+from dvf_ig.registration.pose_chart import PoseChart, covariance_from_mm, distinct, random_displacements
 
-from .descent import REACH, DescentEnd, descend, robust_cost, robust_weights
-from .distance import SurfaceDistance
-from .icp import SurfaceIcp
-from .starts import starts_about, starts_everywhere
-from .touched import TouchedPoints, require_spread
+from .touched import SurfaceDistance, TouchedPoints, require_spread
 
+AROUND, AROUND_MM = 24, 20.0
+"""Displaced copies of a coarse start, and how far they are displaced at the heart's radius."""
+ICP_REACH_MM = (25.0, 10.0)
+"""Tukey's constant in turn: beyond it a point has no weight."""
+ICP_STEPS = 25
+"""Most steps with each constant."""
+ICP_DIGITS = 2
+"""A pose is rounded to this part of a millimetre: the order in which Open3D's threads sum must not show."""
+REACH = 3.0
+"""The last s in standard deviations of a point; then the estimate keeps 90 % of the efficiency of least
+squares."""
+WIDE_MM = (8.0, 5.0)
+"""Scales before the last."""
+STEPS, LAST_STEPS = 8, 40
+"""Most steps at the wide scales, and at the last."""
+CAP_MM = 8.0
+"""Longest step."""
+TOLERANCE_MM = 1e-4
+"""A step shorter than this ends the last scale."""
+DAMPING = 1e-3
+"""In mean curvatures: undetermined directions take no steps."""
 MAX_SIGMA_RATIO = 2.0
-"""Points may scatter about the surface by so many times their stated standard deviation."""
+"""Largest scatter of the points about the surface, in their stated standard deviations."""
 INLIER = 3.0
-"""An inlier lies within so many standard deviations of the surface."""
+"""Largest distance of an inlier from the surface, in standard deviations."""
 MIN_INLIER_SHARE = 0.7
 """With a smaller share of inliers there is no pose."""
 MAX_WEAK_SIGMA_MM = 3.0
@@ -42,10 +69,145 @@ likelihood of independent ones does not know. On tuning seeds 101–106 wrong po
 of 40 points and more from 10 on."""
 
 
+def starts_about(start: Rigid, center_mm: FloatArray, rng: np.random.Generator) -> list[Rigid]:
+    """The start itself, then displaced copies of it."""
+    chart = PoseChart(start, np.asarray(center_mm))
+    return [start, *(chart.pose(xi) for xi in random_displacements(rng, AROUND, AROUND_MM))]
+
+
+def starts_everywhere(touched: TouchedPoints, surface_mm: FloatArray, frame: str) -> list[Rigid]:
+    """The 60 rotations of the icosahedron, none more than 45° from every one; centroids aligned.
+
+    Args:
+        surface_mm: (m, 3) points spread over the model's surface.
+        frame: of the model.
+    """
+    middle, target = touched.points.xyz_mm.mean(axis=0), surface_mm.mean(axis=0)
+    turns = Rotation.create_group("I").as_matrix()
+    return [Rigid(frame, touched.points.frame, turn, target - turn @ middle) for turn in turns]
+
+
+class SurfaceIcp:
+    """Mesh and points as Open3D wants them, for many starts.
+
+    Args:
+        touched: points.
+        model: fixture model; its surface at the phase that most points were touched nearest to is used,
+            without the triangles that close an opening.
+        center_mm: (3,) about which poses turn, the model's frame.
+    Raises:
+        MissingDependencyError: Open3D or a library that it loads is absent.
+    """
+
+    def __init__(self, touched: TouchedPoints, model: DvfModel, center_mm: FloatArray) -> None:
+        self._open3d = _open3d()
+        nearest = nearest_phase(model.timing.fractions, touched.model_phase)
+        self.phase = int(np.bincount(nearest).argmax())
+        self.surface_mm, normals = _triangle_centres(model, self.phase)
+        self._center_mm = np.asarray(center_mm, dtype=np.float64)
+        self._source = self._cloud(touched.points.xyz_mm)
+        self._target = self._cloud(self.surface_mm)
+        self._target.normals = self._open3d.utility.Vector3dVector(normals)
+
+    def fit(self, start: Rigid) -> Rigid:
+        """The pose near `start` at which the points lie on the mesh."""
+        registration = self._open3d.pipelines.registration
+        matrix = start.matrix
+        for reach in ICP_REACH_MM:
+            result = registration.registration_icp(
+                self._source,
+                self._target,
+                2 * reach,
+                matrix,
+                registration.TransformationEstimationPointToPlane(registration.TukeyLoss(k=reach)),
+                registration.ICPConvergenceCriteria(max_iteration=ICP_STEPS),
+            )
+            matrix = np.array(result.transformation)
+        if not np.isfinite(matrix).all():
+            return start
+        chart = PoseChart(start, self._center_mm)
+        xi = chart.coordinates(Rigid.from_matrix(matrix, start.target, start.source))
+        return chart.pose(np.round(xi, ICP_DIGITS))
+
+    def _cloud(self, xyz_mm: FloatArray) -> Any:
+        return self._open3d.geometry.PointCloud(self._open3d.utility.Vector3dVector(np.array(xyz_mm)))
+
+
+def _triangle_centres(model: DvfModel, phase: int) -> tuple[FloatArray, FloatArray]:
+    """(m, 3) centres and (m, 3) unit outward normals of the measured triangles of one phase."""
+    mesh = model.reference[phase]
+    corners = mesh.vertices_mm[mesh.triangles[~model.reference_caps[phase]]]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area = np.linalg.norm(normals, axis=1)
+    solid = area > 0
+    return corners[solid].mean(axis=1), normals[solid] / area[solid, None]
+
+
+def _open3d() -> Any:
+    try:
+        return importlib.import_module("open3d")
+    except (ImportError, OSError) as exc:
+        raise MissingDependencyError(
+            f"fitting touched surface points needs Open3D ({exc}); install it with: "
+            'pip install "dvf-ig[open3d]" (`dvf-ig doctor` names system libraries that it lacks)'
+        ) from exc
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DescentEnd:
+    """Where a descent ended, and whether its last step was shorter than TOLERANCE_MM."""
+
+    pose: Rigid
+    converged: bool
+
+
+def descend(distance: SurfaceDistance, start: Rigid, sigma_mm: float, *, wide: bool = True) -> DescentEnd:
+    """The robust optimum next to `start`.
+
+    Args:
+        sigma_mm: standard deviation of a point.
+        wide: begin with the wide scales.
+    """
+    pose, converged = start, False
+    last = REACH * sigma_mm
+    for scale in (*(s for s in WIDE_MM if wide and s > last), last):
+        for _ in range(LAST_STEPS if scale == last else STEPS):
+            step = _step(distance, pose, scale)
+            pose = PoseChart(pose, distance.center_mm).pose(step)
+            length = float(np.linalg.norm(step))
+            converged = scale == last and length < TOLERANCE_MM
+            if length < (TOLERANCE_MM if scale == last else 0.05):
+                break
+    return DescentEnd(pose, converged)
+
+
+def robust_cost(residuals_mm: FloatArray, sigma_mm: float) -> float:
+    """−log of a robust likelihood, ½ Σ (r/σ)²/(1 + r²/s²): an outlier costs REACH²/2 at most."""
+    square = (residuals_mm / sigma_mm) ** 2
+    return float(0.5 * (square / (1.0 + square / REACH**2)).sum())
+
+
+def robust_weights(residuals_mm: FloatArray, scale_mm: float) -> FloatArray:
+    """(n,) ω."""
+    return np.asarray(1.0 / (1.0 + (residuals_mm / scale_mm) ** 2) ** 2)
+
+
+def _step(distance: SurfaceDistance, pose: Rigid, scale_mm: float) -> FloatArray:
+    """(6,) in the coordinates of `PoseChart`."""
+    residuals, jacobian = distance.linearised(pose)
+    weighted = jacobian * robust_weights(residuals, scale_mm)[:, None]
+    curvature = weighted.T @ jacobian
+    mean = float(np.trace(curvature)) / 6
+    if not mean > 0:
+        return np.zeros(6)
+    step = -np.linalg.solve(curvature + DAMPING * mean * np.eye(6), weighted.T @ residuals)
+    return np.asarray(step * min(1.0, CAP_MM / max(float(np.linalg.norm(step)), 1e-12)))
+
+
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class RunnerUp:
-    """The best other pose, more than 4 mm away: where it is, and how much less likely.
+    """The best other pose, more than 4 mm away, and how much less likely it is.
 
     Attributes:
         target_from_source: the other pose.
@@ -73,7 +235,7 @@ class SurfacePointFit:
         center_mm: (3,) centre of the heart box in the target frame.
         weakest: the least-constrained direction.
         cost: −log of the robust likelihood.
-        runner_up: None where every start ended at one pose.
+        runner_up: None if every start ended at one pose.
         starts: how many were tried.
     """
 
@@ -181,7 +343,7 @@ def _spread_mm(residuals_mm: FloatArray, stated_mm: float) -> float:
 
 
 def _covariance(distance: SurfaceDistance, pose: Rigid, sigma_mm: float) -> FloatArray:
-    """(6, 6): inverse weighted curvature; NaN where it is singular."""
+    """(6, 6): inverse weighted curvature; NaN if it is singular."""
     residuals, jacobian = distance.linearised(pose)
     weights = robust_weights(residuals, REACH * sigma_mm)
     curvature = jacobian.T @ (weights[:, None] * jacobian)

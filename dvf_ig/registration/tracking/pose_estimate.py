@@ -14,25 +14,28 @@ Tracking: an information filter,
     update   Λ = P⁻¹ + J,   ξ̂ = Λ⁻¹ (J ξ),   P ← Λ⁻¹,
 so that directions which one beat cannot observe keep what earlier beats knew of them. P is how well the pose
 is known against the beats to come. What all beats have in common (calibration, mismatch of the anatomy) no
-beat reduces: the covariance S of the registration that the pose goes back to stays beside P, and P + S is how
-well the pose is known against the truth (a consider covariance: Schmidt 1966). A later registration is made
-of frames that the beats have used: it is fused by covariance intersection with S, and leaves P as it is.
+beat reduces: the covariance S of the registration that the pose goes back to is kept as well as P, and P +
+S is how well the pose is known against the truth (a consider covariance: Schmidt 1966). A later
+registration is made of frames that the beats have used: it is fused by covariance intersection with S, and
+leaves P as it is.
 """
 
 import math
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 from scipy.stats import chi2
 
 from dvf_ig.core import FloatArray, InvalidInputError, Rigid, mean_displacement_mm, read_only_arrays
-from dvf_ig.registration.gaussian_prior import PRIOR_SIGMA_MM, GaussianPrior
 from dvf_ig.registration.lc2.lc2 import Lc2
-from dvf_ig.registration.lc2.optimise import OptimiserOptions, optimise
+from dvf_ig.registration.lc2.optimise import PRIOR_SIGMA_MM, GaussianPrior, OptimiserOptions, optimise
 from dvf_ig.registration.pose_chart import PoseChart, covariance_to_mm
 
-from .covariance_intersection import covariance_intersection
-
+WEIGHT_TOLERANCE = 1e-3
+"""Tolerance of ω: the determinant is flat at its minimum."""
+FLAT = 1e-6
+"""Logarithms of det P this near to each other count as the same."""
 FIXED_FIT_STIFFNESS = 4.0
 """Curvature with the local fits fixed over what a beat's errors show: on tuning seeds 101–104 their χ² of 6
 degrees has a median of 4.9 to 7.5. With the 8 to 12 of true curvature (see `lc2.optimise`) a still pose is
@@ -51,11 +54,36 @@ INFORMATIVE_LOG_RATIO = 1.5
 tuning seeds 101 to 103 good poses have 3.1 or more with poor images, 8 with few slices, 15 calm; black images
 have 0, noise and speckle of any grain up to 0.44."""
 MEAN_SQUARE_OF_COORDINATES = np.array([2 / 3] * 3 + [1.0] * 3)
-"""What a unit of each coordinate adds to the mean square distance over points at the heart's radius."""
+"""Mean square distance over points at the heart's radius for a unit of each coordinate."""
 LARGEST = 1e12
 """Of any number of a beat, in s, mm and 1/mm²: larger ones are no measurement, and their squares overflow."""
 BEAT_OPTIMISER = OptimiserOptions(steps=10, cap_mm=5.0, tolerance_mm=0.1)
-"""Of a beat's slices, from the pose in use:"""
+"""Descents of a beat's slices, from the pose in use."""
+
+
+def covariance_intersection(
+    first_mm2: FloatArray, second_mm2: FloatArray, offset_mm: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Fuse two estimates of the same quantity.
+
+    Args:
+        first_mm2, second_mm2: (n, n) covariances, positive definite.
+        offset_mm: (n,) second estimate minus the first.
+    Returns:
+        (n,) fused estimate minus the first, and its (n, n) covariance.
+    """
+    first, second = np.linalg.inv(first_mm2), np.linalg.inv(second_mm2)
+
+    def log_determinant(weight: float) -> float:
+        size = -float(np.linalg.slogdet(weight * first + (1.0 - weight) * second)[1])
+        return size + FLAT * (weight - 0.5) ** 2
+
+    inner = minimize_scalar(
+        log_determinant, bounds=(0.0, 1.0), method="bounded", options={"xatol": WEIGHT_TOLERANCE}
+    )
+    weight = min((0.0, 1.0, float(inner.x)), key=log_determinant)
+    covariance = np.asarray(np.linalg.inv(weight * first + (1.0 - weight) * second))
+    return covariance @ ((1.0 - weight) * (second @ offset_mm)), covariance
 
 
 @read_only_arrays
@@ -71,7 +99,7 @@ class PoseEstimate:
         center_mm: (3,) centre of the heart box, target frame.
         shared_mm2: S, of the error that all beats have in common.
         shape_step: the pose is shape_step ∘ that at which images match best, which a change of the heart's
-            shape has pulled aside (`registration.deformation`); None where they are the same.
+            shape has pulled aside (`registration.shape`); None if they are the same.
     """
 
     pose: Rigid
@@ -118,7 +146,7 @@ class PoseEstimate:
         return math.sqrt(square / mean * float(chi2.ppf(0.95, mean * mean / square)))
 
     def predict(self, beats: float) -> "PoseEstimate":
-        """The same pose after so many beats, with the process noise of each."""
+        """Add the process noise of `beats` beats."""
         return replace(self, covariance_mm2=self.covariance_mm2 + beats * PROCESS_NOISE_MM**2 * np.eye(6))
 
     def update(self, offset_information_mm: FloatArray, information: FloatArray) -> "PoseEstimate":
@@ -151,9 +179,9 @@ class PoseEstimate:
         there = replace(self, pose=chart.pose(offset), shared_mm2=shared)
         if registered.shape_step is self.shape_step:
             return there
-        found = replace(there, shape_step=registered.shape_step)
-        pulled = PoseChart(there.matched_pose, self.center_mm).coordinates(found.matched_pose)
-        return replace(found, covariance_mm2=self.covariance_mm2 + np.outer(pulled, pulled))
+        reshaped = replace(there, shape_step=registered.shape_step)
+        pulled = PoseChart(there.matched_pose, self.center_mm).coordinates(reshaped.matched_pose)
+        return replace(reshaped, covariance_mm2=self.covariance_mm2 + np.outer(pulled, pulled))
 
     def sigma_mm(self) -> float:
         """Standard deviation per coordinate by `total_mm2`, RMS over the six."""

@@ -27,7 +27,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dvf_ig.core import FloatArray, InvalidInputError, Rigid, mean_displacement_mm, read_only_arrays
-from dvf_ig.registration.gaussian_prior import PRIOR_SIGMA_MM
+from dvf_ig.registration.lc2.optimise import PRIOR_SIGMA_MM
 from dvf_ig.registration.pose_chart import PoseChart
 
 from .pose_estimate import LARGEST, BeatMeasurement, PoseEstimate
@@ -40,7 +40,7 @@ SCATTER_BEATS, PRESUMED_BEATS = 30, 5
 """Beats before the window whose scatter counts, and beats that scatter as they should, presumed before them.
 On tuning hearts 1001–1010, 240 s each, 20 or 60 and 2 or 10 do as well."""
 DEGREES_OF_FREEDOM = 6
-"""Of a pose: what a beat's statistic is in the mean if its information is right."""
+"""Degrees of freedom of a pose: mean of a beat's statistic if its information is right."""
 LARGEST_SCATTER = 60.0
 """Statistic of one beat, above which it counts as this."""
 
@@ -65,8 +65,10 @@ class ComparedBeat:
     @property
     def statistic(self) -> float:
         """χ² of six degrees of this beat alone, where nothing has shifted and its information is right."""
-        told = self.measurement
-        return _statistic(told.offset_information_mm, told.information, self.estimate.covariance_mm2)
+        measurement = self.measurement
+        return _statistic(
+            measurement.offset_information_mm, measurement.information, self.estimate.covariance_mm2
+        )
 
 
 @read_only_arrays
@@ -140,7 +142,7 @@ class ShiftDetector:
 
     @property
     def variance(self) -> float:
-        """Of beats over what their information promises, at least 1."""
+        """Scatter of beats over what their information promises, at least 1."""
         beats = PRESUMED_BEATS + len(self.scatter)
         return max(1.0, (PRESUMED_BEATS + sum(self.scatter) / DEGREES_OF_FREEDOM) / beats)
 
@@ -153,9 +155,11 @@ class ShiftDetector:
         worst: ShiftTest | None = None
         at, total, offset_total, share = np.zeros(6), np.zeros((6, 6)), np.zeros(6), 1.0 / self.variance
         for count, beat in enumerate(reversed(self.compared), start=1):
-            told = beat.measurement
-            total = total + share * told.information
-            offset_total = offset_total + share * (told.offset_information_mm + told.information @ at)
+            measurement = beat.measurement
+            total = total + share * measurement.information
+            offset_total = offset_total + share * (
+                measurement.offset_information_mm + measurement.information @ at
+            )
             offset = offset_total - total @ at
             statistic = _statistic(offset, total, beat.estimate.covariance_mm2)
             if worst is None or statistic > worst.statistic:

@@ -24,7 +24,7 @@ standard deviation of the differences from 0.028 to 0.020 calm."""
 ANY_VIEW = 0.02
 """Weight of a beat however far its view: the first beats of a view are compared with all."""
 LEARNT_BEATS, REMEMBERED_BEATS = 12, 120
-"""A sweep of beats is needed before anything can be said; so many are remembered."""
+"""Beats needed before anything is stated, about a sweep; and beats remembered."""
 SIGMA, CORRELATED = (0.015, 0.04), 1.4
 """Smallest and largest σ, and what it is widened by: those of neighbouring beats correlate, 0.1 to 0.5."""
 ALLOWANCE, LIMIT = 0.5, 8.0
@@ -36,7 +36,7 @@ within 6 beats calm, within 20 or not at all with poor images; by 3 mm within 22
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class SimilarityWatch:
-    """What is remembered of earlier beats.
+    """Memory of earlier beats.
 
     Attributes:
         views_mm: (n, 3, 3) three points of each beat's mean plane, frame of the slices.
@@ -76,7 +76,7 @@ class SimilarityWatch:
         return self._remembering(view_mm, similarity, latest, cusum, since_s)
 
     def _sigma(self) -> float:
-        """Of the differences so far, robustly; the largest until there are enough."""
+        """Robust standard deviation of the differences; the largest until there are enough."""
         if len(self.differences) < LEARNT_BEATS:
             return CORRELATED * SIGMA[1]
         spread = 1.4826 * float(np.median(np.abs(self.differences - np.median(self.differences))))

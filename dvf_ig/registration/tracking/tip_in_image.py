@@ -43,7 +43,7 @@ LEAST_IN_PLANE, LEAST_BESIDE = 6, 3
 """Beats in a plane, and beside it, without which nothing is said of it. With four in the plane a shaft that
 crosses one beside the tip is taken for it (poor images, tuning seed 101)."""
 REMEMBERED_BEATS = 15
-"""Of each plane."""
+"""Beats remembered per plane."""
 SEEN_GREY, SEEN_RATIO = 60.0, 3.5
 """Least contrast in grey levels of 255, and over its standard error, of a tool that is seen. In 40 s of
 tuning seeds 101–115 one that is not shown reaches 42 and 2.7 beside its place; one that is shown 97 to 129
@@ -54,7 +54,7 @@ BEAM_MM = 2.0
 NEARLY = 0.7
 """Places and planes of so much of the largest contrast belong to the tool."""
 ELSEWHERE_MM = 3.0
-"""A tool that is seen so far from where it should be speaks against the calibrations."""
+"""Distance of the tool from where it should be that contradicts the calibrations."""
 _RASTER_MM = np.arange(-PATCH_MM, PATCH_MM + 0.5 * STEP_MM, STEP_MM)
 _AWAY_MM = np.hypot(_RASTER_MM[:, None], _RASTER_MM)
 """Rows, and columns, of a patch from its middle; and how far each of its places is from there."""
@@ -82,7 +82,7 @@ class TipView:
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class TipPatches:
-    """What the last beats showed around the tip, one row a beat and plane.
+    """Images of the last beats around the tip, one row a beat and plane.
 
     Attributes:
         beat: (n,) running number; beside_mm: (n,) of the tip from the plane, in steps of PLANE_MM.
@@ -95,7 +95,7 @@ class TipPatches:
 
     @classmethod
     def none(cls) -> "TipPatches":
-        """Of a session that has seen nothing."""
+        """Patches of a session that has seen nothing."""
         size = len(_RASTER_MM)
         return cls(np.empty(0, dtype=np.int64), np.empty(0), np.empty((0, size, size)))
 
@@ -137,7 +137,7 @@ class TipSighting:
 
     @property
     def elsewhere(self) -> bool:
-        """Whether it speaks against the calibrations."""
+        """Whether it contradicts the calibrations."""
         return self.off_mm > ELSEWHERE_MM
 
 
@@ -151,7 +151,7 @@ def tip_view(tip_probe_mm: FloatArray, probe_from_image: ImageMap) -> TipView:
 def patch_around(
     image: AnyArray, sector: BoolArray, view: TipView, scale_mm_per_px: FloatArray
 ) -> FloatArray | None:
-    """(k, k) grey levels around the tip, rows down the image, NaN outside the sector; None of too few.
+    """(k, k) grey levels around the tip, rows down the image, NaN outside the sector; None if too few.
 
     Args:
         image: (rows, columns) grey levels; sector: (rows, columns) pixels that were insonified.
@@ -172,13 +172,13 @@ def patch_around(
 
 
 def sighting(patches: TipPatches) -> TipSighting | None:
-    """Where the tool is seen; None where it is not, or too few beats could have shown it."""
+    """Locate the tool; None if it is not seen, or too few beats could have shown it."""
     planes = np.arange(-SEARCHED_MM, SEARCHED_MM + 0.5 * PLANE_MM, PLANE_MM)
-    found = [one for one in (_in_plane(patches, float(plane)) for plane in planes) if one is not None]
-    brightest = max((one.contrast_grey for one in found), default=0.0)
+    seen = [one for one in (_in_plane(patches, float(plane)) for plane in planes) if one is not None]
+    brightest = max((one.contrast_grey for one in seen), default=0.0)
     if brightest < SEEN_GREY:
         return None
-    nearest = min((one for one in found if one.contrast_grey >= NEARLY * brightest), key=_distance)
+    nearest = min((one for one in seen if one.contrast_grey >= NEARLY * brightest), key=_distance)
     return nearest if nearest.ratio >= SEEN_RATIO else None
 
 
@@ -187,7 +187,7 @@ def _distance(seen: TipSighting) -> tuple[float, float]:
 
 
 def _in_plane(patches: TipPatches, plane_mm: float) -> TipSighting | None:
-    """The brightest place of one plane; None of too few beats."""
+    """The brightest position in one plane; None for too few beats."""
     seen = patches.grey[patches.beside_mm == plane_mm]
     apart_mm = np.abs(patches.beside_mm - plane_mm)
     others = (apart_mm >= BESIDE_MM[0]) & (apart_mm <= BESIDE_MM[1])

@@ -18,8 +18,8 @@ from dvf_ig.core import (
     UnreadableFileError,
 )
 from dvf_ig.core.space.frames import RAS_FROM_LPS
+from dvf_ig.intake.calibrations import calibrate
 from dvf_ig.io import provenance_fields, read_json, read_sequence
-from dvf_ig.replay.calibrations import calibrate
 from dvf_ig.replay.outputs import POSES
 from dvf_ig.replay.run_folder import RESULT, require_same_recording
 from dvf_ig.session import UltrasoundCalibration

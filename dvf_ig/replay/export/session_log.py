@@ -21,6 +21,7 @@ from dvf_ig.core import (
     TriggerTimes,
 )
 from dvf_ig.core.arrays import AnyArray
+from dvf_ig.intake.calibrations import calibrate
 from dvf_ig.io.ros import messages as ros
 from dvf_ig.io.ros.attached_heart import attach_heart
 from dvf_ig.io.ros.log_file import written_log
@@ -39,7 +40,6 @@ from dvf_ig.io.ros.session_topics import (
     exact_pose,
     status_message,
 )
-from dvf_ig.replay.calibrations import calibrate
 from dvf_ig.replay.events import ECG_CHUNK
 from dvf_ig.replay.outputs import TICKS
 from dvf_ig.replay.preconditions import tool_of

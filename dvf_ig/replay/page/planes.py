@@ -93,7 +93,7 @@ def anatomy_of_heart(heart: Heart, mr: VolumeSeries | None) -> Anatomy:
     if mr is not None:
         window = _window(mr.values)
         return Anatomy("MR", "", mr.grid, mr.values, mr.timing.fractions, window, fixture, heart.surface)
-    channels = heart.fine
+    channels = heart.channels
     blood = channels.values[..., 0]
     window = float(blood.min()), float(blood.max())
     return Anatomy(

@@ -5,24 +5,17 @@ import math
 import numpy as np
 
 from dvf_ig.core import Stop
-from dvf_ig.registration import RegistrationResult, SurfaceDisagreement
+from dvf_ig.registration import LANDMARKS_MM, RegistrationResult
 from dvf_ig.registration.evidence.checks import WRONG_MM
 from dvf_ig.registration.evidence.phase_offset import SUSPICIOUS_LOG_RATIO, SUSPICIOUS_S
 from dvf_ig.report.registration import Check, Outcome
-from dvf_ig.session.pose.registration_monitor import LANDMARKS_MM
 
 BOUNDARY_UNSEEN = "no boundary seen"
 
 
-def checks_of(
-    result: RegistrationResult, landmarks_mm: float | None, touched: SurfaceDisagreement | None
-) -> list[Check]:
-    """List all checks of a registration; those of another kind of input are marked as not checked.
-
-    Args:
-        landmarks_mm: mean distance over the heart from the pose of touched landmarks; None without any.
-        touched: distances of points touched on the surface from the model's; None without any.
-    """
+def checks_of(result: RegistrationResult) -> list[Check]:
+    """List every check of a registration; those of another kind of input are not checked."""
+    touched = result.touched
     return [
         _overlap(result),
         _z_score(result),
@@ -32,7 +25,7 @@ def checks_of(
         _at_most(
             "Touched landmarks",
             "mean distance over the heart from the pose that touched landmarks give",
-            landmarks_mm,
+            result.landmarks_mm,
             LANDMARKS_MM,
         ),
         _at_most(

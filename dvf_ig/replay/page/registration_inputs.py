@@ -1,31 +1,29 @@
-"""Input of a registration, as its page shows it: gated frames, gated volumes, a pair of images."""
+"""Inputs of a registration as its page shows them: gated frames, gated volumes, a pair of images."""
 
 from collections.abc import Sequence
 
-from dvf_ig.core import Rigid, TrackedVolume, Volume, VolumeSeries, mean_displacement_mm
+from dvf_ig.core import Scenario, TrackedVolume, Volume, VolumeSeries
 from dvf_ig.registration import RegistrationResult
-from dvf_ig.replay.registration import Registration
-from dvf_ig.session import Heart
+from dvf_ig.session import GatedFrames, Heart, UltrasoundRecording
 
 from .planes import anatomy_of_heart, anatomy_of_image, frame_overlays
-from .registration_page import RegisteredInput
+from .registration_page import ShownInput
 from .volume_planes import image_overlays, tracked_overlays
 
 TRACKER, PREOPERATIVE = "the tracker", "the pre-operative image"
 
 
-def frames_shown(registration: Registration, name: str, mr: VolumeSeries | None) -> RegisteredInput:
-    """Describe gated, tracked frames of a recording.
-
-    Args:
-        name: name of the recording.
-        mr: pre-operative grey levels, if any.
-    """
-    result, frames, recording = registration.result, registration.frames, registration.recording
-    heart = recording.heart
+def frames_shown(
+    result: RegistrationResult,
+    frames: GatedFrames,
+    recording: UltrasoundRecording,
+    scenario: Scenario,
+) -> ShownInput:
+    """Show the gated, tracked frames of a scenario."""
+    heart, mr, name = recording.heart, scenario.preop.mr, scenario.name
     anatomy = anatomy_of_heart(heart, mr)
     gated = frames.gated
-    return RegisteredInput(
+    return ShownInput(
         title=f"Registration of {name}",
         about=f"patient {heart.model.patient_id}",
         source_name=TRACKER,
@@ -37,7 +35,7 @@ def frames_shown(registration: Registration, name: str, mr: VolumeSeries | None)
             recording.images,
             recording.calibrations.probe_from_image,
             anatomy,
-            registration.start,
+            result.start,
             result.target_from_source,
         ),
         data=[
@@ -51,58 +49,52 @@ def frames_shown(registration: Registration, name: str, mr: VolumeSeries | None)
             ("R peaks found", str(len(recording.peaks))),
             *_model_rows(heart),
         ],
-        landmarks_mm=_apart_mm(result, registration.landmarks, heart),
-        touched=registration.touched,
         frames=len(frames.used),
         model=heart.model,
         frames_rejected={str(reason): count for reason, count in gated.rejected.items() if count},
+        targets=scenario.landmarks_mr,
+        tracked_against=scenario.tracked_against,
     )
 
 
 def volumes_shown(
     result: RegistrationResult,
-    start: Rigid,
     volumes: Sequence[TrackedVolume],
     heart: Heart,
     mr: VolumeSeries | None,
     *,
-    landmarks: Rigid | None = None,
     about: str = "",
-) -> RegisteredInput:
-    """Describe gated 3-D volumes.
+) -> ShownInput:
+    """Show gated 3-D volumes.
 
     Args:
         volumes: as they were registered.
-        mr: pre-operative grey levels, if any.
-        landmarks: mr_from_tracker from touched landmarks, if any.
-        about: the files they come from.
+        mr: pre-operative grey levels; None without any.
+        about: from which files.
     """
     anatomy = anatomy_of_heart(heart, mr)
     phases = ", ".join(f"{100 * volume.model_phase:.0f} %" for volume in volumes)
     whose = f"patient {heart.model.patient_id}"
-    return RegisteredInput(
+    return ShownInput(
         title="Registration of gated 3-D ultrasound",
         about=f"{whose}, {about}" if about else whose,
         source_name=TRACKER if result.target_from_source.source == "tracker" else "the ultrasound volumes",
         target_name=PREOPERATIVE,
         anatomy=anatomy.name,
         remark=anatomy.remark,
-        planes=tracked_overlays(anatomy, volumes, start, result.target_from_source),
-        data=[("volumes", str(len(volumes))), ("phases of the cycle", phases), *_model_rows(heart)],
-        landmarks_mm=_apart_mm(result, landmarks, heart),
+        planes=tracked_overlays(anatomy, volumes, result.start, result.target_from_source),
+        data=[("volumes", str(len(volumes))), ("places in the cycle", phases), *_model_rows(heart)],
         model=heart.model,
     )
 
 
-def pair_shown(
-    result: RegistrationResult, start: Rigid, ultrasound: Volume, anatomy: Volume, *, about: str
-) -> RegisteredInput:
-    """Describe a pair of images.
+def pair_shown(result: RegistrationResult, ultrasound: Volume, anatomy: Volume, *, about: str) -> ShownInput:
+    """Show a pair of images.
 
     Args:
         about: the files they come from.
     """
-    return RegisteredInput(
+    return ShownInput(
         title="Registration of an image pair",
         about=about,
         source_name="the fixed image",
@@ -110,18 +102,12 @@ def pair_shown(
         anatomy="moving image",
         remark="",
         planes=image_overlays(
-            anatomy_of_image(anatomy, "moving image"), ultrasound, start, result.target_from_source
+            anatomy_of_image(anatomy, "moving image"), ultrasound, result.start, result.target_from_source
         ),
         data=[
             (f"{name} image", _size(image)) for name, image in (("fixed", ultrasound), ("moving", anatomy))
         ],
     )
-
-
-def _apart_mm(result: RegistrationResult, landmarks: Rigid | None, heart: Heart) -> float | None:
-    if landmarks is None:
-        return None
-    return mean_displacement_mm(result.target_from_source, landmarks, heart.center_mm)
 
 
 def _model_rows(heart: Heart) -> list[tuple[str, str]]:

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 
 import dvf_ig
-from dvf_ig.core import DvfModel, Landmarks, Rigid
+from dvf_ig.core import DvfModel, Landmarks
 from dvf_ig.kernels.compiled import thread_count
-from dvf_ig.registration import RegistrationResult, SurfaceDisagreement, least_constrained_direction
+from dvf_ig.registration import RegistrationResult, least_constrained_direction
 from dvf_ig.report.plane_overlay import PlaneOverlay
 from dvf_ig.report.registration import Check, Outcome, RegistrationPage, Transform, registration_html
 from dvf_ig.report.viewer import RegistrationView, registration_payload, viewer_html
@@ -21,23 +21,22 @@ BOUND_CAVEAT = "95 of 100 synthetic hearts had no larger error anywhere in the b
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RegisteredInput:
-    """Input of a registration, as its page shows it.
+class ShownInput:
+    """The input of a registration, as its page shows it.
 
     Attributes:
         title: for example "Registration of case 7".
-        about: patient and files.
-        source_name, target_name: names of the two frames' contents for the reader.
-        anatomy: pre-operative data that the planes show in addition to contours, for example "MR".
-        remark: note on it for the reader; empty without one.
+        about: whose it is, and from which files.
+        source_name, target_name: what the two frames of the pose hold, as a reader calls it.
+        anatomy: what the planes show of the pre-operative data in addition to contours, for example "MR".
+        remark: what a reader should know about that; empty where nothing.
         planes: ultrasound planes before and after registration.
-        data: rows that describe the input and the part of it that was used.
-        landmarks_mm: distance of the pose from that of touched landmarks; None without any.
-        touched: distances of points touched on the surface; None without any.
-        frames: frames compared with the model; None for volumes and for a pair.
-        frames_rejected: number of other frames, by reason.
-        model: model of the heart; None for a pair.
+        data: rows of what was registered and how much of it was used.
+        frames: how many were compared with the model; None for volumes and for a pair.
+        frames_rejected: how many were not, by reason.
+        model: of the heart; None for a pair.
         targets: named points of the model; None without any.
+        tracked_against: what PLUS calls the frame that poses were relative to.
     """
 
     title: str
@@ -48,28 +47,25 @@ class RegisteredInput:
     remark: str
     planes: Sequence[PlaneOverlay]
     data: Sequence[tuple[str, str]]
-    landmarks_mm: float | None = None
-    touched: SurfaceDisagreement | None = None
     frames: int | None = None
     frames_rejected: Mapping[str, int] = field(default_factory=dict)
     model: DvfModel | None = None
     targets: Landmarks | None = None
+    tracked_against: str = "tracker"
 
 
 def registration_page(
-    result: RegistrationResult, start: Rigid, shown: RegisteredInput, transform: Path, seed: int, view: str
+    result: RegistrationResult, shown: ShownInput, transform: Path, seed: int, view: str
 ) -> str:
-    """Build the page of a registration as HTML.
+    """Show a registration as an HTML page.
 
     Args:
-        start: start pose.
-        shown: input of the registration.
-        transform: file to which the pose is written.
-        seed: seed of its random choices.
+        transform: the file that the pose is written to.
+        seed: of its random choices.
         view: name of the interactive page in the same folder; empty without.
     """
     pose = result.target_from_source
-    checks = checks_of(result, shown.landmarks_mm, shown.touched)
+    checks = checks_of(result)
     return registration_html(
         RegistrationPage(
             title=shown.title,
@@ -80,7 +76,7 @@ def registration_page(
             anatomy=shown.anatomy,
             remark=shown.remark,
             checks=checks,
-            findings=_findings(result, start),
+            findings=_findings(result),
             data=shown.data,
             transform=Transform(
                 pose.target, pose.source, shown.target_name, shown.source_name, pose.matrix, transform.name
@@ -96,11 +92,11 @@ def registration_page(
     )
 
 
-def registration_view(result: RegistrationResult, shown: RegisteredInput) -> str | None:
-    """Build the interactive page of a registration as HTML; None without a plane that can be shown."""
+def registration_view(result: RegistrationResult, shown: ShownInput) -> str | None:
+    """Show a registration as an interactive HTML page; None without a plane that could be shown."""
     if not any(plane.anatomy_from_pixel is not None for plane in shown.planes):
         return None
-    checks = checks_of(result, shown.landmarks_mm, shown.touched)
+    checks = checks_of(result)
     return viewer_html(
         registration_payload(
             RegistrationView(
@@ -131,10 +127,10 @@ def _reason(result: RegistrationResult, checks: Sequence[Check]) -> str:
     return sentence
 
 
-def _findings(result: RegistrationResult, start: Rigid) -> list[tuple[str, str, str]]:
+def _findings(result: RegistrationResult) -> list[tuple[str, str, str]]:
     second = result.second_best
     elsewhere = f"the best pose found elsewhere has {second:.3f}" if second > 0 else "no other pose was found"
-    turned_deg = np.degrees((result.target_from_source @ start.inverse()).angle_rad)
+    turned_deg = np.degrees((result.target_from_source @ result.start.inverse()).angle_rad)
     return [
         (
             "similarity (LC2)",

@@ -1,15 +1,15 @@
-"""Registrations in `result.json`: the pose of each, and its evidence."""
+"""Registrations as `result.json` lists them: their poses and their evidence."""
 
 from typing import Any
 
 import numpy as np
 
 from dvf_ig.registration import PairEvidence, RegistrationResult, least_constrained_direction
-from dvf_ig.session import Attempt
+from dvf_ig.session import RegistrationRecord
 
 
-def attempt_fields(attempt: Attempt) -> dict[str, Any]:
-    """Describe one requested registration, with its evidence if it gave a pose."""
+def attempt_fields(attempt: RegistrationRecord) -> dict[str, Any]:
+    """List one registration that was asked for, with its evidence if it gave a pose."""
     result = attempt.result
     out: dict[str, Any] = {
         "asked_s": attempt.asked_s,
@@ -26,7 +26,7 @@ def attempt_fields(attempt: Attempt) -> dict[str, Any]:
 
 
 def evidence_of(result: RegistrationResult) -> dict[str, Any]:
-    """Collect the evidence of a registration under the names that all commands use."""
+    """Evidence of a registration, under the names every command uses."""
     finite = bool(np.isfinite(result.covariance).all())
     offset = result.evidence.phase_offset
     return {
@@ -55,7 +55,7 @@ def evidence_of(result: RegistrationResult) -> dict[str, Any]:
 
 
 def _pair_evidence(pair: PairEvidence | None) -> dict[str, Any]:
-    """Collect the evidence of a pair of images of an organ that does not beat; all None for a heart."""
+    """Evidence of a pair of images of an organ that does not beat; all None for a heart."""
     return {
         "pair_statistic": None if pair is None else _finite(pair.doubt),
         "agreeing_starts": None if pair is None else pair.agreeing_starts,

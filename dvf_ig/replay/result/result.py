@@ -9,10 +9,10 @@ from dvf_ig.cardiac import frame_period_s
 from dvf_ig.guidance import Status, summarise_supervision
 from dvf_ig.io.fixtures import DeviceConfig
 from dvf_ig.replay.engine import Replay
+from dvf_ig.session.no_force import no_force
 
 from .errors import ERROR_FIELDS, error_fields, margin_fields
 from .evidence import attempt_fields
-from .no_force import no_force_of
 from .pose_fields import age_fields, bound_fields, tip_field, update_fields
 from .schema import SCHEMA, validate
 
@@ -46,7 +46,7 @@ def result_of(replay: Replay) -> dict[str, Any]:
         "device": None if device is None else device.model_dump(),
         "retiming": replay.setup.retiming,
         "margin": margin_fields(replay),
-        "no_force": no_force_of(replay),
+        "no_force": _no_force(replay),
         "warnings": [{"key": f.key, "cause": f.cause.name, "sentence": f.sentence} for f in replay.findings],
         "estimates": _estimates(replay),
         **update_fields(replay),
@@ -60,6 +60,14 @@ def result_of(replay: Replay) -> dict[str, Any]:
     out.update(error_fields(replay))
     validate(out)
     return out
+
+
+def _no_force(replay: Replay) -> str | None:
+    """Why no tick gave a force; None if one did."""
+    codes, numbers = np.unique(replay.ticks.status, return_counts=True)
+    counts = {Status(code): n for code, n in zip(codes.tolist(), numbers.tolist(), strict=True)}
+    reason = replay.attempts[-1].reason if replay.attempts else None
+    return no_force(counts, posed=bool(replay.poses), reason=reason)
 
 
 def _refusals(replay: Replay) -> dict[str, int]:

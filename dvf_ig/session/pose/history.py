@@ -5,47 +5,10 @@ from dataclasses import dataclass, replace
 
 from dvf_ig.cardiac import RPeak
 from dvf_ig.core import Rigid
-from dvf_ig.registration import RegistrationResult, TipSighting
+from dvf_ig.registration import TipSighting
+from dvf_ig.session.refusal import Doubt, Refused
 from dvf_ig.session.ultrasound.beat_evaluation import BeatEvaluation
-from dvf_ig.session.ultrasound.gated_frames import GatedFrames
-
-from .doubt import Doubt
-from .refusal import Refused
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Attempt:
-    """One registration.
-
-    Attributes:
-        asked_s: when it was started; `ready_s` from when its result could be used.
-        frames: the ultrasound it was given; None where none had arrived.
-        result: None where too few frames passed the gate, or it failed.
-        failure: why it failed, as a user reads it.
-        refused: why it is not used though its own evidence would allow it; None where it is.
-    """
-
-    asked_s: float
-    ready_s: float
-    frames: GatedFrames | None
-    result: RegistrationResult | None
-    failure: str | None = None
-    refused: Refused | None = None
-
-    @property
-    def usable(self) -> bool:
-        return self.result is not None and self.result.stop.usable and self.refused is None
-
-    @property
-    def reason(self) -> str:
-        """How it ended, as a user reads it."""
-        if self.refused is not None:
-            return self.refused.sentence
-        if self.result is not None:
-            return self.result.sentence
-        if self.failure is not None or self.frames is None:
-            return self.failure or "no ultrasound"
-        return self.frames.shortage
+from dvf_ig.session.ultrasound.frame_registration import RegistrationRecord
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,7 +39,7 @@ class SessionHistory:
 
     def __init__(self, longest: int | None = None) -> None:
         self.peaks: deque[RPeak] = deque(maxlen=longest)
-        self.attempts: deque[Attempt] = deque(maxlen=longest)
+        self.attempts: deque[RegistrationRecord] = deque(maxlen=longest)
         self.beats: deque[BeatEvaluation] = deque(maxlen=longest)
         self.updates: deque[PoseUpdate] = deque(maxlen=longest)
         self.sightings: deque[TipSighting] = deque(maxlen=longest)

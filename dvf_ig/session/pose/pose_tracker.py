@@ -16,14 +16,15 @@ from dvf_ig.cardiac import RPeak
 from dvf_ig.core import PoseMotion, Rigid, Stop
 from dvf_ig.registration import PoseEstimate, TipSighting
 from dvf_ig.session.events import Landmark
+from dvf_ig.session.refusal import Refusal, Refused
 from dvf_ig.session.ultrasound.beat_evaluation import BeatEvaluation, ComparableBeat, as_of, evaluation_of
-from dvf_ig.session.ultrasound.ultrasound_source import RegistrationRequest, UltrasoundSource
+from dvf_ig.session.ultrasound.frame_registration import RegistrationRecord, RegistrationRequest
+from dvf_ig.session.ultrasound.ultrasound_source import UltrasoundSource
 
 from .beat_jobs import BeatJobs, FinishedBeat
 from .confirmation import Confirmation
-from .history import Attempt, PoseUpdate, SessionHistory
-from .refusal import Refusal, Refused
-from .registration_jobs import FinishedRegistration, RegistrationJobs
+from .history import PoseUpdate, SessionHistory
+from .registration_jobs import RegistrationJobs
 from .registration_monitor import RegistrationMonitor, confirms
 from .touched_landmarks import TouchedLandmarks
 
@@ -157,11 +158,9 @@ class PoseTracker:
             return pose, True
         return tested.pose, False
 
-    def _take_registration(self, done: FinishedRegistration, now_s: float) -> None:
-        attempt = done.attempt
+    def _take_registration(self, attempt: RegistrationRecord, now_s: float) -> None:
         self.history.attempts.append(attempt)
-        if done.cancelled:
-            self.history.set_refused(attempt.asked_s, Refused(Refusal.SUSPENDED_MEANWHILE))
+        if attempt.refused is not None:
             return
         self._next_start_s = max(now_s, attempt.asked_s + RETRY_S)
         if attempt.usable:
@@ -169,7 +168,7 @@ class PoseTracker:
         elif attempt.result is not None:
             self._take_refusal(attempt.result.stop, attempt.asked_s, now_s)
 
-    def _take_pose(self, attempt: Attempt, now_s: float) -> None:
+    def _take_pose(self, attempt: RegistrationRecord, now_s: float) -> None:
         """A registration whose own evidence allows its use meets the monitor."""
         result, frames = attempt.result, attempt.frames
         if result is None or frames is None:

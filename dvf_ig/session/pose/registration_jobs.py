@@ -1,16 +1,12 @@
 """Registrations that were asked for: their frames are gathered, they are computed, then taken or dropped."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import inf
 
 from dvf_ig.session.executor import Job
-from dvf_ig.session.ultrasound.ultrasound_source import (
-    RegistrationAnswer,
-    RegistrationRequest,
-    UltrasoundSource,
-)
-
-from .history import Attempt
+from dvf_ig.session.refusal import Refusal, Refused
+from dvf_ig.session.ultrasound.frame_registration import RegistrationRecord, RegistrationRequest
+from dvf_ig.session.ultrasound.ultrasound_source import UltrasoundSource
 
 COMPUTE_S = 3.0
 """A registration takes effect this long after its last frame: a fixed allowance for computing it."""
@@ -32,16 +28,8 @@ class _Registration:
     asked_s: float
     request: RegistrationRequest
     next_s: float
-    job: Job[RegistrationAnswer] | None = None
+    job: Job[RegistrationRecord] | None = None
     cancelled: bool = False
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class FinishedRegistration:
-    """How a registration ended; `cancelled` where the pose in use was suspended after it was asked for."""
-
-    attempt: Attempt
-    cancelled: bool
 
 
 class RegistrationJobs:
@@ -81,8 +69,11 @@ class RegistrationJobs:
         """Whether the answer of one is to be taken."""
         return self._due(now_s) is not None
 
-    def take_answer(self, now_s: float) -> FinishedRegistration | None:
-        """What became of the one whose answer is due; None where it is not done yet, and asked for again."""
+    def take_answer(self, now_s: float) -> RegistrationRecord | None:
+        """Take the answer that is due; None if it is not done yet, and to be asked for again.
+
+        It is refused if the pose in use was suspended after it was asked for.
+        """
         asked = self._due(now_s)
         if asked is None or asked.job is None:
             return None
@@ -91,12 +82,9 @@ class RegistrationJobs:
             asked.next_s = now_s + POLL_S
             return None
         self._asked.remove(asked)
-        if not job.done():
-            attempt = Attempt(asked.asked_s, now_s, None, None, "not finished in time")
-        else:
-            answer = job.result()
-            attempt = Attempt(asked.asked_s, now_s, answer.frames, answer.result, answer.failure)
-        return FinishedRegistration(attempt, asked.cancelled)
+        late = asked.request.record(None, failure="not finished in time")
+        record = replace(job.result() if job.done() else late, asked_s=asked.asked_s, ready_s=now_s)
+        return replace(record, refused=Refused(Refusal.SUSPENDED_MEANWHILE)) if asked.cancelled else record
 
     def _due(self, now_s: float) -> _Registration | None:
         return next((r for r in self._asked if r.next_s <= now_s and r.job is not None), None)

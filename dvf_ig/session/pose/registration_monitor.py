@@ -17,14 +17,17 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from dvf_ig.core import FloatArray, Rigid, Stop, mean_displacement_mm, read_only_arrays
-from dvf_ig.registration import BeatMeasurement, PoseEstimate, ShiftDetector, SimilarityWatch, TipSighting
+from dvf_ig.registration import (
+    BeatMeasurement,
+    PoseEstimate,
+    ShiftDetector,
+    SimilarityWatch,
+    TipSighting,
+    landmarks_disagree,
+)
+from dvf_ig.session.refusal import Doubt, DoubtCause, Refusal, Refused
 from dvf_ig.session.ultrasound.beat_evaluation import BeatEvaluation
 
-from .doubt import Doubt, DoubtCause
-from .refusal import Refusal, Refused
-
-LANDMARKS_MM = 4.0
-"""Landmark fits of tuning seeds 101–106 lie 0.9 to 1.4 mm from the truth over the heart, good poses 2 mm."""
 JUMP_MM = 2.5
 """Repeated registrations of an undisturbed patient move by up to 1.2 mm."""
 SHIFT_LIMIT = 45.0
@@ -60,12 +63,6 @@ ELSEWHERE_BEATS = 3
 def confirms(measurement: BeatMeasurement) -> bool:
     """Whether a beat says that the pose is right: it would have contradicted a wrong one, and did not."""
     return measurement.informative and measurement.log_likelihood_ratio <= CONSISTENT_LOG_RATIO
-
-
-def landmark_disagreement_mm(pose: Rigid, landmarks: Rigid | None, center_mm: FloatArray) -> float | None:
-    """Distance from the landmark fit that rules out a first pose; None where small, or without a fit."""
-    off_mm = 0.0 if landmarks is None else mean_displacement_mm(pose, landmarks, center_mm)
-    return off_mm if off_mm > LANDMARKS_MM else None
 
 
 @read_only_arrays
@@ -169,9 +166,10 @@ class RegistrationMonitor:
 
     def _with_pending(self, found: PoseEstimate) -> tuple["RegistrationMonitor", Refused]:
         """Landmarks are compared with the first pose only: a patient who moved took them along."""
-        off_mm = landmark_disagreement_mm(found.pose, self.landmarks, self.center_mm)
-        if self.estimate is None and off_mm is not None:
-            return self, Refused(Refusal.LANDMARKS_DISAGREE, off_mm)
+        if self.estimate is None and self.landmarks is not None:
+            off_mm = mean_displacement_mm(found.pose, self.landmarks, self.center_mm)
+            if landmarks_disagree(off_mm):
+                return self, Refused(Refusal.LANDMARKS_DISAGREE, off_mm)
         waiting = replace(self, pending=found, consistent_beats=0, shift=self.shift.restarted())
         return waiting, Refused(Refusal.UNCONFIRMED)
 

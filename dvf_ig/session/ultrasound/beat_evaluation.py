@@ -12,6 +12,7 @@ import numpy as np
 
 from dvf_ig.core import FloatArray, Rigid, read_only_arrays
 from dvf_ig.registration import (
+    DENSITY_WIDTH_MM,
     BeatMeasurement,
     FrameRejection,
     Lc2,
@@ -21,7 +22,6 @@ from dvf_ig.registration import (
     measure_beat,
 )
 
-from .frame_registration import DENSITY_WIDTH_MM
 from .gated_frames import UltrasoundRecording, gate_recording, slices_of, ultrasound_mask
 
 BEAT_PITCH_MM = 2.0
@@ -91,7 +91,7 @@ class BeatSlices:
     clock: Callable[[], float]
 
     def evaluate_beat(self, pose: Rigid, center_mm: FloatArray, *, in_use: bool) -> BeatEvaluation | None:
-        """Compare the beat with a pose; None where the slices hardly overlap the model."""
+        """Compare the beat with a pose; None if the slices hardly overlap the model."""
         began = self.clock()
         measurement = measure_beat(self.metric, pose, center_mm)
         if measurement.overlap < MIN_OVERLAP:
@@ -117,8 +117,8 @@ def evaluation_of(
     beat: "ComparableBeat", tested: PoseEstimate, center_mm: FloatArray, *, in_use: bool
 ) -> BeatEvaluation | None:
     """Compare a beat with an estimate: where its images should match, told of its pose."""
-    found = beat.evaluate_beat(tested.matched_pose, center_mm, in_use=in_use)
-    return None if found is None else as_of(found, tested)
+    evaluation = beat.evaluate_beat(tested.matched_pose, center_mm, in_use=in_use)
+    return None if evaluation is None else as_of(evaluation, tested)
 
 
 def as_of(evaluation: BeatEvaluation, tested: PoseEstimate) -> BeatEvaluation:
@@ -128,10 +128,10 @@ def as_of(evaluation: BeatEvaluation, tested: PoseEstimate) -> BeatEvaluation:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ComparedBeat:
-    """What a finished beat told.
+    """A finished beat, compared or not.
 
     Attributes:
-        slices: None where the beat cannot be compared with the model.
+        slices: None if the beat cannot be compared with the model.
         evaluation: of the pose it was compared with; None without one, or where they hardly overlap.
         irregular: the beat came early or late, so that its phase is not known.
     """
@@ -151,7 +151,7 @@ class ComparableBeat(Protocol):
     def end_s(self) -> float: ...
 
     def evaluate_beat(self, pose: Rigid, center_mm: FloatArray, *, in_use: bool) -> BeatEvaluation | None:
-        """Compare the beat with a pose; None where they hardly overlap."""
+        """Compare the beat with a pose; None if they hardly overlap."""
         ...
 
 
@@ -178,7 +178,7 @@ def compare_beat(
     slices = slices_of(recording, frames, ultrasound_mask(recording, frames), pitch_mm=BEAT_PITCH_MM)
     metric = Lc2(
         slices,
-        recording.heart.fine,
+        recording.heart.channels,
         patch_mm=PATCH_MM,
         pitch_mm=BEAT_PITCH_MM,
         density_width_mm=DENSITY_WIDTH_MM,

@@ -103,7 +103,7 @@ class GatedFrames:
 
     @property
     def shortage(self) -> str:
-        """What a user reads where they are not enough."""
+        """The sentence a user reads if they are not enough."""
         reasons = ", ".join(f"{count} {reason}" for reason, count in self.gated.rejected.items() if count)
         return (
             f"{len(self.used)} ultrasound frames can be compared with the model ({reasons}); "
@@ -143,7 +143,7 @@ def gate_recording(
     model_phase = retimed(recording.heart.model, beat.phi, beat.rr_s, recording.retiming)
     gated = gate_frames(
         model_phase,
-        recording.heart.fine.fractions,
+        recording.heart.channels.fractions,
         image_valid=ultrasound.image_valid[here],
         pose_valid=tracked,
         beat_valid=beat.regular,
@@ -179,7 +179,7 @@ def sector_of(fan: Fan | None, images: NDArray[np.uint8]) -> BoolArray:
 
 @lru_cache(maxsize=4)
 def fan_mask(fan: Fan, rows: int, columns: int) -> BoolArray:
-    """Sector of a fan that every beat asks for anew."""
+    """Mask of a fan, kept because every beat asks for it."""
     mask = fan.mask(rows, columns)
     mask.setflags(write=False)
     return mask

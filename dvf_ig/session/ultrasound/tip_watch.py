@@ -71,8 +71,8 @@ class TipWatch:
         tool = self._tool_until(min(known_s, until_s + MAX_GAP_S))
         if tool is None:
             return None
-        found = self._frames.between(from_s - max(0.0, self._calibrations.lag_s), known_s)
-        images = [] if found is None else self._looked_at(found[0], tool, from_s, until_s)
+        arrived = self._frames.between(from_s - max(0.0, self._calibrations.lag_s), known_s)
+        images = [] if arrived is None else self._looked_at(arrived[0], tool, from_s, until_s)
         if not images:
             return None
         self._patches = self._patches.after(images)

@@ -8,58 +8,24 @@ import numpy as np
 
 from dvf_ig.cardiac import RetimeMode, RPeak
 from dvf_ig.core import DvfIgError, Fan, Rigid
-from dvf_ig.registration import LandmarkPrior, RegistrationResult, SliceThreads
+from dvf_ig.registration import SliceThreads
 from dvf_ig.session.calibrations import UltrasoundCalibration
 from dvf_ig.session.executor import Executor, Job, answered
 from dvf_ig.session.heart import Heart
 
 from .beat_evaluation import ComparedBeat, compare_beat
 from .frame_buffer import FrameBuffer
-from .frame_registration import register_frames
+from .frame_registration import RegistrationRecord, RegistrationRequest, register_frames
 from .gated_frames import GatedFrames, UltrasoundRecording, gate_recording
 
 _FAILURES = (DvfIgError, np.linalg.LinAlgError)
-"""What a registration or a comparison of unfit images may end with."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class RegistrationRequest:
-    """A registration that is wanted.
-
-    Attributes:
-        from_s, until_s: event times of the frames to register.
-        start: pose to begin at; `warm` relies on it and skips displaced starts.
-        prior: touched landmarks that the pose must also agree with.
-        peaks: R peaks that were known when it was asked for.
-    """
-
-    from_s: float
-    until_s: float
-    start: Rigid
-    warm: bool
-    prior: LandmarkPrior | None
-    peaks: tuple[RPeak, ...]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class RegistrationAnswer:
-    """What came of it.
-
-    Attributes:
-        frames: the gated frames; None where no frame with an image had arrived.
-        result: None where there were too few frames, or it failed.
-        failure: why it failed, as a user reads it; None where it did not.
-    """
-
-    frames: GatedFrames | None
-    result: RegistrationResult | None
-    failure: str | None = None
+"""Errors of a registration or a comparison of unfit images."""
 
 
 class UltrasoundSource(Protocol):
     """The ultrasound that has arrived, as a tracker of the pose asks for it."""
 
-    def register(self, request: RegistrationRequest, known_s: float) -> Job[RegistrationAnswer]:
+    def register(self, request: RegistrationRequest, known_s: float) -> Job[RegistrationRecord]:
         """Register frames recorded by `known_s`."""
         ...
 
@@ -90,14 +56,14 @@ class ArrivedUltrasound:
     threads: SliceThreads
     executor: Executor
 
-    def register(self, request: RegistrationRequest, known_s: float) -> Job[RegistrationAnswer]:
+    def register(self, request: RegistrationRequest, known_s: float) -> Job[RegistrationRecord]:
         """Gate the frames now, and register them as the executor finds time."""
         recording = self._recording(request.peaks, request.from_s, known_s)
         if recording is None:
-            return answered(RegistrationAnswer(None, None, "no ultrasound image has arrived"))
+            return answered(request.record(None, failure="no ultrasound image has arrived"))
         frames = gate_recording(recording, from_s=request.from_s, until_s=request.until_s)
         if not frames.enough:
-            return answered(RegistrationAnswer(frames, None))
+            return answered(request.record(frames))
         return self.executor.submit(lambda: self._register(recording, frames, request))
 
     def beat(
@@ -111,7 +77,7 @@ class ArrivedUltrasound:
 
     def _register(
         self, recording: UltrasoundRecording, frames: GatedFrames, request: RegistrationRequest
-    ) -> RegistrationAnswer:
+    ) -> RegistrationRecord:
         try:
             result = register_frames(
                 recording,
@@ -123,8 +89,8 @@ class ArrivedUltrasound:
                 prior=request.prior,
             )
         except _FAILURES as error:
-            return RegistrationAnswer(frames, None, str(error))
-        return RegistrationAnswer(frames, result)
+            return request.record(frames, failure=str(error))
+        return request.record(frames, result)
 
     def _compare(self, recording: UltrasoundRecording, pose: Rigid | None, *, in_use: bool) -> ComparedBeat:
         """Black images, for example, are refused: such a beat confirms nothing."""

@@ -15,7 +15,7 @@ import numpy as np
 from data_synth import ScenarioSpec, phantom_scenario
 from dvf_ig.cardiac import stream_recording
 from dvf_ig.core import DvfModel, FloatArray, InvalidInputError, Scenario, TriggerTimes, read_only_arrays
-from dvf_ig.replay.calibrations import calibrate
+from dvf_ig.intake.calibrations import calibrate
 from dvf_ig.replay.events import ECG_CHUNK, Timed, events_of
 from dvf_ig.replay.operator import SimulatedOperator
 from dvf_ig.session import (

@@ -18,8 +18,7 @@ from dvf_ig.calibration.probe.known_points import known_points_refusals
 from dvf_ig.calibration.refusal import Refusal
 from dvf_ig.core import DvfIgError, DvfModel, FloatArray, ImageMap, Landmarks, Mesh, Points, Rigid
 from dvf_ig.io import read_model, read_transform, write_model, write_transform
-from dvf_ig.registration.flipped_axes import require_on_model, require_unflipped
-from dvf_ig.registration.start import start_from_landmarks
+from dvf_ig.registration.start import require_on_model, require_unflipped, start_from_landmarks
 from dvf_ig.study.faults.streams import HOME, wall_heart
 
 RAS = np.array([-1.0, -1.0, 1.0])

@@ -49,6 +49,8 @@ from dvf_ig.session import (
     Event,
     GatedFrames,
     Heart,
+    RegistrationRecord,
+    RegistrationRequest,
     SessionSetup,
     ToolPose,
     TrackedFrame,
@@ -57,7 +59,6 @@ from dvf_ig.session.executor import Job, answered
 from dvf_ig.session.ultrasound.beat_evaluation import BEAT_COMPUTE_S, ComparedBeat
 from dvf_ig.session.ultrasound.frame_buffer import FrameBuffer
 from dvf_ig.session.ultrasound.gated_frames import MIN_FRAMES
-from dvf_ig.session.ultrasound.ultrasound_source import RegistrationAnswer, RegistrationRequest
 from dvf_ig.study.passivity import wall_model
 
 AMPLITUDE_MM = 5.0
@@ -76,7 +77,7 @@ def wall_heart() -> Heart:
     model = wall_model(AMPLITUDE_MM, rr_s=MODEL_RR_S)
     grid = Grid.axis_aligned("mr", (2, 2, 2), np.zeros(3), 1.0)
     channels = ModelChannels(grid, np.zeros((20, 2, 2, 2, 2), dtype=np.float32), np.arange(20) / 20)
-    return Heart(model, channels, channels, CENTER, None)
+    return Heart(model, channels, CENTER, None)
 
 
 def wall_setup() -> SessionSetup:
@@ -167,19 +168,19 @@ class KnownUltrasound:
         self._buffer, self._patient, self._rng = buffer, patient, rng
         self._registered = registered
 
-    def register(self, request: RegistrationRequest, known_s: float) -> Job[RegistrationAnswer]:
+    def register(self, request: RegistrationRequest, known_s: float) -> Job[RegistrationRecord]:
         """Where the patient was on average over the frames."""
         event_s = self._shown_s(request.from_s, request.until_s, known_s)
         if not len(event_s):
-            return answered(RegistrationAnswer(None, None, "no ultrasound image has arrived"))
+            return answered(request.record(None, failure="no ultrasound image has arrived"))
         n, index = len(event_s), np.arange(len(event_s), dtype=np.int64)
         turns = np.tile(np.eye(3), (n, 1, 1))
         frames = GatedFrames(0, 0, Gated(index, {}), index, event_s, np.zeros(n), turns, np.zeros((n, 3)))
         if n < MIN_FRAMES:
-            return answered(RegistrationAnswer(frames, None))
+            return answered(request.record(frames))
         mean = np.mean([self._patient(t_s) for t_s in event_s.tolist()], axis=0)
         there = mean + self._registered(request.until_s) + self._noise()
-        return answered(RegistrationAnswer(frames, _registration(pose_at(there))))
+        return answered(request.record(frames, _registration(pose_at(there))))
 
     def beat(
         self, peaks: tuple[RPeak, ...], known_s: float, pose: Rigid | None, *, in_use: bool
@@ -212,6 +213,7 @@ def _registration(pose: Rigid) -> RegistrationResult:
     covariance = np.diag([(0.4 / 40) ** 2] * 3 + [0.4**2] * 3)
     return RegistrationResult(
         target_from_source=pose,
+        start=pose,
         stop=Stop.CONVERGED,
         success_probability=1.0,
         tre_bound_mm=2.0,

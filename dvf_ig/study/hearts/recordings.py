@@ -45,14 +45,14 @@ from dvf_ig.core import (
     read_only_arrays,
 )
 from dvf_ig.registration import (
-    GREY_VOLUMES,
     VOLUME_SMOOTHING_MM,
     BoundaryTarget,
+    HeartChannels,
     ModelChannels,
     RegistrationResult,
-    VolumeTarget,
     channels_from_mr,
-    register_volumes,
+    images_of_volumes,
+    register,
     target_errors_mm,
     target_from_labels,
 )
@@ -233,10 +233,10 @@ def start_with_error(known: Truth, start_mm: float, rng: np.random.Generator) ->
     return displaced(bisect(excess_mm, 0.0, high, xtol=1e-12))
 
 
-def volume_target(pair: ImagePair) -> VolumeTarget:
+def heart_channels(pair: ImagePair) -> HeartChannels:
     """The pre-operative heart of a pair as gated volumes at GATED are registered to it."""
     channels, surface = _preoperative(pair.spec.seed, pair.spec.motion, pair.spec.heart)
-    return VolumeTarget(channels, pair.center_mm, surface, kind=GREY_VOLUMES)
+    return HeartChannels(channels, pair.center_mm, surface)
 
 
 @lru_cache(maxsize=2)
@@ -342,8 +342,8 @@ def _registered_sweep(
     center = (box.min(axis=0) + box.max(axis=0)) / 2
     reference = Truth(truth.mr_from_tracker_at(0.0), truth.targets.points, center)
     start = start_with_error(reference, float(rng.uniform(*start_mm)), rng)
-    registered = register_scenario(scenario, start, heart=heart, seed=seed)
-    return RegisteredHeart(registered.result, start, reference, drawn)
+    result = register_scenario(scenario, start, heart=heart, seed=seed)
+    return RegisteredHeart(result, start, reference, drawn)
 
 
 def _disturbed(preset: Preset, rng: np.random.Generator) -> tuple[Preset, dict[str, float]]:
@@ -374,8 +374,9 @@ def _volumes(seed: int, drawing: int, condition: Condition, rng: np.random.Gener
     reference = Truth(pair.mr_from_tracker, pair.targets.points, pair.center_mm)
     volumes = pair.volumes(GATED, phase_error=late)
     start = start_with_error(reference, float(rng.uniform(*START_OF[condition.disturbed])), rng)
-    target, drawn = volume_target(pair), np.random.default_rng(seed)
-    result = register_volumes(volumes, target, start, rng=drawn, clock=perf_counter)
+    heart, drawn = heart_channels(pair), np.random.default_rng(seed)
+    images = images_of_volumes(volumes, grey=True, clock=perf_counter)
+    result = register(images, heart, start, rng=drawn, clock=perf_counter)
     return RegisteredHeart(result, start, reference, {"gate_late": late})
 
 

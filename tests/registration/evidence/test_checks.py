@@ -14,10 +14,12 @@ from dvf_ig.registration.evidence.checks import (
     SLICE_LIMITS,
     VOLUME_LIMITS,
     Evidence,
+    PartDisagreements,
+    half_space,
+    part_disagreements,
+    phase_groups,
     wrong_pose_z_score,
 )
-from dvf_ig.registration.evidence.half_volumes import half_space
-from dvf_ig.registration.evidence.parts import PartDisagreements, part_disagreements, phase_groups
 from dvf_ig.registration.lc2.slices import joined
 
 MODEL = channels_from_mr(toy_mr(), smoothing_mm=3.0)

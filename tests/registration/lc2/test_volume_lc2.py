@@ -5,7 +5,7 @@ import pytest
 from scipy import ndimage
 
 from dvf_ig.core import FloatArray, Grid, Rigid
-from dvf_ig.registration.lc2.threads import SliceThreads
+from dvf_ig.registration.lc2.lc2 import SliceThreads
 from dvf_ig.registration.lc2.volume_lc2 import Blocks, VolumeChannels, VolumeLc2, blocks_of
 from dvf_ig.registration.pose_chart import PoseChart
 

@@ -28,11 +28,11 @@ from dvf_ig.preop import ModelOptions, model_from_surfaces
 from dvf_ig.registration import (
     PoseChart,
     TouchedPoints,
+    TouchedSurface,
     start_from_surface_points,
-    surface_disagreement,
     target_errors_mm,
 )
-from dvf_ig.registration.surface_points.distance import SurfaceDistance
+from dvf_ig.registration.surface_points.touched import SurfaceDistance
 
 SEED = 201
 
@@ -167,10 +167,12 @@ def test_each_point_is_compared_at_its_own_phase(heart):
 
 def test_check_tells_a_right_pose_from_a_wrong_one(heart):
     rng, truth, touched, _ = known(heart, SEED, noise_mm=1.0)
-    right = surface_disagreement(truth, touched, heart)
+    right = TouchedSurface(touched, heart).disagreement(truth)
     assert right.agrees
     assert "agrees" in right.sentence
-    wrong = surface_disagreement(pose_off(truth, rng, heart_center_mm(heart), 12.0, 0.0), touched, heart)
+    wrong = TouchedSurface(touched, heart).disagreement(
+        pose_off(truth, rng, heart_center_mm(heart), 12.0, 0.0)
+    )
     assert not wrong.agrees
     assert wrong.median_mm > wrong.limit_mm == right.limit_mm
     assert "wrong" in wrong.sentence
@@ -199,7 +201,7 @@ def test_misuse_is_refused(heart):
     with pytest.raises(FrameMismatchError):
         start_from_surface_points(touched, heart, np.zeros(3), rng=rng, start=Rigid.identity("mr", "probe"))
     with pytest.raises(FrameMismatchError):
-        surface_disagreement(truth.inverse(), touched, heart)
+        TouchedSurface(touched, heart).disagreement(truth.inverse())
 
 
 def test_missing_open3d_is_named(heart, monkeypatch):
@@ -227,4 +229,4 @@ def test_real_heart(data_dir):
         fit = start_from_surface_points(touched, model, center, rng=rng, start=start)
         assert fit.stop is Stop.CONVERGED
         assert target_errors_mm(fit.target_from_source, truth, targets).mean() < 4.0
-        assert surface_disagreement(fit.target_from_source, touched, model).agrees
+        assert TouchedSurface(touched, model).disagreement(fit.target_from_source).agrees

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dvf_ig.registration.tracking.covariance_intersection import covariance_intersection
+from dvf_ig.registration.tracking.pose_estimate import covariance_intersection
 
 
 def test_equal_estimates_meet_half_way_and_are_not_more_certain() -> None:

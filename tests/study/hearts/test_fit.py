@@ -8,8 +8,13 @@ import pytest
 from scipy.stats import chi2
 
 from dvf_ig.core import InvalidInputError
-from dvf_ig.registration.evidence.assessment import SUCCESS_MM, Table, assess, table_from_json
-from dvf_ig.registration.evidence.image_statistics import ImageStatistics
+from dvf_ig.registration.evidence.assessment import (
+    SUCCESS_MM,
+    ImageStatistics,
+    Table,
+    assess,
+    table_from_json,
+)
 from dvf_ig.study.hearts.fit import conformal_quantile, cross_fitted, fit_tables, isotonic
 
 Line = dict[str, Any]

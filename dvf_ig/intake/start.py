@@ -1,0 +1,103 @@
+"""The pose that a registration starts from, and what was touched on the patient to check it."""
+
+from typing import Protocol
+
+import numpy as np
+
+from dvf_ig.core import DvfModel, InvalidInputError, Landmarks, Points, QualityGateError, Rigid
+from dvf_ig.registration import (
+    LandmarkPrior,
+    TouchedPoints,
+    TouchedSurface,
+    prior_from_landmarks,
+    require_on_model,
+    require_unflipped,
+    start_from_landmarks,
+    start_from_surface_points,
+)
+from dvf_ig.session import Heart
+
+NO_START = (
+    "the recording has neither a start pose, nor landmarks, nor touched points; give a coarse "
+    "mr_from_tracker (start.tfm), or the same landmarks marked on the model and touched on the patient "
+    "(landmarks_mr.mrk.json, landmarks_tracker.mrk.json), or points touched all over the heart's surface"
+)
+
+
+class Startable(Protocol):
+    """A source of something to start a registration from, such as `Scenario`."""
+
+    @property
+    def start(self) -> Rigid | None: ...
+
+    @property
+    def landmarks_mr(self) -> Landmarks | None: ...
+
+    @property
+    def landmarks_tracker(self) -> Landmarks | None: ...
+
+    @property
+    def touched(self) -> Points | None: ...
+
+    @property
+    def touched_phase(self) -> float | None: ...
+
+
+def require_start(scenario: Startable) -> None:
+    """Raise InvalidInputError if a scenario holds nothing to start a registration from."""
+    if scenario.start is None and scenario.touched is None and landmark_pose(scenario) is None:
+        raise InvalidInputError(NO_START)
+
+
+def start_pose(scenario: Startable, heart: Heart, seed: int) -> Rigid:
+    """Choose the operator's coarse pose, else the landmark fit, else the fit of touched points.
+
+    Raises:
+        InvalidInputError: the scenario holds none of them, they are too few, or one is flipped (RAS for LPS).
+        QualityGateError: the touched points leave the pose open.
+    """
+    marked, at = scenario.landmarks_mr, scenario.landmarks_tracker
+    if marked is not None:
+        require_on_model(marked, heart.model)
+    if scenario.start is not None and marked is not None and at is not None:
+        require_unflipped(scenario.start, marked, at)
+    given = scenario.start if scenario.start is not None else landmark_pose(scenario)
+    if given is not None:
+        return given
+    touched = touched_surface(scenario, heart.model)
+    if touched is None:
+        raise InvalidInputError(NO_START)
+    fit = start_from_surface_points(
+        touched.points, heart.model, heart.center_mm, rng=np.random.default_rng(seed)
+    )
+    if not fit.stop.usable:
+        raise QualityGateError(f"no start: {fit.sentence}")
+    return fit.target_from_source
+
+
+def touched_surface(scenario: Startable, model: DvfModel) -> TouchedSurface | None:
+    """Points touched on the heart with their position in the cycle: end-diastole unless it was given."""
+    if scenario.touched is None:
+        return None
+    phase = scenario.touched_phase
+    at = float(model.timing.fractions[model.ed_phase]) if phase is None else phase
+    return TouchedSurface(TouchedPoints(scenario.touched, np.full(len(scenario.touched), at)), model)
+
+
+def landmark_pose(scenario: Startable) -> Rigid | None:
+    """Fit the touched landmarks; None without any."""
+    if scenario.landmarks_mr is None or scenario.landmarks_tracker is None:
+        return None
+    return start_from_landmarks(scenario.landmarks_mr, scenario.landmarks_tracker).mr_from_tracker
+
+
+def landmarks_start(scenario: Startable) -> bool:
+    """Whether the start comes from touched landmarks; a session then fits them itself as they are touched."""
+    return scenario.start is None and landmark_pose(scenario) is not None
+
+
+def landmark_prior(scenario: Startable) -> LandmarkPrior | None:
+    """Landmarks as a prior of the pose; None without any, or if a start pose takes their place."""
+    if scenario.start is not None or scenario.landmarks_mr is None or scenario.landmarks_tracker is None:
+        return None
+    return prior_from_landmarks(scenario.landmarks_mr, scenario.landmarks_tracker)

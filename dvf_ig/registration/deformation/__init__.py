@@ -1,1 +1,0 @@
-"""A rigid pose of a heart that has also changed its shape since its images were made."""

@@ -1,0 +1,215 @@
+"""Register ECG-gated ultrasound to the pre-operative heart, from a coarse start to a pose with evidence."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from dvf_ig.core import Rigid, Stop, mean_displacement_mm, untold
+from dvf_ig.registration.evidence.assessment import (
+    Assessment,
+    ImageStatistics,
+    Table,
+    assess,
+    features_of,
+    image_statistics,
+    table_of,
+)
+from dvf_ig.registration.evidence.checks import Evidence, part_disagreements, wrong_pose_z_score
+from dvf_ig.registration.evidence.phase_offset import phase_offset
+from dvf_ig.registration.lc2.lc2 import Lc2, SliceThreads
+from dvf_ig.registration.surface_points.touched import TouchedSurface
+
+from .fuse import Fused, fuse
+from .images import HeartTarget, Problem, RegistrationOptions, UltrasoundImages
+from .pose_chart import DISTINCT_MM, PoseChart, predicted_error_mm
+from .result import RegistrationResult
+from .search import Refined, find_candidates, refine
+from .start import LandmarkPrior, landmarks_disagree
+
+
+def register(
+    images: UltrasoundImages,
+    heart: HeartTarget,
+    start: Rigid,
+    *,
+    rng: np.random.Generator,
+    clock: Callable[[], float],
+    prior: LandmarkPrior | None = None,
+    landmarks: Rigid | None = None,
+    touched: TouchedSurface | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> RegistrationResult:
+    """Register ultrasound to the phase-matched model (docs/theory/registration.md).
+
+    Args:
+        images: slices of tracked frames or of gated volumes.
+        start: target_from_source to start from.
+        rng: draws the displaced starts and the wrong poses.
+        clock: seconds from any origin, for the result's `seconds`; nothing else depends on it.
+        prior: touched landmarks that the pose must also agree with.
+        landmarks: target_from_source of touched landmarks, which rule out a pose far from it.
+        touched: points touched on the heart's surface, which rule out a pose that puts them off it.
+        progress: called with the fraction done.
+    Returns:
+        the most likely pose, its evidence, and whether it may be used.
+    """
+    began, report = clock(), progress or untold
+    with SliceThreads() as threads:
+        problem = Problem(images, heart, prior, threads)
+        coarse = problem.coarse_lc2()  # section 4: LC2 as a function of the pose
+        candidates = find_candidates(  # section 3: many starts by the boundary, optimised on coarse slices
+            problem, coarse, start, rng=rng, report_progress=lambda x: report(0.4 * x)
+        )
+        report(0.5)
+        refined = refine(  # section 4: the best distinct ones on fine slices
+            problem, candidates, report_progress=lambda x: report(0.6 + 0.2 * x)
+        )
+        fused = fuse(problem, refined)  # section 5: with the boundary, pose and change of shape together
+        report(0.95)
+        evidence = _evidence(problem, coarse, refined, fused, rng)  # trust.md: every check
+        similarity = refined.inside.score(fused.pose).similarity
+        overlap = refined.whole.score(fused.pose).overlap
+        moved_mm = mean_displacement_mm(start, fused.pose, heart.center_mm)
+        statistics = image_statistics(
+            images.coarse.slices,
+            similarity=similarity,
+            overlap=overlap,
+            information=refined.inside.information,
+        )
+        stop = _stop(images.options, refined, fused, evidence, moved_mm=moved_mm, overlap=overlap)
+        stop, assessment = _assessed(  # trust.md: probability, bound and scale of the covariance
+            stop,
+            table_of(images.options.kind),
+            features_of(evidence, similarity, predicted_error_mm(fused.covariance)),
+            statistics,
+        )
+        result = RegistrationResult(
+            target_from_source=fused.pose,
+            start=start,
+            stop=stop,
+            success_probability=assessment.success_probability,
+            tre_bound_mm=assessment.tre_bound_mm,
+            covariance=fused.covariance * assessment.covariance_scale,
+            covariance_scale=assessment.covariance_scale,
+            noise_covariance=fused.noise_covariance,
+            center_mm=heart.center_mm,
+            evidence=evidence,
+            statistics=statistics,
+            outside=assessment.outside,
+            similarity=similarity,
+            start_similarity=refined.inside.score(start).similarity,
+            overlap=overlap,
+            second_best=_second_best(problem, refined, fused.pose),
+            moved_mm=moved_mm,
+            evaluations=candidates.evaluations + refined.evaluations,
+            seconds=images.seconds + clock() - began,
+            slices=len(images.fine.slices),
+            options=images.options,
+            matched=refined.best.pose,
+        )
+    report(1.0)
+    return against_touched(result, landmarks, touched)
+
+
+def _evidence(
+    problem: Problem, coarse: Lc2, refined: Refined, fused: Fused, rng: np.random.Generator
+) -> Evidence:
+    """Test the pose by subsets of the slices, wrong poses, the boundary and shifts of the phase."""
+    best, center_mm, rr_s = refined.best.pose, problem.center_mm, problem.images.rr_s
+    parts = part_disagreements(fused.covered, problem.coarse_lc2, best, center_mm)
+    return Evidence(
+        z_score=wrong_pose_z_score(coarse, PoseChart(best, center_mm), rng),
+        split_half_mm=parts.split_half_mm,
+        phase_mm=parts.phase_mm,
+        half_volume_mm=parts.half_volume_mm,
+        boundary_mm=_boundary_distance_mm(problem, best, fused),
+        phase_offset=None if rr_s is None else phase_offset(coarse, fused.pose, rr_s),
+    )
+
+
+def _boundary_distance_mm(problem: Problem, pose: Rigid, fused: Fused) -> float | None:
+    """Distance of the boundary's pose; inf where the slices show none of the model's boundary."""
+    if problem.boundary is None:
+        return None
+    if fused.boundary is None:
+        return float("inf")
+    return mean_displacement_mm(pose, fused.boundary.pose, problem.center_mm)
+
+
+def _second_best(problem: Problem, refined: Refined, pose: Rigid) -> float:
+    """LC2 of the best candidate that lies elsewhere; 0 if there was none."""
+    others = [
+        refined.whole.score(other.pose).similarity
+        for other in refined.optima[1:]
+        if mean_displacement_mm(other.pose, pose, problem.center_mm) > DISTINCT_MM
+    ]
+    return max(others, default=0.0)
+
+
+def _stop(
+    options: RegistrationOptions,
+    refined: Refined,
+    fused: Fused,
+    evidence: Evidence,
+    *,
+    moved_mm: float,
+    overlap: float,
+) -> Stop:
+    """How the registration ended: the first check that is against the pose, or CONVERGED.
+
+    Args:
+        moved_mm: mean distance over the heart from the start.
+        overlap: share of the slices inside the model's volume.
+    """
+    if overlap < options.min_overlap:
+        return Stop.LOW_OVERLAP
+    if evidence.z_score < options.limits.z_score:
+        return Stop.POOR_MATCH
+    if evidence.phase_offset is not None and evidence.phase_offset.suspicious:
+        return Stop.PHASE_OFFSET
+    if moved_mm > options.bound_mm:
+        return Stop.MOVED_TOO_FAR
+    if not refined.best.converged:
+        return Stop.MAX_ITERATIONS
+    if not np.isfinite(fused.covariance).all():
+        return Stop.WEAK_GEOMETRY
+    if evidence.worst_test_ratio(options.limits) > 1.0:
+        return Stop.DISAGREEMENT
+    return Stop.CONVERGED
+
+
+def _assessed(
+    stop: Stop, table: Table | None, features: dict[str, float | None], statistics: ImageStatistics
+) -> tuple[Stop, Assessment]:
+    """State the error that may be expected, and refuse a pose whose checks together are too bad.
+
+    For a pose that a check refused no bound is stated, and no more than the share of successes among refused
+    ones. For images unlike all that was calibrated neither is stated, and the pose is judged as if they were
+    like those; where nothing was calibrated for their kind, the checks' own limits decide.
+    """
+    assessment = assess(table, features, statistics)
+    if stop.usable and not assessment.doubtful:
+        return stop, assessment
+    chance = assessment.success_probability
+    if not stop.usable and table is not None and chance is not None:
+        chance = min(chance, table.refused_probability)
+    refused = replace(assessment, success_probability=chance, tre_bound_mm=None)
+    return (Stop.DOUBTFUL if stop.usable else stop), refused
+
+
+def against_touched(
+    result: RegistrationResult, landmarks: Rigid | None, touched: TouchedSurface | None
+) -> RegistrationResult:
+    """Compare a pose with what was touched on the patient; it ends in DISAGREEMENT where that lies elsewhere.
+
+    Args:
+        landmarks: target_from_source of touched landmarks; None without any.
+        touched: points touched on the heart's surface; None without any.
+    """
+    pose = result.target_from_source
+    apart_mm = None if landmarks is None else mean_displacement_mm(pose, landmarks, result.center_mm)
+    surface = None if touched is None else touched.disagreement(pose)
+    checked = replace(result, landmarks_mm=apart_mm, touched=surface)
+    elsewhere = landmarks_disagree(apart_mm) or (surface is not None and not surface.agrees)
+    return checked.refused(Stop.DISAGREEMENT) if elsewhere and result.stop.usable else checked

@@ -1,0 +1,1 @@
+"""Pose and change of shape fitted together, over blocks of space."""

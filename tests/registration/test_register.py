@@ -1,0 +1,261 @@
+"""Known-transform recovery on the toy heart, its evidence, and what must be refused."""
+
+from dataclasses import replace
+from functools import lru_cache
+from time import perf_counter
+
+import numpy as np
+import pytest
+from scipy import ndimage
+from toy_heart import CENTER_MM, toy_mr, toy_pose, toy_slices
+
+from dvf_ig.core import (
+    Grid,
+    Landmarks,
+    Points,
+    Rigid,
+    Stop,
+    Volume,
+    VolumeSeries,
+    summarise_errors,
+)
+from dvf_ig.registration import (
+    BLOOD,
+    WALL,
+    BoundaryPoints,
+    HeartChannels,
+    LandmarkPrior,
+    Level,
+    RegistrationOptions,
+    RegistrationResult,
+    UltrasoundImages,
+    channels_from_mr,
+    pose_difference,
+    prior_from_landmarks,
+    register,
+    register_pair,
+    start_from_landmarks,
+    target_errors_mm,
+    target_from_labels,
+)
+
+QUICK = RegistrationOptions(starts=4)
+PITCHES_MM = (3.0, 1.5)
+
+
+def _register(
+    levels: tuple[Level, Level],
+    start: Rigid,
+    *,
+    seed: int = 0,
+    prior: LandmarkPrior | None = None,
+    landmarks: Rigid | None = None,
+    options: RegistrationOptions = QUICK,
+) -> RegistrationResult:
+    return register(
+        UltrasoundImages(*levels, options=options),
+        _heart(),
+        start,
+        rng=np.random.default_rng(seed),
+        clock=perf_counter,
+        prior=prior,
+        landmarks=landmarks,
+    )
+
+
+@lru_cache(maxsize=1)
+def _heart() -> HeartChannels:
+    return HeartChannels(channels_from_mr(toy_mr(), smoothing_mm=1.0), CENTER_MM)
+
+
+def _levels(speckle: float, *, matching: bool = True) -> tuple[Level, Level]:
+    mr = toy_mr()
+    pose = toy_pose()
+    out = []
+    for pitch in PITCHES_MM:
+        slices = toy_slices(mr, pose, np.random.default_rng(50), pitch_mm=pitch, speckle=speckle)
+        if not matching:
+            noise = np.random.default_rng(9).random(slices.images.shape).astype(np.float32)
+            slices = replace(slices, images=noise)
+        out.append(Level(slices, pitch))
+    return out[0], out[1]
+
+
+def _displaced(mm: float, deg: float, seed: int) -> Rigid:
+    rng = np.random.default_rng(seed)
+    shift, turn = rng.normal(size=3), rng.normal(size=3)
+    return toy_pose().perturbed_left(
+        np.radians(deg) * turn / np.linalg.norm(turn), mm * shift / np.linalg.norm(shift), CENTER_MM
+    )
+
+
+def _tre(estimate: Rigid) -> np.ndarray:
+    targets = Points("mr", CENTER_MM + np.random.default_rng(1).uniform(-40, 40, (27, 3)))
+    return target_errors_mm(estimate, toy_pose(), targets)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_recovers_a_10_mm_8_degree_displacement(seed: int) -> None:
+    start = _displaced(10.0, 8.0, seed)
+    result = _register(_levels(speckle=0.3), start)
+    assert result.stop is Stop.CONVERGED
+    assert _tre(start).mean() > 8
+    # speckle of 0.3 per 1.5 mm pixel on 12 slices leaves about 0.2 mm; three times that is allowed
+    assert _tre(result.target_from_source).mean() < 0.6
+    assert result.similarity > result.start_similarity
+    assert result.success_probability is None, "nothing was calibrated for toys"
+    assert np.linalg.eigvalsh(result.covariance).min() > 0
+
+
+def test_same_seed_same_bits() -> None:
+    levels, options = _levels(speckle=0.3), RegistrationOptions(starts=1)
+    poses = [
+        _register(levels, _displaced(6, 4, 3), seed=5, options=options).target_from_source.matrix
+        for _ in range(2)
+    ]
+    np.testing.assert_array_equal(poses[0], poses[1])
+
+
+def test_same_bits_at_one_and_two_threads(monkeypatch: pytest.MonkeyPatch) -> None:
+    levels, options = _levels(speckle=0.3), RegistrationOptions(starts=1)
+    results = []
+    for threads in (1, 2):
+        monkeypatch.setattr("dvf_ig.registration.lc2.lc2.thread_count", lambda n=threads: n)
+        results.append(_register(levels, _displaced(6, 4, 3), seed=5, options=options))
+    one, two = results
+    np.testing.assert_array_equal(one.target_from_source.matrix, two.target_from_source.matrix)
+    np.testing.assert_array_equal(one.covariance, two.covariance)
+    assert one.evidence == two.evidence
+    assert one.evidence.half_volume_mm is not None
+
+
+def test_noise_instead_of_a_heart_is_not_called_a_success() -> None:
+    result = _register(_levels(speckle=0.0, matching=False), _displaced(5, 3, 1))
+    assert not result.stop.usable
+    assert result.tre_bound_mm is None
+
+
+def test_slices_beside_the_model_are_low_overlap() -> None:
+    away = toy_pose().perturbed_left(np.zeros(3), [400.0, 0, 0], CENTER_MM)
+    result = _register(_levels(speckle=0.3), away, options=RegistrationOptions(starts=1))
+    assert result.stop is Stop.LOW_OVERLAP
+
+
+def _eight_landmarks(pose: Rigid) -> LandmarkPrior:
+    """Eight landmarks that were touched rightly, to 2 mm."""
+    rng = np.random.default_rng(3)
+    mr = 40.0 * rng.normal(size=(8, 3))
+    tracker = pose.inverse().apply_array(mr) + 2.0 * rng.normal(size=(8, 3))
+    names = tuple("abcdefgh")
+    prior = prior_from_landmarks(
+        Landmarks(names, Points("mr", mr)), Landmarks(names, Points("tracker", tracker))
+    )
+    assert prior is not None
+    return prior
+
+
+@pytest.mark.parametrize("touched", [False, True])
+@pytest.mark.parametrize("away_mm", [80.0, 120.0, 160.0, 1000.0])
+def test_slices_at_the_edge_of_the_model_or_far_from_it_are_refused(away_mm: float, touched: bool) -> None:
+    """As with the poses of another marker: few pixels within the model, or none."""
+    levels = _levels(speckle=0.3)
+    for shift in ([away_mm, 0, 0], [0, -away_mm, 0], [0, 0, away_mm]):
+        away = toy_pose().perturbed_left(np.zeros(3), shift, CENTER_MM)
+        prior = _eight_landmarks(away) if touched else None
+        result = _register(levels, away, prior=prior, options=RegistrationOptions(starts=1))
+        assert not result.stop.usable
+        told = "the probe's and not the tool's" in result.sentence
+        assert told is (result.stop is Stop.LOW_OVERLAP)
+        assert told or away_mm < 1000.0
+
+
+@pytest.mark.parametrize("touched", [False, True])
+@pytest.mark.parametrize("part", ["images", "masks"])
+def test_slices_that_show_nothing_are_refused(part: str, touched: bool) -> None:
+    """Black images, and a sector without a pixel."""
+    coarse, fine = (
+        replace(level, slices=replace(level.slices, **{part: np.zeros_like(getattr(level.slices, part))}))
+        for level in _levels(speckle=0.3)
+    )
+    prior = _eight_landmarks(toy_pose()) if touched else None
+    result = _register((coarse, fine), toy_pose(), prior=prior, options=RegistrationOptions(starts=1))
+    assert not result.stop.usable
+
+
+def test_target_error_of_a_known_shift_composes_and_is_frame_invariant() -> None:
+    truth = toy_pose()
+    shifted = Rigid("mr", "tracker", truth.rotation, truth.translation_mm + np.array([0, 3.0, 4.0]))
+    far = Points("mr", np.random.default_rng(0).normal(2000, 50, (10, 3)))
+    np.testing.assert_allclose(target_errors_mm(shifted, truth, far), 5.0, atol=1e-9)
+    turn, shift = pose_difference(shifted, truth, CENTER_MM)
+    assert turn == pytest.approx(0.0, abs=1e-5)
+    np.testing.assert_allclose(shift, [0, 3, 4], atol=1e-9)
+    summary = summarise_errors(np.array([1.0, 2.0, 3.0, 10.0]))
+    assert (summary.median, summary.max, summary.n) == (2.5, 10.0, 4)
+
+
+def test_slices_that_show_none_of_the_models_boundary_end_in_disagreement() -> None:
+    mr = toy_mr()
+    labels = VolumeSeries(mr.grid, np.where(mr.values > 230, BLOOD, WALL).astype(np.uint8), mr.timing)
+    none = BoundaryPoints("tracker", np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros(0))
+    heart = replace(_heart(), surface=target_from_labels(labels, mr.timing.fractions))
+    images = UltrasoundImages(*_levels(0.1), none, options=QUICK)
+    result = register(
+        images, heart, _displaced(3.0, 2.0, 1), rng=np.random.default_rng(0), clock=perf_counter
+    )
+    assert result.stop is Stop.DISAGREEMENT
+    assert result.evidence.boundary_mm == np.inf
+    assert _tre(result.target_from_source).mean() < 1.0
+
+
+def test_an_image_pair_is_registered_from_its_volumes() -> None:
+    mr = toy_mr().phase(0)
+    pose = Rigid.from_rotation_vector([0.05, -0.06, 0.04], [4.0, -3.0, 5.0], "moving", "fixed")
+    grid = Grid.axis_aligned("fixed", (62, 58, 54), CENTER_MM - np.array([62, 58, 54]), 2.0)
+    at = mr.grid.to_index(pose.apply_array(grid.centers_mm()))
+    sampled = ndimage.map_coordinates(mr.values, np.moveaxis(at, -1, 0), order=1, mode="nearest")
+    speckle = 1 + 0.2 * np.random.default_rng(0).normal(size=sampled.shape)
+    ultrasound = Volume(grid, (400.0 - sampled) * speckle)
+    moving = Volume(Grid.axis_aligned("moving", mr.grid.shape, mr.grid.origin_mm, 2.0), mr.values)
+    start = Rigid.identity("moving", "fixed")
+    result = register_pair(ultrasound, [moving], start, rng=np.random.default_rng(0), clock=perf_counter)
+    targets = Points("moving", CENTER_MM + np.random.default_rng(1).uniform(-40, 40, (27, 3)))
+    assert target_errors_mm(start, pose, targets).mean() > 5
+    assert result.stop is Stop.CONVERGED
+    assert target_errors_mm(result.target_from_source, pose, targets).mean() < 0.6  # 0.3 of a voxel
+
+
+def _touched(noise_mm: float, count: int = 7) -> tuple[Landmarks, Landmarks]:
+    rng = np.random.default_rng(11)
+    mr = CENTER_MM + rng.uniform(-45, 45, (count, 3))
+    tracker = toy_pose().inverse().apply_array(mr) + noise_mm * rng.normal(size=mr.shape)
+    names = tuple(f"p{i}" for i in range(count))
+    return Landmarks(names, Points("mr", mr)), Landmarks(names, Points("tracker", tracker))
+
+
+def test_landmark_prior_knows_its_own_spread() -> None:
+    prior = prior_from_landmarks(*_touched(1.7, count=200))
+    assert prior is not None
+    assert prior.sigma_mm == pytest.approx(1.7, rel=0.1)
+    dof = 3 * 200 - 6
+    start = start_from_landmarks(*_touched(1.7, count=200)).mr_from_tracker
+    assert prior.energy(start) == pytest.approx(dof / 2, rel=1e-6)
+    assert prior_from_landmarks(*_touched(1.7, count=4)) is None
+
+
+def test_landmarks_hold_the_pose_where_the_image_says_nothing() -> None:
+    mr, tracker = _touched(0.2)
+    start = start_from_landmarks(mr, tracker).mr_from_tracker
+    prior = prior_from_landmarks(mr, tracker)
+    result = _register(_levels(speckle=0.0, matching=False), start, prior=prior)
+    assert _tre(result.target_from_source).mean() < 1.5
+    assert result.stop is Stop.POOR_MATCH
+
+
+@pytest.mark.parametrize(("off_mm", "stop"), [(3.0, Stop.CONVERGED), (6.0, Stop.DISAGREEMENT)])
+def test_landmarks_elsewhere_rule_a_pose_out(off_mm: float, stop: Stop) -> None:
+    elsewhere = toy_pose().perturbed_left(np.zeros(3), np.array([off_mm, 0.0, 0.0]), CENTER_MM)
+    result = _register(_levels(speckle=0.3), toy_pose(), landmarks=elsewhere)
+    assert result.stop is stop
+    assert result.landmarks_mm == pytest.approx(off_mm, abs=0.6)
+    assert (result.tre_bound_mm, result.touched) == (None, None)
