@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING
 from dvf_ig.cli.shell import warn
 
 if TYPE_CHECKING:
-    from dvf_ig.io import SessionRecordings
-    from dvf_ig.io.session_file.problem import Use
+    from dvf_ig.intake.problem import Use
+    from dvf_ig.intake.read import SessionRecordings
 
 
 def require_agreement(recordings: "SessionRecordings", use: "Use") -> "SessionRecordings":
@@ -15,7 +15,7 @@ def require_agreement(recordings: "SessionRecordings", use: "Use") -> "SessionRe
     Raises:
         DvfIgError: the first reason why they cannot be used, or not together.
     """
-    from dvf_ig.io.session_file.fit import require_fit
+    from dvf_ig.intake.fit import require_fit
 
     for found in require_fit(recordings, use):
         warn(f"{found.key}: {found.sentence}")

@@ -23,9 +23,9 @@ from .shell import (
 )
 
 if TYPE_CHECKING:
-    from dvf_ig.io.session_file.problem import Problem, Use
-    from dvf_ig.io.session_file.schema import SessionDraft
-    from dvf_ig.io.session_file.verdict import Verdict
+    from dvf_ig.intake.problem import Problem, Use
+    from dvf_ig.intake.schema import SessionDraft
+    from dvf_ig.intake.verdict import Verdict
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -116,12 +116,12 @@ def init(
     with commented lines for it; where a file cannot be read or does not fit, nothing is written.
     """
     with command():
+        from dvf_ig.intake.draft import GivenFiles
+        from dvf_ig.intake.found import found
+        from dvf_ig.intake.problem import in_options
+        from dvf_ig.intake.verdict import begin_session
+        from dvf_ig.intake.write import session_text
         from dvf_ig.io import write_text
-        from dvf_ig.io.session_file.draft import GivenFiles
-        from dvf_ig.io.session_file.found import found
-        from dvf_ig.io.session_file.problem import in_options
-        from dvf_ig.io.session_file.verdict import begin_session
-        from dvf_ig.io.session_file.write import session_text
 
         given = GivenFiles(
             ultrasound=us,
@@ -166,7 +166,7 @@ def init(
 def dump(session: SessionArgument, as_json: JsonFlag = False) -> None:
     """Print the complete configuration with every default, as YAML; saved beside the files it reads back."""
     with command():
-        from dvf_ig.io.session_file.write import dump_text
+        from dvf_ig.intake.write import dump_text
 
         config, _ = _read(session)
         if as_json:
@@ -188,9 +188,9 @@ def validate(
     Exits 0 when all is well, else 3 after one line for each problem.
     """
     with command():
-        from dvf_ig.io.session_file.found import found
-        from dvf_ig.io.session_file.problem import in_keys
-        from dvf_ig.io.session_file.verdict import judge_session
+        from dvf_ig.intake.found import found
+        from dvf_ig.intake.problem import in_keys
+        from dvf_ig.intake.verdict import judge_session
 
         config, folder = _read(session)
         verdict = judge_session(config, folder, str(session))
@@ -211,9 +211,9 @@ app.command("validate")(validate)
 
 def _read(session: Path) -> "tuple[SessionDraft, Path]":
     """The configuration, and the folder at which its names of files begin."""
-    from dvf_ig.io.scenario.read import read_scenario_session
-    from dvf_ig.io.session_file.draft import as_draft
-    from dvf_ig.io.session_file.read import read_session_draft
+    from dvf_ig.intake.draft import as_draft
+    from dvf_ig.intake.read import read_session_draft
+    from dvf_ig.intake.scenario.read import read_scenario_session
 
     if session.is_dir():
         return as_draft(read_scenario_session(session)), session
@@ -230,10 +230,10 @@ def _wrong(verdict: "Verdict", purpose: "Use | None") -> "list[Problem]":
 
 def _calibrated(verdict: "Verdict", config: "SessionDraft", folder: Path, named_by: str) -> "Verdict":
     """The same with what a replay would say of calibrations that are still recordings."""
-    from dvf_ig.io.session_file.draft import complete
-    from dvf_ig.io.session_file.fit import fit_of, parts_of
-    from dvf_ig.io.session_file.problem import ProblemList
-    from dvf_ig.io.session_file.read import read_recordings
+    from dvf_ig.intake.draft import complete
+    from dvf_ig.intake.fit import fit_of, parts_of
+    from dvf_ig.intake.problem import ProblemList
+    from dvf_ig.intake.read import read_recordings
     from dvf_ig.replay.calibrations import calibrate, calibrated
 
     problems = ProblemList()

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from dvf_ig.io import SessionRecordings
+    from dvf_ig.intake.read import SessionRecordings
 
 RecordingOption = Annotated[
     Path | None,
@@ -33,7 +33,8 @@ def require_place(what: str, place: Path, run: Path, option: str) -> None:
 
 def read_recording(source: Path) -> "SessionRecordings":
     """A scenario folder, a SESSION.yaml, or a session's log."""
-    from dvf_ig.io import SessionRecordings, read_scenario, read_session
+    from dvf_ig.intake.read import SessionRecordings, read_session
+    from dvf_ig.intake.scenario.read import read_scenario
 
     if source.suffix == ".mcap" and source.is_file():
         from dvf_ig.replay.export.session_log_read import read_session_log

@@ -26,7 +26,7 @@ from .patient_model import patient_model
 from .shell import JsonFlag, SeedOption, ThreadsOption, command, emit, output_dir, progress, warn, wrote
 
 if TYPE_CHECKING:
-    from dvf_ig.io import SessionRecordings
+    from dvf_ig.intake.read import SessionRecordings
 
 
 def replay(
@@ -74,13 +74,7 @@ def replay(
     """
     with command(threads):
         from dvf_ig.core import QualityGateError
-        from dvf_ig.io import (
-            files_together,
-            output_folder,
-            provenance_fields,
-            write_json,
-            write_text,
-        )
+        from dvf_ig.io import files_together, output_folder, provenance_fields, write_json, write_text
         from dvf_ig.replay import result_of, run_replay, table
         from dvf_ig.replay.outputs import NAMES, write_outputs
         from dvf_ig.replay.page.replay_page import report_html
@@ -132,8 +126,9 @@ def replay(
 
 def _read(scenario: Path | None, config: Path | None, model: Path | None) -> "SessionRecordings":
     """The recordings of a scenario folder or of a SESSION.yaml, which agree."""
-    from dvf_ig.io import SessionRecordings, read_scenario, read_session
-    from dvf_ig.io.session_file.fit import require_fit
+    from dvf_ig.intake.fit import require_fit
+    from dvf_ig.intake.read import SessionRecordings, read_session
+    from dvf_ig.intake.scenario.read import read_scenario
 
     if scenario is not None and config is not None:
         raise typer.BadParameter("give a scenario folder or --config SESSION.yaml, not both")

@@ -16,10 +16,10 @@ import numpy as np
 from dvf_ig.cardiac import RetimeMode
 from dvf_ig.core import DvfModel, FloatArray, Progress, Rigid, Scenario, untold
 from dvf_ig.guidance import FORBIDDEN_SURFACE, FixtureSet
-from dvf_ig.io import SessionRecordings
-from dvf_ig.io.session_file.agreement.finding import Finding
-from dvf_ig.io.session_file.fit import fit_of, parts_of
-from dvf_ig.io.session_file.live_record import LiveRecord
+from dvf_ig.intake.agreement.finding import Finding
+from dvf_ig.intake.fit import fit_of, parts_of
+from dvf_ig.intake.live_record import LiveRecord
+from dvf_ig.intake.read import SessionRecordings
 from dvf_ig.session import (
     Attempt,
     GuidanceState,

@@ -13,8 +13,8 @@ from typer.testing import CliRunner
 
 from dvf_ig.cli.main import app
 from dvf_ig.core import DvfModel, Preop, Scenario, Signal
+from dvf_ig.intake.model_cache import model_key
 from dvf_ig.io import add_ecg_field
-from dvf_ig.io.model.cache import model_key
 from dvf_ig.preop import ModelOptions
 from dvf_ig.replay import Replay, register_scenario
 

@@ -16,8 +16,8 @@ from typer.testing import CliRunner, Result
 
 from dvf_ig.cli.main import app
 from dvf_ig.core import Grid, Landmarks, Points, Preop, Rigid, Signal, TrackedVolume, Volume, VolumeSeries
+from dvf_ig.intake.preop import read_heart_options
 from dvf_ig.io import (
-    read_heart_options,
     read_model,
     write_ecg_csv,
     write_landmarks,

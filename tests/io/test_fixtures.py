@@ -20,11 +20,18 @@ from dvf_ig.guidance import (
     compose,
 )
 from dvf_ig.guidance.margins import MarginOptions
-from dvf_ig.io import read_fixtures, write_landmarks
-from dvf_ig.io.fixtures import FixturesConfig, ForbiddenConfig, GuidanceConfig, PathConfig, fixture_options
+from dvf_ig.intake.fixtures import (
+    FixturesConfig,
+    ForbiddenConfig,
+    GuidanceConfig,
+    PathConfig,
+    fixture_options,
+    read_fixtures,
+)
+from dvf_ig.intake.read import read_session_fixtures
+from dvf_ig.intake.schema import SessionDraft
+from dvf_ig.io import write_landmarks
 from dvf_ig.io.json_file import read_json, write_json
-from dvf_ig.io.session_file.read import read_session_fixtures
-from dvf_ig.io.session_file.schema import SessionDraft
 
 CURVE = np.array([[-8.0, 0.0, 12.0], [0.0, 3.0, 15.0], [9.0, 1.0, 11.0]])
 

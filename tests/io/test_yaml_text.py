@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dvf_ig.core import UnreadableFileError
-from dvf_ig.io import read_fixtures
-from dvf_ig.io.scenario.layout import CONFIG, read_config
-from dvf_ig.io.session_file.read import read_session_config, read_session_draft
+from dvf_ig.intake.fixtures import read_fixtures
+from dvf_ig.intake.read import read_session_config, read_session_draft
+from dvf_ig.intake.scenario.layout import CONFIG, read_config
 from dvf_ig.io.yaml_text import parse_yaml, yaml_text
 
 HERE = Path("f.yaml")

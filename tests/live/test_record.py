@@ -36,13 +36,14 @@ from dvf_ig.guidance import (
     SupervisorState,
 )
 from dvf_ig.guidance.margins import MarginOptions
-from dvf_ig.io import LivePatient, SessionRecordings
-from dvf_ig.io.ros.attached_heart import attach_heart
-from dvf_ig.io.ros.live_log import LIVE, LiveDocument, live_document
+from dvf_ig.intake.live import EcgFieldConfig, LiveConfig
+from dvf_ig.intake.live_read import LivePatient
+from dvf_ig.intake.read import SessionRecordings
+from dvf_ig.intake.session_log.document import document_of_live
+from dvf_ig.intake.session_log.heart import attach_heart
+from dvf_ig.intake.session_log.live import LIVE, LiveDocument, live_document
+from dvf_ig.intake.session_log.topics import DOCUMENT
 from dvf_ig.io.ros.log_file import LogWriter
-from dvf_ig.io.ros.session_document import document_of_live
-from dvf_ig.io.ros.session_topics import DOCUMENT
-from dvf_ig.io.session_file.live import EcgFieldConfig, LiveConfig
 from dvf_ig.live.answers import state_messages
 from dvf_ig.live.igtl import Status
 from dvf_ig.live.record import LOG, PART, CountedWork, SessionRecord, session_record

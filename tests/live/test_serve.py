@@ -14,9 +14,9 @@ from waiting import until
 
 from dvf_ig.cli.main import app
 from dvf_ig.core import DvfIgError, Points, Scenario, UnreadableFileError
-from dvf_ig.io import read_live_patient
-from dvf_ig.io.session_file.fit import require_live_fit
-from dvf_ig.io.session_file.live import EcgFieldConfig, EcgTailConfig, LiveConfig
+from dvf_ig.intake.fit import require_live_fit
+from dvf_ig.intake.live import EcgFieldConfig, EcgTailConfig, LiveConfig
+from dvf_ig.intake.live_read import read_live_patient
 from dvf_ig.live.igtl import Image, Message, Transform
 from dvf_ig.live.link import Inbox, connect, listen
 from dvf_ig.live.player import ECG, IMAGE, PROBE, TOOL, messages_of, play
@@ -182,7 +182,7 @@ def test_live_section_that_is_wrong_names_its_key(tmp_path: Path, line: str, exp
 
 
 def test_kinds_of_ecg_are_told_apart() -> None:
-    from dvf_ig.io.session_file.live import LiveConfig
+    from dvf_ig.intake.live import LiveConfig
 
     assert isinstance(LiveConfig.model_validate({"ecg": {"rate_hz": 500}}).ecg, EcgFieldConfig)
     assert isinstance(

@@ -7,8 +7,8 @@ from toy_session import ECG_HZ, toy_setup
 
 from dvf_ig.cli.serve.setup import LiveSetup
 from dvf_ig.core import Preop, Rigid
-from dvf_ig.io import LivePatient
-from dvf_ig.io.session_file.live import EcgFieldConfig, LiveConfig
+from dvf_ig.intake.live import EcgFieldConfig, LiveConfig
+from dvf_ig.intake.live_read import LivePatient
 from dvf_ig.replay.calibrations import calibrate
 
 

@@ -25,7 +25,7 @@ from .scenario import register_folder, register_own
 from .volumes import UsVolumesOption, register_volume_files
 
 if TYPE_CHECKING:
-    from dvf_ig.io import SessionRecordings
+    from dvf_ig.intake.read import SessionRecordings
 
 
 def register(
@@ -118,7 +118,7 @@ def register(
 
 
 def _recordings(config: Path | None, us: Path | None, options: dict[str, Any]) -> "SessionRecordings":
-    from dvf_ig.io import read_session
+    from dvf_ig.intake.read import read_session
 
     if config is None:
         return own.read_recordings(us, options)

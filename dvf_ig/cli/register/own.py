@@ -11,7 +11,8 @@ from dvf_ig.cli.agreement import require_agreement
 from .kinds import START
 
 if TYPE_CHECKING:
-    from dvf_ig.io import PreopFiles, SessionRecordings
+    from dvf_ig.intake.preop import PreopFiles
+    from dvf_ig.intake.read import SessionRecordings
 
 ConfigOption = Annotated[
     Path | None,
@@ -117,7 +118,7 @@ def read_recordings(us: Path | None, options: Mapping[str, Any]) -> "SessionReco
         DvfIgError: a file is absent, cannot be read, or does not fit; told by the options.
     """
     from dvf_ig.core import DvfIgError
-    from dvf_ig.io import read_options
+    from dvf_ig.intake.read import read_options
 
     _require_enough(options)
     try:
@@ -139,7 +140,7 @@ def _by_options(sentence: str, options: Mapping[str, Any]) -> str:
 
 def read_heart(options: Mapping[str, Any]) -> "PreopFiles":
     """The pre-operative heart that the options name."""
-    from dvf_ig.io import read_heart_options
+    from dvf_ig.intake.preop import read_heart_options
 
     return read_heart_options(_heart(options) or {}, options["--patient"])
 

@@ -14,12 +14,14 @@ from .output import Registered
 
 if TYPE_CHECKING:
     from dvf_ig.core import DvfModel, Rigid, Scenario
-    from dvf_ig.io import SessionRecordings
+    from dvf_ig.intake.read import SessionRecordings
 
 
 def register_folder(folder: Path, model: Path | None, start: Path | None, seed: int) -> Registered:
     """A scenario folder, from its own start unless another is given."""
-    from dvf_ig.io import SessionRecordings, read_scenario, read_transform
+    from dvf_ig.intake.read import SessionRecordings
+    from dvf_ig.intake.scenario.read import read_scenario
+    from dvf_ig.io import read_transform
 
     given = None if start is None else read_transform(start, target="mr", source="tracker")
     recorded = read_scenario(folder)

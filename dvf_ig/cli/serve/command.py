@@ -34,7 +34,7 @@ from .setup import live_setup, read_patient
 from .undrained import queued_stderr
 
 if TYPE_CHECKING:
-    from dvf_ig.io.session_file.live import LiveConfig
+    from dvf_ig.intake.live import LiveConfig
     from dvf_ig.live.loop import Answer, LiveLoop
     from dvf_ig.live.record import Record
     from dvf_ig.live.summary import LiveSummary

@@ -19,12 +19,12 @@ RESULT, PAGE = "result.json", "report.html"
 @contextmanager
 def recorded_session(out: Path, ready: "LiveSetup") -> "Iterator[SessionRecord]":
     """A record in the folder, with everything attached that a replay needs besides messages."""
+    from dvf_ig.intake.session_log.document import document_of_live
+    from dvf_ig.intake.session_log.heart import attach_heart
+    from dvf_ig.intake.session_log.live import LIVE, live_document
+    from dvf_ig.intake.session_log.topics import DOCUMENT
     from dvf_ig.io import output_folder
-    from dvf_ig.io.ros.attached_heart import attach_heart
-    from dvf_ig.io.ros.live_log import LIVE, live_document
     from dvf_ig.io.ros.log_file import LogWriter
-    from dvf_ig.io.ros.session_document import document_of_live
-    from dvf_ig.io.ros.session_topics import DOCUMENT
     from dvf_ig.live.record import session_record
     from dvf_ig.replay.outputs import NAMES
     from dvf_ig.replay.view_file import VIEW

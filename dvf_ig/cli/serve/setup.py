@@ -10,15 +10,16 @@ if TYPE_CHECKING:
     from dvf_ig.cardiac import RetimeMode
     from dvf_ig.core import Landmarks, Rigid
     from dvf_ig.guidance import FixtureSet
-    from dvf_ig.io import LivePatient
-    from dvf_ig.io.session_file.agreement.finding import Finding
+    from dvf_ig.intake.agreement.finding import Finding
+    from dvf_ig.intake.live_read import LivePatient
     from dvf_ig.replay.calibrations import Calibrations
     from dvf_ig.session import SessionSetup
 
 
 def read_patient(config: Path) -> "LivePatient":
     """Of a SESSION.yaml, or of a scenario folder whose recording is streamed."""
-    from dvf_ig.io import live_patient_of_scenario, read_live_patient, read_scenario_session
+    from dvf_ig.intake.live_read import live_patient_of_scenario, read_live_patient
+    from dvf_ig.intake.scenario.read import read_scenario_session
 
     if config.is_dir():
         return live_patient_of_scenario(read_scenario_session(config, truth=False), config)
@@ -58,7 +59,7 @@ def live_setup(
     Raises:
         DvfIgError: the first reason why they cannot be used, or not together.
     """
-    from dvf_ig.io.session_file.fit import require_live_fit
+    from dvf_ig.intake.fit import require_live_fit
     from dvf_ig.replay.calibrations import calibrate
     from dvf_ig.replay.start import landmarks_start, require_start, start_pose
     from dvf_ig.session import EcgSource, SessionSetup, build_heart

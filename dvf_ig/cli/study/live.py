@@ -28,7 +28,9 @@ def live(
     does something else besides, the live session sees the difference.
     """
     with command(threads):
-        from dvf_ig.io import cached_model, output_folder, read_scenario, write_json
+        from dvf_ig.intake.model_cache import cached_model
+        from dvf_ig.intake.scenario.read import read_scenario
+        from dvf_ig.io import output_folder, write_json
         from dvf_ig.replay import run_replay
         from dvf_ig.replay.start import landmarks_start
         from dvf_ig.study.live.compare import after_cut, comparison

@@ -16,19 +16,19 @@ from dvf_ig.core import (
     TriggerTimes,
     UnreadableFileError,
 )
+from dvf_ig.intake.preop import PreopFiles, read_preop
+from dvf_ig.intake.read import SessionRecordings
+from dvf_ig.intake.session_log.document import SessionDocument, read_document
+from dvf_ig.intake.session_log.heart import MODEL
+from dvf_ig.intake.session_log.live import LIVE, LiveDocument
+from dvf_ig.intake.session_log.topics import DOCUMENT, ECG, EXACT_FRAME, EXACT_TOOL, IMAGE, STREAMS, TRIGGER
 from dvf_ig.io import limits
 from dvf_ig.io.ecg.recording import require_plausible
 from dvf_ig.io.file_within import path_within
 from dvf_ig.io.model.model_file import read_model
 from dvf_ig.io.provenance import not_recorded
 from dvf_ig.io.ros import messages as ros
-from dvf_ig.io.ros.attached_heart import MODEL
-from dvf_ig.io.ros.live_log import LIVE, LiveDocument
 from dvf_ig.io.ros.log_file import LogReader, opened_log
-from dvf_ig.io.ros.session_document import SessionDocument, read_document
-from dvf_ig.io.ros.session_topics import DOCUMENT, ECG, EXACT_FRAME, EXACT_TOOL, IMAGE, STREAMS, TRIGGER
-from dvf_ig.io.session_file.preop import PreopFiles, read_preop
-from dvf_ig.io.session_file.read import SessionRecordings
 from dvf_ig.io.writing.place import scratch_folder
 from dvf_ig.io.yaml_config import validated
 

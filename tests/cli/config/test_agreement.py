@@ -24,13 +24,13 @@ from dvf_ig.core import (
     SurfaceSeries,
     VolumeSeries,
 )
+from dvf_ig.intake.agreement.cycle import heart_speed
+from dvf_ig.intake.agreement.finding import Disagreement
+from dvf_ig.intake.ecg_delay import speed_between
+from dvf_ig.intake.fit import fit_of, parts_of
+from dvf_ig.intake.parts import SessionParts
+from dvf_ig.intake.read import read_session
 from dvf_ig.io import write_poses, write_surface_series
-from dvf_ig.io.session_file.agreement.cycle import heart_speed
-from dvf_ig.io.session_file.agreement.finding import Disagreement
-from dvf_ig.io.session_file.fit import fit_of, parts_of
-from dvf_ig.io.session_file.parts import SessionParts
-from dvf_ig.io.session_file.read import read_session
-from dvf_ig.session.recording.ecg_delay import speed_between
 
 Change = Callable[[SessionParts], SessionParts]
 

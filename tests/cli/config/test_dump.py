@@ -6,9 +6,9 @@ from pathlib import Path
 from config_runs import errors, run, write
 from toy_lab import SESSION
 
-from dvf_ig.io.scenario.read import read_scenario_session
-from dvf_ig.io.session_file.read import read_session_config
-from dvf_ig.io.session_file.schema import SessionConfig, SessionDraft
+from dvf_ig.intake.read import read_session_config
+from dvf_ig.intake.scenario.read import read_scenario_session
+from dvf_ig.intake.schema import SessionConfig, SessionDraft
 
 
 def test_a_dump_reads_back_to_the_same(lab: Path) -> None:

@@ -12,10 +12,10 @@ from toy_lab import sweep, write_ecg
 from typer.testing import Result
 
 from dvf_ig.core import UnreadableFileError
+from dvf_ig.intake.fixtures import ForbiddenConfig
+from dvf_ig.intake.read import read_session, read_session_config
+from dvf_ig.intake.schema import SessionConfig
 from dvf_ig.io import add_ecg_field, read_ecg, write_sequence
-from dvf_ig.io.fixtures import ForbiddenConfig
-from dvf_ig.io.session_file.read import read_session, read_session_config
-from dvf_ig.io.session_file.schema import SessionConfig
 
 ALL = {
     "--ecg": "csv:{lab}/ecg.csv",

@@ -14,9 +14,9 @@ from spoilt_lab import WRONG
 from toy_lab import SESSION, write_lab
 
 from dvf_ig.core import InvalidInputError, NoOverlapError, Scenario
+from dvf_ig.intake.fit import require_fit
+from dvf_ig.intake.read import read_session
 from dvf_ig.io import write_poses
-from dvf_ig.io.session_file.fit import require_fit
-from dvf_ig.io.session_file.read import read_session
 
 
 def test_files_that_fit_pass(lab: Path) -> None:

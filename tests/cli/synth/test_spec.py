@@ -22,7 +22,9 @@ from dvf_ig.core import (
     Volume,
     VolumeSeries,
 )
-from dvf_ig.io import ScenarioNotes, read_scenario, write_scenario
+from dvf_ig.intake.scenario.read import read_scenario
+from dvf_ig.intake.scenario.readme import ScenarioNotes
+from dvf_ig.intake.scenario.write import write_scenario
 
 
 def from_text(folder: Path, text: str) -> ScenarioSpec:

@@ -34,7 +34,8 @@ from data_synth.ultrasound.volume import MatrixProbe
 from dvf_ig.cli.register.scenario import register_folder
 from dvf_ig.cli.synth.commands import app
 from dvf_ig.core import InvalidInputError, Rigid, Stop
-from dvf_ig.io import read_scenario, write_model
+from dvf_ig.intake.scenario.read import read_scenario
+from dvf_ig.io import write_model
 from dvf_ig.preop import ModelOptions, model_from_labels
 
 

@@ -10,9 +10,9 @@ import pytest
 
 import dvf_ig
 from dvf_ig.core import CycleTiming, Grid, Preop, SurfaceSeries, Volume, VolumeSeries
-from dvf_ig.io import cached_model, model_digest
+from dvf_ig.intake.model_cache import CachedModel, cache_folder, cached_model, model_key
+from dvf_ig.io import model_digest
 from dvf_ig.io.model import cache as model_cache
-from dvf_ig.io.model.cache import CachedModel, cache_folder, model_key
 from dvf_ig.preop import ModelOptions
 
 COARSE = ModelOptions(knot_spacing_mm=10.0, margin_mm=5.0)

@@ -1,0 +1,1 @@
+"""From a lab's files to a session: its parts, whether they agree, its calibrations, its start, its log."""
