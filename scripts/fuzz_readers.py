@@ -19,7 +19,7 @@ LARGEST = 1e13
 
 def write_seeds(folder: Path) -> None:
     """One scenario and its recordings in other formats."""
-    from dvf_ig.intake.scenario.write import write_scenario
+    from dvf_ig.intake.scenario_write import write_scenario
     from tests.io.conftest import _make_scenario
     from tests.io.ecg.test_damaged import edf
     from tests.io.model.test_model import model
@@ -119,7 +119,7 @@ def _write_logs(folder: Path) -> None:
 
 def _log(path: Path) -> Any:
     """What a live session answered, and the messages that it refused, may be anything."""
-    from dvf_ig.replay.export.session_log_read import read_session_log
+    from dvf_ig.intake.session_log.read import read_session_log
 
     found = read_session_log(path)
     return [found.scenario, found.model]
@@ -137,15 +137,15 @@ def _wire_points(path: Path) -> Any:
 
 
 def _session(path: Path) -> Any:
-    from dvf_ig.intake.read import read_session_config
+    from dvf_ig.intake.session import open_session
 
-    return read_session_config(path)
+    return open_session(path)[0]
 
 
 def _scenario_config(path: Path) -> Any:
-    from dvf_ig.intake.scenario.read import read_scenario_session
+    from dvf_ig.intake.scenario import session_of_scenario
 
-    return read_scenario_session(path.parent)
+    return session_of_scenario(path.parent)
 
 
 READERS: dict[str, tuple[tuple[str, ...], Read]] = {

@@ -103,7 +103,7 @@ def scenario(imaged: "ImagedHeart") -> "Scenario":
 @pytest.fixture(scope="session")
 def written(scenario: "Scenario", tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The scenario's folder, for tests that only read it."""
-    from dvf_ig.intake.scenario.write import write_scenario
+    from dvf_ig.intake.scenario_write import write_scenario
 
     folder = tmp_path_factory.mktemp("written") / "scenario"
     write_scenario(scenario, folder)

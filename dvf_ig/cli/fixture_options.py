@@ -155,10 +155,10 @@ def chosen_fixtures(
 
 
 def refuse_options(given: Mapping[str, Any], file: Path | None) -> None:
-    """Raise typer.BadParameter where options describe fixtures that a SESSION.yaml describes, too."""
+    """Raise typer.BadParameter if options describe fixtures that the session describes itself."""
     asked = _options(_asked(given)) if file is None else "--fixtures"
     if asked:
-        raise typer.BadParameter(f"the SESSION.yaml describes the fixtures; leave out {asked}")
+        raise typer.BadParameter(f"the session describes the fixtures; leave out {asked}")
 
 
 def _asked(given: Mapping[str, Any]) -> dict[str, Any]:

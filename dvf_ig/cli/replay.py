@@ -1,7 +1,7 @@
 """`dvf-ig replay`: a recorded intervention from raw streams to force."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -23,10 +23,8 @@ from .fixture_options import (
     with_margin,
 )
 from .patient_model import patient_model
+from .session_argument import SESSION, ModelOption, read_agreeing
 from .shell import JsonFlag, SeedOption, ThreadsOption, command, emit, output_dir, progress, warn, wrote
-
-if TYPE_CHECKING:
-    from dvf_ig.intake.read import SessionRecordings
 
 
 def replay(
@@ -39,17 +37,11 @@ def replay(
             help="Folder for the result, its page, the pose and the ticks.",
         ),
     ],
-    scenario: Annotated[
-        Path | None,
-        typer.Argument(help="Scenario folder (see `dvf-ig synth scenario`) or LOG.mcap; or give --config."),
-    ] = None,
-    config: Annotated[
-        Path | None,
-        typer.Option("--config", help="SESSION.yaml that names your recordings (see `dvf-ig config init`)."),
-    ] = None,
-    model: Annotated[
-        Path | None, typer.Option("--model", help="This patient's model, if `dvf-ig model build` made one.")
-    ] = None,
+    session: Annotated[
+        Path,
+        typer.Argument(metavar="SESSION", help=f"{SESSION.capitalize()}; or a session's LOG.mcap."),
+    ],
+    model: ModelOption = None,
     law: LawOption = None,
     gamma: GammaOption = None,
     delta: DeltaOption = None,
@@ -83,15 +75,15 @@ def replay(
         given = {"law": law, "gamma": gamma, "delta": delta, "m": m, "cap_n": cap_n, "depth_mm": depth_mm}
         given |= {"inside": inside, "blend": blend}
         options, of_file = chosen_fixtures(given, fixtures)
-        recordings = _read(scenario, config, model)
-        if recordings.fixtures is not None:
+        files, _ = read_agreeing(session, model, "replay")  # what is doubtful stands in the result
+        if files.fixtures is not None:
             refuse_options(given, fixtures)
-            options = recordings.fixtures
-        mode = chosen_retiming(retiming, recordings.retiming or of_file)
-        recorded = recordings.scenario
+            options = files.fixtures
+        mode = chosen_retiming(retiming, files.retiming or of_file)
+        recorded = files.scenario
         names = ("result.json", "report.html", VIEW, *NAMES)
         with output_folder(out, names):
-            built, origin = patient_model(recorded.preop, recordings.model or model)
+            built, origin = patient_model(recorded.preop, files.model or model)
             with progress("replay") as report:
                 done = run_replay(
                     recorded,
@@ -100,14 +92,14 @@ def replay(
                     retiming=mode,
                     seed=seed,
                     progress=report,
-                    live=recordings.live,
+                    live=files.record,
                 )
             result = result_of(done)
             with files_together(out, names) as new:
                 write_text(new / "report.html", report_html(done, result))
                 write_json(new / "result.json", {**result, **provenance_fields()})
                 frames = write_outputs(done.poses, done.ticks, new, recorded.tracked_against)
-                write_view_file(done, new, out, config or scenario or Path(), model)
+                write_view_file(done, new, out, session, model)
         heading = ("", "estimate", "error against the truth" if done.scenario.truth is not None else "")
         emit(result, [heading, *table(result)], as_json=as_json)
         typer.echo(origin, err=True)
@@ -122,28 +114,3 @@ def replay(
             raise QualityGateError(f"no registration could be used, so no force was given: {reason}")
         if result["no_force"] is not None:
             raise QualityGateError(f"no force was given: {result['no_force']}")
-
-
-def _read(scenario: Path | None, config: Path | None, model: Path | None) -> "SessionRecordings":
-    """The recordings of a scenario folder or of a SESSION.yaml, which agree."""
-    from dvf_ig.intake.fit import require_fit
-    from dvf_ig.intake.read import SessionRecordings, read_session
-    from dvf_ig.intake.scenario.read import read_scenario
-
-    if scenario is not None and config is not None:
-        raise typer.BadParameter("give a scenario folder or --config SESSION.yaml, not both")
-    if scenario is None and config is None:
-        raise typer.BadParameter("what is to be replayed? give a scenario folder, or --config SESSION.yaml")
-    if scenario is not None and scenario.suffix == ".mcap":
-        from dvf_ig.replay.export.session_log_read import read_session_log
-
-        return read_session_log(scenario)
-    if config is None:
-        of_folder = SessionRecordings(read_scenario(scenario or Path()), None, None, None)
-        require_fit(of_folder, "replay")
-        return of_folder
-    if model is not None:
-        raise typer.BadParameter(f"{config} says whose model it is (preop.model); leave out --model")
-    recordings = read_session(config)
-    require_fit(recordings, "replay")
-    return recordings

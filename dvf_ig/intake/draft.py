@@ -1,134 +1,121 @@
-"""A session's configuration that may still lack parts, as `config init` begins one and users go on."""
+"""A session's configuration from the options of `dvf-ig config init`, as `intake.schema` lists them."""
 
 import math
 import os
-from dataclasses import dataclass
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from dvf_ig.core.errors import InvalidInputError
-from dvf_ig.intake.ecg_name import split_ecg
-from dvf_ig.intake.schema import (
-    SessionConfig,
-    SessionDraft,
-)
+from dvf_ig.io.ecg.trigger import split_ecg
 from dvf_ig.io.yaml_config import validated
 
-
-def as_draft(config: SessionConfig) -> SessionDraft:
-    """A complete configuration as one that need not be."""
-    return SessionDraft.model_validate(config.model_dump(by_alias=True))
+from .schema import KEYS, Form, SessionConfig
 
 
-def complete(draft: SessionDraft) -> SessionConfig:
-    """The same configuration, of which nothing that a registration needs is missing."""
-    return SessionConfig.model_validate(draft.model_dump(by_alias=True))
+def draft_config(given: Mapping[str, Any], folder: Path | None = None) -> SessionConfig:
+    """The configuration that options state, in which any part may be missing.
 
-
-@dataclass(frozen=True, slots=True)
-class GivenFiles:
-    """A lab's files, as a user names them from the working directory.
-
-    Attributes:
-        ultrasound: tracked images; the only file that is needed to begin with.
-        ecg: as `gate` takes it, for example `edf:FILE`; `rate_hz` of a table without times; `ecg_start_s` is
-            when its first sample was taken on the tracker's clock.
-        probe, tip: what `calibrate -o` wrote, JSON or PLUS XML.
-        latency: such a file, or seconds.
-        tool: poses; `tool_name` as the recording names it.
-        model, mr, labels, surfaces: the pre-operative heart; `organ_labels` inside the protected surface, of
-            which `cavity_labels` are blood.
-        start: mr_from_tracker; `landmarks` in the model and on the patient; `touched` points.
+    Args:
+        given: values of options by the keys that they set, as words; None if an option was not given.
+        folder: where names of files are to begin; None leaves them as the user gave them.
+    Raises:
+        InvalidInputError: an option that needs another one, or words that are not of its form.
     """
-
-    ultrasound: Path
-    ecg: str | None = None
-    rate_hz: float | None = None
-    ecg_start_s: float | None = None
-    probe: Path | None = None
-    latency: str | None = None
-    tip: Path | None = None
-    tool: Path | None = None
-    tool_name: str | None = None
-    model: Path | None = None
-    mr: Path | None = None
-    labels: Path | None = None
-    organ_labels: tuple[int, ...] | None = None
-    cavity_labels: tuple[int, ...] | None = None
-    surfaces: Path | None = None
-    start: Path | None = None
-    landmarks: tuple[Path, Path] | None = None
-    touched: Path | None = None
-    probe_name: str | None = None
-    reference_name: str | None = None
-    patient_id: str | None = None
-
-    def draft(self, folder: Path | None = None) -> SessionDraft:
-        """The configuration whose names of files begin at `folder`; None leaves them as the user gave them.
-
-        Raises:
-            InvalidInputError: a cine without labels, a rate without an ECG, or an empty name.
-        """
-        for option, value in (("--rate", self.rate_hz), ("--ecg-start", self.ecg_start_s)):
-            if value is not None and self.ecg is None:
-                raise InvalidInputError(f"{option} is of the recording that --ecg names; give --ecg, too")
-        for option, values in (("--organ", self.organ_labels), ("--cavity", self.cavity_labels)):
-            if values is not None and self.labels is None:
-                raise InvalidInputError(f"{option} says what labels mean; give --labels, too")
-        if self.mr is not None and (self.model, self.labels, self.surfaces) == (None, None, None):
-            raise InvalidInputError(
-                f"{self.mr} shows the heart but not where its surface is; give --labels LABELS (of "
-                "end-diastole at least), or --model MODEL"
-            )
-
-        def name(path: Path | None) -> str | None:
-            return None if path is None else _relative(path, folder)
-
-        heart = {"model": self.model, "mr": self.mr, "labels": self.labels, "surfaces_folder": self.surfaces}
-        files: dict[str, Any] = {key: name(path) for key, path in heart.items() if path is not None}
-        meaning = {"organ_labels": self.organ_labels, "cavity_labels": self.cavity_labels}
-        files |= {key: values for key, values in meaning.items() if values is not None}
-        tool = self.tool if self.tool is not None or self.tool_name is None else self.ultrasound
-        names = {"probe_name": self.probe_name, "reference_name": self.reference_name}
-        of_ecg = {"rate_hz": self.rate_hz, "start_s": self.ecg_start_s}
-        ecg = None if self.ecg is None else {"file": _spec(self.ecg, folder), **of_ecg}
-        mr_points, patient_points = self.landmarks or (None, None)
-        document = {
-            "patient_id": self.patient_id,
-            "preop": files or None,
-            "ultrasound": {"file": name(self.ultrasound), **names},
-            "ecg": ecg,
-            "tool": None if tool is None else {"file": name(tool), "name": self.tool_name},
-            "calibration": {
-                "probe": name(self.probe),
-                "latency": None if self.latency is None else _seconds_or_name(self.latency, folder),
-                "tip": name(self.tip),
-            },
-            "start": {
-                "transform": name(self.start),
-                "landmarks_mr": name(mr_points),
-                "landmarks_tracker": name(patient_points),
-                "touched": name(self.touched),
-            },
-        }
-        return validated(SessionDraft, document, Path("options"))
+    there = {key: value for key, value in given.items() if value not in (None, ())}
+    document: dict[str, Any] = {}
+    for name, value in there.items():
+        _require_company(name, there)
+        section, _, entry = name.rpartition(".")
+        inside = document.setdefault(section, {}) if section else document
+        inside |= _entries(entry, KEYS[name].form, value, folder, KEYS[name].options[0])
+    if "name" in document.get("tool", {}) and "file" not in document["tool"]:
+        document["tool"]["file"] = document.get("ultrasound", {}).get("file")
+    return validated(SessionConfig, document, Path("options"))
 
 
-def _relative(path: Path, folder: Path | None) -> str:
-    """Its name from a folder, with / between its parts wherever it was made."""
-    if folder is None:
-        return str(path)
-    return Path(os.path.relpath(path.absolute(), folder.absolute())).as_posix()
+def _require_company(name: str, there: Mapping[str, Any]) -> None:
+    """Refuse an option that says something of another one's file if that is not given."""
+    key, section = KEYS[name], name.rpartition(".")[0]
+    needed = [f"{section}.{other}" for other in key.goes_with]
+    if needed and not any(other in there for other in needed):
+        options = " or ".join(" ".join(KEYS[other].option.split()[:2]) for other in needed)
+        raise InvalidInputError(f"{key.options[0]} needs another option; also give {options}")
 
 
-def _spec(spec: str, folder: Path | None) -> str:
-    parts = split_ecg(spec)
-    return f"{parts.prefix}{_relative(Path(parts.name), folder)}{parts.field}"
+def _entries(entry: str, form: Form, value: Any, folder: Path | None, option: str) -> dict[str, Any]:
+    """What an option's words say, as keys of its section."""
+    match form:
+        case Form.FILE:
+            return {entry: _relative(value, folder)}
+        case Form.ECG:
+            parts = split_ecg(value)
+            return {entry: f"{parts.prefix}{_relative(parts.name, folder)}{parts.field}"}
+        case Form.SOURCE:
+            seconds = _number(value)
+            return {entry: _relative(value, folder) if seconds is None else seconds}
+        case Form.PAIR:
+            marked, touched = value
+            other = entry.replace("_mr", "_tracker")
+            return {entry: _relative(marked, folder), other: _relative(touched, folder)}
+        case Form.POINTS:
+            return _points(entry, value, folder, option)
+        case Form.VOLUMES:
+            return {entry: [_volume(text, folder) for text in value]}
+        case Form.WHOLES:
+            return {entry: _numbers(value, int, option, "whole numbers such as 1,2,5")}
+        case Form.FAN:
+            needed = "five numbers: column and row of the apex, first and last radius (px), half angle (rad)"
+            numbers = _numbers(value, float, option, needed)
+            if len(numbers) != 5:
+                raise InvalidInputError(f"{option} is '{value}'; needed {needed}")
+            return {
+                entry: {
+                    "apex_px": numbers[:2],
+                    "start_px": numbers[2],
+                    "stop_px": numbers[3],
+                    "half_angle_rad": numbers[4],
+                }
+            }
+    return {entry: value}
 
 
-def _seconds_or_name(text: str, folder: Path | None) -> float | str:
+def _points(entry: str, text: str, folder: Path | None, option: str) -> dict[str, Any]:
+    """POINTS or POINTS@PHASE; an @ may also be part of a file's name."""
+    file, at, phase = text.rpartition("@")
+    if not at or Path(text).is_file():
+        return {entry: _relative(text, folder)}
+    fraction = _number(phase)
+    if not file or fraction is None or not 0.0 <= fraction < 1.0:
+        raise InvalidInputError(
+            f"{option} is '{text}'; needed POINTS@PHASE, a file and a fraction of the cycle from 0 to below 1"
+        )
+    return {entry: _relative(file, folder), f"{entry}_phase": fraction}
+
+
+def _volume(text: str, folder: Path | None) -> str:
+    """FILE@PHASE or FILE=SECONDS; other text is refused by the schema."""
+    cut = max(text.rfind("@"), text.rfind("="))
+    return text if cut < 1 else f"{_relative(text[:cut], folder)}{text[cut:]}"
+
+
+def _numbers(text: str, kind: type[int] | type[float], option: str, needed: str) -> list[float]:
     try:
-        seconds = float(text)
+        return [kind(part) for part in text.split(",")]
+    except ValueError as exc:
+        raise InvalidInputError(f"{option} is '{text}'; needed {needed}") from exc
+
+
+def _number(text: str) -> float | None:
+    try:
+        number = float(text)
     except ValueError:
-        return _relative(Path(text), folder)
-    return seconds if math.isfinite(seconds) else _relative(Path(text), folder)
+        return None
+    return number if math.isfinite(number) else None
+
+
+def _relative(name: str | Path, folder: Path | None) -> str:
+    """A file's name from a folder, with / between its parts on every system."""
+    if folder is None or not str(name):
+        return str(name)
+    return Path(os.path.relpath(Path(name).absolute(), folder.absolute())).as_posix()

@@ -1,4 +1,4 @@
-"""What the section `live` of a SESSION.yaml may say: who sends, under which names, and where the ECG is from.
+"""What the section `live` of a session.yaml may say: who sends, under which names, and where the ECG is from.
 
 live:
   host: 127.0.0.1                     # where PLUS or 3D Slicer is; as a server, the address to listen at

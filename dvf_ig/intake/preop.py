@@ -1,19 +1,20 @@
 """The pre-operative heart of a session: a model, labels of one or every phase, or surfaces."""
 
 import logging
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from dvf_ig.core.arrays import FloatArray
 from dvf_ig.core.errors import UnreadableFileError
 from dvf_ig.core.model import DvfModel
 from dvf_ig.core.recordings.scenario import Preop
 from dvf_ig.core.space.mesh import SurfaceSeries
 from dvf_ig.core.space.volume import Volume, VolumeSeries
 from dvf_ig.core.timing.cycle import CycleTiming
-from dvf_ig.intake.schema import PreopConfig
 from dvf_ig.io.dicom.cine import dicom_patient_id, is_dicom_folder
 from dvf_ig.io.image.labels import read_cine_labels
 from dvf_ig.io.image.timing import timing_from_document
@@ -22,7 +23,9 @@ from dvf_ig.io.json_file import read_json
 from dvf_ig.io.mesh.series import UNKNOWN_PATIENT, read_surface_series, surface_names
 from dvf_ig.io.model.model_file import read_model
 from dvf_ig.io.reading import reading
-from dvf_ig.io.yaml_config import validated
+
+from .problems import concerning
+from .schema import PreopConfig
 
 log = logging.getLogger(__name__)
 
@@ -51,24 +54,32 @@ def read_preop(config: PreopConfig, folder: Path, patient_id: str | None) -> Pre
         UnreadableFileError: a file is absent or cannot be read.
         InvalidInputError: labels do not fit the image.
     """
-    model = None if config.model is None else read_model(folder / config.model, patient_id=patient_id)
+    model = None
+    if config.model is not None:
+        with concerning("preop.model", path := folder / config.model):
+            model = read_model(path, patient_id=patient_id)
     patient = patient_id or (model.patient_id if model is not None else _name(config, folder))
-    timing = _Timing(None if config.timing is None else folder / config.timing)
-    mr = None if config.mr is None else timing.series(folder / config.mr, "mr")
+    with concerning("preop.timing"):
+        timing = _Timing(None if config.timing is None else folder / config.timing)
+    mr = None
+    if config.mr is not None:
+        with concerning("preop.mr", path := folder / config.mr):
+            mr = timing.series(path, "mr")
     if mr is not None and model is not None:
         mr = _with_times(mr, model, config.mr or "")
     labels, ed_labels = None, None
     if config.labels is not None:
-        path = folder / config.labels
-        if image_dimension(path) == 4:
-            labels = timing.series(path, "labels")
-        elif mr is None:
-            raise UnreadableFileError(
-                f"{path} holds the labels of one phase; give mr, the cine that tells their motion"
-            )
-        else:
-            ed_labels, _ = read_cine_labels(path, mr, config.ed_phase)
-    surfaces, named = _surfaces(config, folder, patient, timing)
+        with concerning("preop.labels", path := folder / config.labels):
+            if image_dimension(path) == 4:
+                labels = timing.series(path, "labels")
+            elif mr is None:
+                raise UnreadableFileError(
+                    f"{path} holds the labels of one phase; give mr, the cine that shows their motion"
+                )
+            else:
+                ed_labels, _ = read_cine_labels(path, mr, config.ed_phase)
+    with concerning("preop.surfaces_folder"):
+        surfaces, named = _surfaces(config, folder, patient, timing)
     organ_labels = config.organ_labels or (label_values(labels) if labels is not None else ())
     preop = Preop(
         patient_id=patient,
@@ -83,11 +94,6 @@ def read_preop(config: PreopConfig, folder: Path, patient_id: str | None) -> Pre
         surface=config.surface,
     )
     return PreopFiles(preop, model, None if patient_id is None and model is None else named)
-
-
-def read_heart_options(document: dict[str, Any], patient_id: str | None) -> PreopFiles:
-    """As `read_preop`, of a section `preop` whose files are named from the working directory."""
-    return read_preop(validated(PreopConfig, document, Path("options")), Path(), patient_id)
 
 
 def _with_times(mr: VolumeSeries, model: DvfModel, name: str) -> VolumeSeries:
@@ -110,6 +116,12 @@ def _with_times(mr: VolumeSeries, model: DvfModel, name: str) -> VolumeSeries:
 def label_values(labels: Volume | VolumeSeries) -> tuple[int, ...]:
     """Every value of a label image but the background's."""
     return tuple(int(value) for value in np.unique(labels.values) if value != 0)
+
+
+def preop_label_values(preop: Preop) -> tuple[int, ...]:
+    """The values in the label image, of every phase or of end-diastole, without 0."""
+    labels = preop.labels if preop.labels is not None else preop.ed_labels
+    return () if labels is None else label_values(labels)
 
 
 def _name(config: PreopConfig, folder: Path) -> str:
@@ -155,3 +167,35 @@ class _Timing:
             return None
         with reading(path, "a timing file"):
             return timing_from_document(path, document.get("series", {}).get(name, document))
+
+
+def heart_surfaces(files: PreopFiles) -> Iterator[tuple[str, FloatArray]]:
+    """(n, 3) points in mm of the heart at end-diastole, by the keys of the files that hold them."""
+    preop, model = files.preop, files.model
+    if model is not None:
+        yield "preop.model", np.asarray(model.reference[model.ed_phase].vertices_mm)
+    if preop.labels is not None or preop.ed_labels is not None:
+        yield "preop.labels", _corners_of_labels(preop)
+    fixture = [series for series in preop.surfaces if series.name == preop.surface]
+    for series in fixture if model is None else ():
+        yield "preop.surfaces_folder", np.asarray(series.vertices_mm[0])
+
+
+def _corners_of_labels(preop: Preop) -> FloatArray:
+    """(8, 3) corners of the box about the organ's voxels, in the axes of the image; (0, 3) without any."""
+    of_cycle, of_phase = preop.labels, preop.ed_labels
+    if of_cycle is not None:
+        values, grid = of_cycle.values[preop.ed_phase % len(of_cycle.timing)], of_cycle.grid
+    elif of_phase is not None:
+        values, grid = of_phase.values, of_phase.grid
+    else:
+        return np.empty((0, 3))
+    organ = np.isin(values, preop.organ_labels) if preop.organ_labels else values != 0
+    sides = []
+    for axis in range(3):
+        there = np.flatnonzero(organ.any(axis=tuple(a for a in range(3) if a != axis)))
+        if not len(there):
+            return np.empty((0, 3))
+        sides.append((there[0] - 0.5, there[-1] + 0.5))
+    corners = np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, 3)
+    return grid.to_mm(corners)

@@ -3,21 +3,17 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from dvf_ig.intake.agreement.cycle import HeartInImages
-from dvf_ig.intake.agreement.finding import Finding
-from dvf_ig.intake.draft import GivenFiles
-from dvf_ig.intake.examine import examine
-from dvf_ig.intake.fit import fit_of
-from dvf_ig.intake.fit_heart import preop_label_values
-from dvf_ig.intake.missing import missing_parts
-from dvf_ig.intake.named_files import named_files
-from dvf_ig.intake.parts import SessionParts
-from dvf_ig.intake.problem import Problem, Use
-from dvf_ig.intake.schema import SessionDraft
-
-FILE_OF = {"preop.organ_labels": "preop.labels", "preop.surface": "preop.surfaces_folder"}
-"""Of keys that say what is in a file."""
+from .draft import draft_config
+from .findings import Finding
+from .fit import fit_of
+from .heart_in_images import HeartInImages
+from .parts import SessionFiles, missing_parts
+from .preop import preop_label_values
+from .problems import Problem, ProblemList, Use
+from .schema import SessionConfig
+from .session import examine
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,7 +27,7 @@ class Verdict:
         warnings, seen: as of a `Fit`.
     """
 
-    parts: SessionParts
+    files: SessionFiles
     unreadable: tuple[Problem, ...]
     misfits: tuple[Problem, ...]
     missing: tuple[Problem, ...]
@@ -44,53 +40,40 @@ class Verdict:
         return (*self.unreadable, *fit)
 
 
-def judge_session(config: SessionDraft, folder: Path, named_by: str) -> Verdict:
+def judge_session(config: SessionConfig, folder: Path, named_by: str) -> Verdict:
     """Open every file of a configuration and check that all fit.
 
     Args:
         folder: where names of files begin.
         named_by: what names them, for messages.
     """
-    parts, unreadable = examine(config, folder, named_by)
-    return _verdict(config, folder, parts, unreadable)
+    return _verdict(config, *examine(config, folder, named_by))
 
 
-def begin_session(given: GivenFiles, output: Path) -> tuple[SessionDraft, Verdict]:
-    """A configuration of the files that a user named, and what is to be said of them.
+def begin_session(given: Mapping[str, Any], output: Path) -> tuple[SessionConfig, Verdict]:
+    """A configuration of the files that options name, and what is to be said of them.
 
     Unless the user says otherwise, all labels of an image are taken as inside the protected surface.
 
     Args:
+        given: values of the options of `config init` by their keys (`draft_config`).
         output: the configuration's file; names in it begin at its folder.
     Raises:
-        InvalidInputError: files that are of no use without another.
+        InvalidInputError: options that need another.
     """
-    as_given, draft = given.draft(), given.draft(output.parent)
-    parts, unreadable = examine(as_given, Path(), str(output))
-    if draft.preop is not None and parts.preop is not None and not draft.preop.organ_labels:
-        all_labels = {"organ_labels": preop_label_values(parts.preop.preop)}
+    as_given, draft = draft_config(given), draft_config(given, output.parent)
+    files, problems = examine(as_given, Path(), str(output))
+    if draft.preop is not None and files.preop is not None and not draft.preop.organ_labels:
+        all_labels = {"organ_labels": preop_label_values(files.preop.preop)}
         draft = draft.model_copy(update={"preop": draft.preop.model_copy(update=all_labels)})
-    return draft, _verdict(as_given, Path(), parts, unreadable)
+    return draft, _verdict(as_given, files, problems)
 
 
-def _verdict(
-    config: SessionDraft, folder: Path, parts: SessionParts, problems: tuple[Problem, ...]
-) -> Verdict:
+def _verdict(config: SessionConfig, files: SessionFiles, problems: ProblemList) -> Verdict:
     """An ECG that is neither named nor in the ultrasound is missing, not unreadable."""
-    absent = tuple(p for p in problems if p.key == "ecg" and config.ecg is None)
-    files = {key: folder / name for key, name in named_files(config)}
-    fit = fit_of(parts)
-    misfits = tuple(_with_file(problem, files) for problem in fit.misfits)
-    missing = (*absent, *missing_parts(parts, (*problems, *misfits)))
-    unreadable = tuple(p for p in problems if p not in absent)
-    return Verdict(parts, unreadable, misfits, missing, fit.warnings, fit.seen)
-
-
-def _with_file(problem: Problem, files: Mapping[str, Path]) -> Problem:
-    """The same with the name of the file that it is about, where there is one."""
-    key = problem.key
-    of_file = next((k for k in (key, f"{key}.file", FILE_OF.get(key)) if k in files), None)
-    if of_file is None:
-        return problem
-    told = type(problem.error)(f"{files[of_file]}: {problem.error}")
-    return Problem(of_file if of_file.startswith(key) else key, told, problem.hinders)
+    absent = tuple(p for p in problems.found if p.key == "ecg" and config.ecg is None)
+    fit = fit_of(files)
+    known = ProblemList([*problems.found, *fit.misfits])
+    missing = missing_parts(files, known)
+    unreadable = tuple(p for p in problems.found if p not in absent)
+    return Verdict(files, unreadable, fit.misfits, (*absent, *missing), fit.warnings, fit.seen)

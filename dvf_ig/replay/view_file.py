@@ -34,7 +34,7 @@ class ViewFile:
     """The content of `view.json`.
 
     Attributes:
-        recording: scenario folder or SESSION.yaml that was replayed.
+        recording: scenario folder or session.yaml that was replayed.
         paths: of each fixture, in order; None of one on the surface.
         model: file of the model; None where the recording names it or it was built.
         r_peaks_s: (k,) R peaks that were detected.
@@ -64,7 +64,7 @@ def write_view_file(replay: Replay, folder: Path, run: Path, recording: Path, mo
 
     Args:
         folder: into which; `run` is the one in which it will stand and that paths are relative to.
-        recording: scenario folder or SESSION.yaml.
+        recording: scenario folder or session.yaml.
         model: a file that was named for it.
     Raises:
         OutputError: not writable.

@@ -89,15 +89,17 @@ def test_a_replay_is_given_what_the_user_asked_for(
     file.write_text(text, encoding="utf-8")
     given: dict[str, object] = {}
 
+    recorded = SimpleNamespace(preop=SimpleNamespace(patient_id=""))
+    files = SimpleNamespace(fixtures=None, retiming=None, model=None, record=None, scenario=recorded)
+
     def asked(scenario: object, **arguments: object) -> None:
         given.update(arguments)
         raise InvalidInputError("asked")
 
     monkeypatch.setattr(
-        "dvf_ig.intake.scenario.read.read_scenario",
-        lambda _: SimpleNamespace(preop=SimpleNamespace(patient_id="")),
+        "dvf_ig.cli.replay.read_agreeing",
+        lambda *_: (files, ()),
     )
-    monkeypatch.setattr("dvf_ig.intake.fit.require_fit", lambda *_: ())
     monkeypatch.setattr("dvf_ig.cli.replay.patient_model", lambda *_: (None, ""))
     monkeypatch.setattr("dvf_ig.replay.run_replay", asked)
     words = [str(file) if word == "FILE" else word for word in options]

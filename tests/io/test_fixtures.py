@@ -28,8 +28,8 @@ from dvf_ig.intake.fixtures import (
     fixture_options,
     read_fixtures,
 )
-from dvf_ig.intake.read import read_session_fixtures
-from dvf_ig.intake.schema import SessionDraft
+from dvf_ig.intake.schema import SessionConfig
+from dvf_ig.intake.session import session_fixtures
 from dvf_ig.io import write_landmarks
 from dvf_ig.io.json_file import read_json, write_json
 
@@ -260,7 +260,7 @@ def test_a_device_is_stated_with_the_fixtures(tmp_path: Path) -> None:
 def test_a_joint_cap_of_a_session_holds_without_a_list_of_fixtures(tmp_path: Path) -> None:
     """It was read and left out: 0.6 N, or what a file of fixtures said."""
     document = {"ultrasound": "a.mha", "cap_n": 0.2}
-    options, _ = read_session_fixtures(SessionDraft.model_validate(document), tmp_path, "session.yaml")
+    options, _ = session_fixtures(SessionConfig.model_validate(document), tmp_path, "session.yaml")
     assert options is not None
     assert (options.joint_cap_n, options.fixtures) == (0.2, (FixtureOptions(),))
     document["fixtures"] = "fixtures.yaml"
@@ -268,8 +268,8 @@ def test_a_joint_cap_of_a_session_holds_without_a_list_of_fixtures(tmp_path: Pat
     with pytest.raises(
         UnreadableFileError, match=r"cap_n belongs in fixtures\.yaml, which describes the fixtures"
     ):
-        read_session_fixtures(SessionDraft.model_validate(document), tmp_path, "session.yaml")
+        session_fixtures(SessionConfig.model_validate(document), tmp_path, "session.yaml")
     del document["cap_n"]
-    options, _ = read_session_fixtures(SessionDraft.model_validate(document), tmp_path, "session.yaml")
+    options, _ = session_fixtures(SessionConfig.model_validate(document), tmp_path, "session.yaml")
     assert options is not None
     assert options.joint_cap_n == 0.6

@@ -18,8 +18,8 @@ import numpy as np
 import pytest
 
 from dvf_ig.core import DvfIgError, UnreadableFileError
-from dvf_ig.intake.scenario.read import read_scenario
-from dvf_ig.intake.scenario.write import write_scenario
+from dvf_ig.intake.scenario_write import write_scenario
+from dvf_ig.intake.session import read_scenario
 from dvf_ig.io import (
     read_calibrations,
     read_feature_points,

@@ -29,12 +29,12 @@ def recorded_session(out: Path, ready: "LiveSetup") -> "Iterator[SessionRecord]"
     from dvf_ig.replay.outputs import NAMES
     from dvf_ig.replay.view_file import VIEW
 
-    setup, patient = ready.setup, ready.patient
+    setup, files = ready.setup, ready.files
     in_use = setup.calibrations
 
     def attach(log: LogWriter) -> None:
-        preop = attach_heart(log, patient.preop, setup.heart.model)
-        document = document_of_live(patient, in_use.probe_from_image, in_use.lag_s, in_use.tip, preop)
+        preop = attach_heart(log, files.heart, setup.heart.model)
+        document = document_of_live(files, in_use.probe_from_image, in_use.lag_s, in_use.tip, preop)
         log.attach(DOCUMENT, "application/json", document)
         options = live_document(setup.fixtures, setup.retiming, setup.seed)
         log.attach(LIVE, "application/json", options)
@@ -50,17 +50,17 @@ def write_run(out: Path, ready: "LiveSetup", history: "SessionHistory") -> None:
         UnreadableFileError: the session never began.
         OutputError: not writable.
     """
+    from dvf_ig.intake.session_log.read import read_session_log
     from dvf_ig.io import files_together, provenance_fields, write_json, write_text
     from dvf_ig.live.record import LOG
     from dvf_ig.replay import Replay, result_of
-    from dvf_ig.replay.export.session_log_read import read_session_log
     from dvf_ig.replay.outputs import NAMES, write_outputs
     from dvf_ig.replay.page.replay_page import report_html
     from dvf_ig.replay.repetition import recorded_ticks
     from dvf_ig.replay.view_file import VIEW, write_view_file
 
     recordings = read_session_log(out / LOG, images=False)
-    live = recordings.live
+    live = recordings.record
     if live is None:
         return
     ticks = recorded_ticks(live)

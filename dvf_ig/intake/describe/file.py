@@ -12,25 +12,8 @@ from dvf_ig.core.recordings.signal import Signal
 from dvf_ig.core.recordings.stream import PoseStream
 from dvf_ig.core.space.image_map import ImageMap
 from dvf_ig.core.timing.trigger import TriggerTimes
-from dvf_ig.intake.describe.anatomy import (
-    cine_facts,
-    image_facts,
-    landmark_facts,
-    mesh_facts,
-    model_facts,
-    surface_facts,
-    tag_facts,
-    transform_facts,
-)
-from dvf_ig.intake.describe.sequence import (
-    clock_facts,
-    sequence_facts,
-    sequence_file_facts,
-    signal_facts,
-    stream_facts,
-)
-from dvf_ig.intake.scenario.layout import CONFIG
-from dvf_ig.intake.scenario.read import read_scenario
+from dvf_ig.intake.scenario import CONFIG
+from dvf_ig.intake.session import read_scenario
 from dvf_ig.io.dicom.cine import is_dicom_folder
 from dvf_ig.io.ecg.beat_annotations import read_annotations
 from dvf_ig.io.ecg.recording import names_ecg, read_ecg
@@ -42,6 +25,24 @@ from dvf_ig.io.plus.poses import read_poses
 from dvf_ig.io.plus.sequence_read import PIXEL_FRAMES, read_sequence
 from dvf_ig.io.plus.xml import CoordinateDefinition, parse_xml, read_transforms
 from dvf_ig.io.reading import read_bytes
+
+from .anatomy import (
+    cine_facts,
+    image_facts,
+    landmark_facts,
+    mesh_facts,
+    model_facts,
+    surface_facts,
+    tag_facts,
+    transform_facts,
+)
+from .sequence import (
+    clock_facts,
+    sequence_facts,
+    sequence_file_facts,
+    signal_facts,
+    stream_facts,
+)
 
 Facts = dict[str, Any]
 Reader = Callable[[Path], Facts]

@@ -13,7 +13,7 @@ from dvf_ig.core.space.image_map import ImageMap
 from dvf_ig.core.space.points import Landmarks, Points
 from dvf_ig.core.space.rigid import Rigid
 from dvf_ig.core.timing.trigger import TriggerTimes
-from dvf_ig.intake.live_read import LivePatient
+from dvf_ig.intake.parts import SessionFiles
 from dvf_ig.intake.schema import FanConfig, PreopConfig
 from dvf_ig.io import limits
 from dvf_ig.io.plus.names import split_transform
@@ -131,26 +131,30 @@ def document_of(scenario: Scenario, image: ImageMap, lag_s: float, tip: Points, 
         has_timestamps=sequence.has_timestamps,
         orientation=sequence.orientation,
         preop=preop,
-        **_of_patient(scenario, image, lag_s, tip),
+        **_of_patient(SessionFiles.of(scenario), image, lag_s, tip),
     )
 
 
 def document_of_live(
-    patient: LivePatient, image: ImageMap, lag_s: float, tip: Points, preop: PreopConfig
+    files: SessionFiles, image: ImageMap, lag_s: float, tip: Points, preop: PreopConfig
 ) -> bytes:
-    """The same of a live session before its first event: the ECG's leads and its beginning come with it."""
-    live = patient.live
+    """JSON of a live session before its first event: the ECG's leads and its beginning come with it.
+
+    Raises:
+        InvalidInputError: the session has no heart, or does not say who sends what.
+    """
+    live = files.required_live
     reference = split_transform(live.probe) if live.reference is None else split_transform(live.reference)
     against = "tracker" if reference is None else reference[0 if live.reference is None else 1]
     return _json(
-        name=patient.preop.patient_id,
+        name=files.heart.patient_id,
         preset="recorded",
         tracked_against=against,
         beats=BeatsEntry(kind="ecg", rate_hz=live.ecg.rate_hz),
         has_timestamps=True,
         orientation=live.calibrated_orientation,
         preop=preop,
-        **_of_patient(patient, image, lag_s, tip),
+        **_of_patient(files, image, lag_s, tip),
     )
 
 
@@ -159,27 +163,20 @@ def _json(**fields: Any) -> bytes:
     return json.dumps(document.model_dump(mode="json", by_alias=True), indent=1).encode()
 
 
-def _of_patient(given: Scenario | LivePatient, image: ImageMap, lag_s: float, tip: Points) -> dict[str, Any]:
+def _of_patient(files: SessionFiles, image: ImageMap, lag_s: float, tip: Points) -> dict[str, Any]:
     """What a recording and a live session have in common."""
-    fan, start = given.fan, given.start
+    fan, start = files.fan, files.start
     return {
-        "patient_id": given.preop.patient_id,
-        "fan": None
-        if fan is None
-        else FanConfig(
-            apex_px=(float(fan.apex_px[0]), float(fan.apex_px[1])),
-            start_px=float(fan.start_px),
-            stop_px=float(fan.stop_px),
-            half_angle_rad=float(fan.half_angle_rad),
-        ),
+        "patient_id": files.heart.patient_id,
+        "fan": None if fan is None else FanConfig.of(fan),
         "probe_from_image": ImageEntry.of(image),
         "lag_s": lag_s,
         "tip": PointsEntry.of(tip),
-        "start": None if start is None else RigidEntry.of(start),
-        "landmarks_mr": _points(given.landmarks_mr),
-        "landmarks_tracker": _points(given.landmarks_tracker),
-        "touched": _points(given.touched),
-        "touched_phase": given.touched_phase,
+        "start": None if start.start is None else RigidEntry.of(start.start),
+        "landmarks_mr": _points(start.landmarks_mr),
+        "landmarks_tracker": _points(start.landmarks_tracker),
+        "touched": _points(start.touched),
+        "touched_phase": start.touched_phase,
     }
 
 

@@ -2,8 +2,8 @@
 
 from dvf_ig.core.model import DvfModel
 from dvf_ig.core.recordings.scenario import Preop
-from dvf_ig.intake.scenario.layout import PreopConfig as FolderPreop
-from dvf_ig.intake.scenario.write import write_preop
+from dvf_ig.intake.scenario import ScenarioPreop
+from dvf_ig.intake.scenario_write import write_preop
 from dvf_ig.intake.schema import PreopConfig
 from dvf_ig.io.model.model_file import model_bytes
 from dvf_ig.io.ros.log_file import LogWriter
@@ -19,7 +19,7 @@ def attach_heart(log: LogWriter, preop: Preop, given: DvfModel | None) -> PreopC
     images its times.
     """
     has_labels = preop.labels is not None or preop.ed_labels is not None
-    files = FolderPreop(
+    files = ScenarioPreop(
         kind="labels",
         mr="preop/mr.nrrd" if preop.mr is not None else None,
         labels="preop/labels.nrrd" if has_labels else None,

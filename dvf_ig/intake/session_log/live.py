@@ -19,7 +19,11 @@ from pydantic import Field
 from dvf_ig.core.arrays import FloatArray
 from dvf_ig.guidance import FixtureSet
 from dvf_ig.intake.fixtures import DeviceConfig, FixturesConfig, RetimingName
-from dvf_ig.intake.session_log.topics import (
+from dvf_ig.io.ros import messages as ros
+from dvf_ig.io.yaml_config import Section
+from dvf_ig.session import EcgSamples, Event, GuidanceState, Landmark, ToolPose, TrackedFrame, Trigger
+
+from .topics import (
     ECG,
     EXACT_FRAME,
     EXACT_TOOL,
@@ -30,9 +34,6 @@ from dvf_ig.intake.session_log.topics import (
     exact_pose,
     status_message,
 )
-from dvf_ig.io.ros import messages as ros
-from dvf_ig.io.yaml_config import Section
-from dvf_ig.session import EcgSamples, Event, GuidanceState, Landmark, ToolPose, TrackedFrame, Trigger
 
 LIVE = "live.json"
 EVENT, STATE, WORK = "/exact/event", "/exact/state", "/exact/work"

@@ -24,26 +24,26 @@ from dvf_ig.core import (
     SurfaceSeries,
     VolumeSeries,
 )
-from dvf_ig.intake.agreement.cycle import heart_speed
-from dvf_ig.intake.agreement.finding import Disagreement
 from dvf_ig.intake.ecg_delay import speed_between
-from dvf_ig.intake.fit import fit_of, parts_of
-from dvf_ig.intake.parts import SessionParts
-from dvf_ig.intake.read import read_session
+from dvf_ig.intake.findings import Disagreement
+from dvf_ig.intake.fit import fit_of
+from dvf_ig.intake.heart_in_images import heart_speed
+from dvf_ig.intake.parts import SessionFiles
+from dvf_ig.intake.session import read_session
 from dvf_ig.io import write_poses, write_surface_series
 
-Change = Callable[[SessionParts], SessionParts]
+Change = Callable[[SessionFiles], SessionFiles]
 
 
 @pytest.fixture(scope="module")
-def parts(files: Path) -> SessionParts:
+def parts(files: Path) -> SessionFiles:
     path = files / "agreeing.yaml"
     path.write_text(json.dumps(SESSION))
-    return parts_of(read_session(path))
+    return replace(read_session(path), named={})
 
 
 def heart_of(length_mm: float) -> Change:
-    def change(parts: SessionParts) -> SessionParts:
+    def change(parts: SessionFiles) -> SessionFiles:
         assert parts.preop is not None
         assert parts.preop.model is not None
         surface = Mesh("mr", length_mm * np.eye(3), np.array([[0, 1, 2]]))
@@ -60,7 +60,7 @@ def labels_of(length_mm: float) -> Change:
     grid = Grid.axis_aligned("mr", (20, 20, 20), [0.0] * 3, length_mm / 10)
     series = VolumeSeries(grid, values, CycleTiming.uniform(2, 0.8))
 
-    def change(parts: SessionParts) -> SessionParts:
+    def change(parts: SessionFiles) -> SessionFiles:
         assert parts.preop is not None
         preop = replace(parts.preop.preop, labels=series, organ_labels=(7,))
         return replace(parts, preop=replace(parts.preop, preop=preop, model=None))
@@ -68,7 +68,7 @@ def labels_of(length_mm: float) -> Change:
     return change
 
 
-def mr_is_labels(parts: SessionParts) -> SessionParts:
+def mr_is_labels(parts: SessionFiles) -> SessionFiles:
     changed = labels_of(100.0)(parts)
     assert changed.preop is not None
     preop = replace(changed.preop.preop, mr=changed.preop.preop.labels)
@@ -80,21 +80,21 @@ def moved(stream: PoseStream, factor: float = 1.0, by_mm: float = 0.0) -> PoseSt
 
 
 def tool(factor: float = 1.0, by_mm: float = 0.0) -> Change:
-    def change(parts: SessionParts) -> SessionParts:
+    def change(parts: SessionFiles) -> SessionFiles:
         assert parts.tool is not None
         return replace(parts, tool=moved(parts.tool, factor, by_mm))
 
     return change
 
 
-def still(parts: SessionParts) -> SessionParts:
+def still(parts: SessionFiles) -> SessionFiles:
     assert parts.tool is not None
     held = np.repeat(parts.tool.translations_mm[:1], len(parts.tool), axis=0)
     return replace(parts, tool=replace(parts.tool, translations_mm=held))
 
 
 def tool_is(name: str) -> Change:
-    def change(parts: SessionParts) -> SessionParts:
+    def change(parts: SessionFiles) -> SessionFiles:
         assert parts.sweep is not None
         assert parts.tool is not None
         if name == "probe":
@@ -104,7 +104,7 @@ def tool_is(name: str) -> Change:
     return change
 
 
-def exchanged(parts: SessionParts) -> SessionParts:
+def exchanged(parts: SessionFiles) -> SessionFiles:
     """Images by the tool's poses, which never bring them to the heart, and the tool by the probe's."""
     parts = heart_of(90.0)(parts)
     assert parts.sweep is not None
@@ -113,14 +113,14 @@ def exchanged(parts: SessionParts) -> SessionParts:
 
 
 def probe(factor: float) -> Change:
-    def change(parts: SessionParts) -> SessionParts:
+    def change(parts: SessionFiles) -> SessionFiles:
         assert parts.sweep is not None
         return replace(parts, sweep=replace(parts.sweep, probe=moved(parts.sweep.probe, factor)))
 
     return change
 
 
-def milliseconds(parts: SessionParts) -> SessionParts:
+def milliseconds(parts: SessionFiles) -> SessionFiles:
     assert parts.tool is not None
     return replace(parts, tool=replace(parts.tool, t_s=1000.0 * parts.tool.t_s))
 
@@ -129,7 +129,7 @@ def tip(*xyz_mm: float) -> Change:
     return lambda parts: replace(parts, tip=Points("tool", np.array([xyz_mm])))
 
 
-def image_moved(parts: SessionParts) -> SessionParts:
+def image_moved(parts: SessionFiles) -> SessionFiles:
     far = replace(parts.probe.rigid, translation_mm=np.array([0.0, 0.0, -400.0]))  # type: ignore[union-attr]
     return replace(parts, probe=replace(parts.probe, rigid=far))  # type: ignore[type-var]
 
@@ -140,7 +140,7 @@ def start_at(z_mm: float) -> Change:
 
 
 def landmarks(by_mm: float) -> Change:
-    def change(parts: SessionParts) -> SessionParts:
+    def change(parts: SessionFiles) -> SessionFiles:
         marked = parts.start.landmarks_mr
         assert marked is not None
         there = Landmarks(marked.names, Points("mr", marked.points.xyz_mm + by_mm))
@@ -149,21 +149,21 @@ def landmarks(by_mm: float) -> Change:
     return change
 
 
-def same_landmarks(parts: SessionParts) -> SessionParts:
+def same_landmarks(parts: SessionFiles) -> SessionFiles:
     marked = parts.start.landmarks_mr
     assert marked is not None
     touched = Landmarks(marked.names, Points("tracker", marked.points.xyz_mm))
     return replace(parts, start=replace(parts.start, landmarks_tracker=touched))
 
 
-def slow_heart(parts: SessionParts) -> SessionParts:
+def slow_heart(parts: SessionFiles) -> SessionFiles:
     assert parts.preop is not None
     assert parts.preop.model is not None
     slow = replace(parts.preop.model, timing=replace(parts.preop.model.timing, rr_s=2.4))
     return replace(parts, preop=replace(parts.preop, model=slow))
 
 
-def short_ecg(parts: SessionParts) -> SessionParts:
+def short_ecg(parts: SessionFiles) -> SessionFiles:
     return replace(parts, ecg=replace(parts.ecg, samples=parts.ecg.samples[:1100]))  # type: ignore[union-attr,type-var]
 
 
@@ -171,7 +171,7 @@ def beating(late_s: float = 0.0, drift: float = 0.0, noise: float = 0.0) -> Chan
     """Images that change as fast as the model moves, by an ECG that is late, or whose clock runs too fast."""
     sizes = np.array([1.0, 0.8, 0.85, 0.95])
 
-    def change(parts: SessionParts) -> SessionParts:
+    def change(parts: SessionFiles) -> SessionFiles:
         assert parts.preop is not None
         assert parts.preop.model is not None
         assert parts.sweep is not None
@@ -253,13 +253,13 @@ CASES: dict[str, tuple[Change, Disagreement, str]] = {
 }
 
 
-def test_files_that_agree(parts: SessionParts) -> None:
+def test_files_that_agree(parts: SessionFiles) -> None:
     fit = fit_of(parts)
     assert (fit.misfits, fit.warnings) == ((), ())
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_what_does_not_agree_is_refused_or_told(parts: SessionParts, case: str) -> None:
+def test_what_does_not_agree_is_refused_or_told(parts: SessionFiles, case: str) -> None:
     change, cause, key = CASES[case]
     fit = fit_of(change(parts))
     told = [(one.key, one.sentence) for one in fit.misfits]
@@ -272,7 +272,7 @@ def test_what_does_not_agree_is_refused_or_told(parts: SessionParts, case: str) 
 
 
 @pytest.mark.parametrize("late_s", [-0.3, -0.2, 0.0, 0.04, 0.2])
-def test_images_tell_how_late_the_ecg_is(parts: SessionParts, late_s: float) -> None:
+def test_images_tell_how_late_the_ecg_is(parts: SessionFiles, late_s: float) -> None:
     seen = fit_of(beating(-late_s)(parts)).seen
     assert seen is not None
     assert seen.delay.known
@@ -281,7 +281,7 @@ def test_images_tell_how_late_the_ecg_is(parts: SessionParts, late_s: float) -> 
     assert seen.drift_s == pytest.approx(0.0, abs=0.04)
 
 
-def test_a_heart_s_speed_is_known_where_its_vertices_do_not_correspond(parts: SessionParts) -> None:
+def test_a_heart_s_speed_is_known_where_its_vertices_do_not_correspond(parts: SessionFiles) -> None:
     assert parts.preop is not None
     assert parts.preop.model is not None
     radii_mm = np.array([40.0, 32.0, 34.0, 38.0])
@@ -299,7 +299,7 @@ def caps_of(meshes: list[Mesh]) -> tuple[np.ndarray[Any, np.dtype[np.bool_]], ..
     return tuple(np.zeros(len(mesh.triangles), dtype=np.bool_) for mesh in meshes)
 
 
-def test_images_that_do_not_beat_say_nothing(parts: SessionParts) -> None:
+def test_images_that_do_not_beat_say_nothing(parts: SessionFiles) -> None:
     still = beating()(parts)
     assert still.sweep is not None
     noise = np.random.default_rng(5).integers(1, 255, still.sweep.recorded.images.shape, np.uint8)  # type: ignore[union-attr]
@@ -323,9 +323,9 @@ def test_names_of_surfaces_tell_their_patient(lab: Path, beating_sphere: Surface
     preop = {"surfaces_folder": "surfaces", "surfaces": [name], "surface": name}
     read = read_session(write(lab, {**SESSION, "patient_id": "P-17", "preop": preop}))
     assert read.scenario.preop.surfaces[0].patient_id == "P-17"
-    assert Disagreement.OTHER_PATIENT in {one.cause for one in fit_of(parts_of(read)).warnings}
+    assert Disagreement.OTHER_PATIENT in {one.cause for one in fit_of(read).warnings}
     read = read_session(write(lab, {**SESSION, "patient_id": "P-18", "preop": preop}))
-    assert Disagreement.OTHER_PATIENT not in {one.cause for one in fit_of(parts_of(read)).warnings}
+    assert Disagreement.OTHER_PATIENT not in {one.cause for one in fit_of(read).warnings}
 
 
 def test_every_disagreement_has_its_case() -> None:

@@ -77,10 +77,11 @@ def test_the_files_of_a_trial_give_its_error(toy_pairs: None, tmp_path: Path) ->
     ]
     assert len(volumes) == 12
     heart = ["--cine", place / "cine.nrrd", "--labels", place / "labels.nrrd", "--cavity", 2]
-    given = [*heart, "--start", place / f"start-{number}.tfm"]
-    done = CliRunner().invoke(
-        app, ["register", *map(str, given), *volumes, "--seed", str(number), "-o", str(tmp_path / "out")]
-    )
+    given = [*heart, "--start", place / f"start-{number}.tfm", "-o", tmp_path / "session.yaml"]
+    made = CliRunner().invoke(app, ["config", "init", *map(str, given), *volumes])
+    assert made.exit_code == 0, made.output
+    words = [tmp_path / "session.yaml", "--seed", number, "-o", tmp_path / "out"]
+    done = CliRunner().invoke(app, ["register", *map(str, words)])
     assert done.exit_code in (0, 7), done.output
     sides = [str(place / f"targets_{side}.mrk.json") for side in ("tracker", "mr")]
     measured = CliRunner().invoke(

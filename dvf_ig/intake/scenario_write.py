@@ -1,5 +1,6 @@
 """Write a scenario as a folder: recordings at the top, everything that is truth under `truth/`."""
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
@@ -9,24 +10,11 @@ from dvf_ig.core.errors import InvalidInputError
 from dvf_ig.core.recordings.phantom import NWireRecording
 from dvf_ig.core.recordings.scenario import LatencyRecording, Preop, Scenario
 from dvf_ig.core.recordings.sequence import TrackedSequence
+from dvf_ig.core.recordings.signal import Signal
 from dvf_ig.core.recordings.stream import PoseStream
 from dvf_ig.core.space.rigid import Rigid
 from dvf_ig.core.timing.cycle import CycleTiming
 from dvf_ig.core.timing.trigger import TriggerTimes
-from dvf_ig.intake.scenario.layout import (
-    CONFIG,
-    PREVIEW,
-    README,
-    SPEC,
-    TRIGGER,
-    TRUTH,
-    FilesConfig,
-    PreopConfig,
-    ScenarioConfig,
-    config_text,
-)
-from dvf_ig.intake.scenario.readme import ScenarioNotes, readme_text
-from dvf_ig.intake.schema import FanConfig
 from dvf_ig.io.ecg.recording import write_ecg_csv
 from dvf_ig.io.ecg.trigger import TRIGGER_PREFIX, write_triggers
 from dvf_ig.io.image.timing import timing_document
@@ -41,6 +29,35 @@ from dvf_ig.io.transform import write_transform
 from dvf_ig.io.truth import write_truth
 from dvf_ig.io.writing.atomic import atomic_folder, write_bytes, write_text
 from dvf_ig.io.writing.place import make_folder
+
+from .scenario import (
+    CONFIG,
+    PREVIEW,
+    README,
+    SPEC,
+    TRIGGER,
+    TRUTH,
+    FilesConfig,
+    ScenarioConfig,
+    ScenarioPreop,
+    config_text,
+)
+from .schema import FanConfig
+
+
+@dataclass(frozen=True, slots=True)
+class ScenarioNotes:
+    """What is known of a synthetic scenario beyond its recordings.
+
+    Attributes:
+        faults: one sentence each, without values of the ground truth.
+        spec: YAML from which the scenario can be made again; it is written into truth/.
+        preview_png: a picture of the scenario as a PNG file's bytes, see `dvf_ig.report.preview_png`.
+    """
+
+    faults: tuple[str, ...] = ()
+    spec: str = ""
+    preview_png: bytes | None = None
 
 
 def write_scenario(scenario: Scenario, folder: Path | str, notes: ScenarioNotes | None = None) -> None:
@@ -103,7 +120,7 @@ def _config(scenario: Scenario) -> ScenarioConfig:
         preset=scenario.preset,
         seed=None if scenario.seed is None else int(scenario.seed),
         patient_id=preop.patient_id,
-        preop=PreopConfig(
+        preop=ScenarioPreop(
             kind=_kind(preop),
             mr="preop/mr.nrrd" if preop.mr is not None else None,
             labels=None if preop.labels is None and preop.ed_labels is None else "preop/labels.nrrd",
@@ -112,14 +129,7 @@ def _config(scenario: Scenario) -> ScenarioConfig:
             label_names={int(value): name for value, name in preop.label_names},
             organ_labels=tuple(int(value) for value in preop.organ_labels),
         ),
-        fan=None
-        if fan is None
-        else FanConfig(
-            apex_px=(float(fan.apex_px[0]), float(fan.apex_px[1])),
-            start_px=float(fan.start_px),
-            stop_px=float(fan.stop_px),
-            half_angle_rad=float(fan.half_angle_rad),
-        ),
+        fan=None if fan is None else FanConfig.of(fan),
         files=FilesConfig(
             ecg=f"{TRIGGER_PREFIX}{TRIGGER}" if isinstance(scenario.ecg, TriggerTimes) else "ecg.csv",
             start="start.tfm" if scenario.start is not None else None,
@@ -145,7 +155,7 @@ def _kind(preop: Preop) -> Literal["labels", "surfaces", "labels and surfaces"]:
     return "labels" if labelled else "surfaces"
 
 
-def write_preop(preop: Preop, folder: Path, config: PreopConfig) -> None:
+def write_preop(preop: Preop, folder: Path, config: ScenarioPreop) -> None:
     """Write images, surfaces and times under the names of the configuration.
 
     Raises:
@@ -187,3 +197,106 @@ def _write_latency(recording: LatencyRecording, folder: Path, files: FilesConfig
     seen = np.ones(len(trace.t_s), dtype=np.bool_)
     write_sequence(TrackedSequence(trace.t_s, None, seen, {}), folder / files.latency_video)
     write_line_table(folder / files.latency_lines, trace.values)
+
+
+def readme_text(scenario: Scenario, notes: ScenarioNotes) -> str:
+    """Markdown for a person who opens the folder."""
+    faults = notes.faults or ("None beyond ordinary noise, mild variability and short drop-outs.",)
+    preview = "" if notes.preview_png is None else "`preview.png` shows it at a glance. "
+    again = ["`truth/spec.yaml` makes this scenario again: `dvf-ig synth scenario --spec FILE -o DIR`.", ""]
+    return "\n".join(
+        [
+            f"# {scenario.name}",
+            "",
+            f"A {'recorded' if scenario.truth is None else 'synthetic'} intervention, preset "
+            f"`{scenario.preset}`. {preview}Replay it with `dvf-ig replay DIR -o RUN`.",
+            "",
+            "## Disturbances",
+            "",
+            *(f"- {fault}" for fault in faults),
+            "",
+            "## Files",
+            "",
+            "| file | content | frame | clock |",
+            "|---|---|---|---|",
+            *(f"| {' | '.join(row)} |" for row in _rows(scenario)),
+            "",
+            *_CONVENTIONS,
+            "",
+            *(again if notes.spec and scenario.truth is not None else []),
+        ]
+    )
+
+
+def _beat_source_row(source: Signal | TriggerTimes) -> tuple[str, str, str, str]:
+    if isinstance(source, TriggerTimes):
+        return (f"`{TRIGGER}`", f"{len(source)} pulses of a trigger in place of an ECG", "", "tracker")
+    told = f"{len(source) / source.rate_hz:.1f} s, {', '.join(source.leads)}, {source.unit}"
+    return ("`ecg.csv`", told, "", "tracker")
+
+
+def _rows(scenario: Scenario) -> list[tuple[str, str, str, str]]:
+    ecg, images = scenario.ecg, scenario.ultrasound
+    tool_poses = len(scenario.tool or ()) + len(scenario.tool_after_restart or ())
+    size = "" if images.images is None else f" of {images.images.shape[2]} × {images.images.shape[1]} px"
+    rows = [
+        ("`scenario.yaml`", "which file is what; the ultrasound fan in pixels", "", ""),
+        *_preop_rows(scenario.preop),
+        _beat_source_row(ecg),
+        (
+            "`ultrasound.igs.mha`",
+            f"{len(images)} images{size}, with the pose looked up at each video stamp",
+            "tracker_from_probe",
+            "video",
+        ),
+        ("`tool.igs.mha`", f"{tool_poses} poses of the tool", "tracker_from_tool", "tracker"),
+        (
+            "`calibration/pivot.igs.mha`",
+            "the tool turns about its resting tip",
+            "tracker_from_tool",
+            "tracker",
+        ),
+        ("`calibration/nwire*`", "N-wire sweep: poses, wires, segmented crossings", "phantom_from_probe", ""),
+        ("`calibration/latency_tracker.igs.mha`", "water tank: poses", "tracker_from_probe", "tracker"),
+        (
+            "`calibration/latency_video.igs.mha`, `…_lines.xml`",
+            "water tank: the floor's line",
+            "image",
+            "video",
+        ),
+    ]
+    if scenario.start is not None:
+        rows.append(("`start.tfm`", "coarse pose given by the operator", "mr_from_tracker", ""))
+    if scenario.landmarks_mr is not None:
+        rows.append(("`landmarks_mr.mrk.json`", "points on the pre-operative heart", "mr", ""))
+    if scenario.landmarks_tracker is not None:
+        rows.append(("`landmarks_tracker.mrk.json`", "the same points, touched", "tracker", ""))
+    if scenario.truth is not None:
+        rows.append(("`truth/`", "the ground truth; a replay reads it only to score itself", "", ""))
+    return rows
+
+
+def _preop_rows(preop: Preop) -> list[tuple[str, str, str, str]]:
+    rows = []
+    if preop.mr is not None:
+        phases = len(preop.mr.timing)
+        rows.append(("`preop/mr.nrrd`", f"pre-operative MR, {phases} phases of the cycle", "mr", ""))
+    if preop.labels is not None:
+        rows.append(("`preop/labels.nrrd`", f"its {len(preop.label_names)} tissue labels", "mr", ""))
+    rows += [
+        (f"`preop/{s.name}_*.vtp`", f"surface, {len(s.timing)} phases", "mr", "") for s in preop.surfaces
+    ]
+    return rows
+
+
+_CONVENTIONS = (
+    "## Frames and clocks",
+    "",
+    "- All lengths are in mm, times in s; `mr` is LPS (left, posterior, superior are positive).",
+    "- `target_from_source` maps coordinates of the source frame to the target frame. `image` is in pixels "
+    "(column, row).",
+    "- `tracker` is the tracking system's base, `probe` the sensor on the ultrasound probe, `tool` the one "
+    "on the tool.",
+    "- ECG and tracker share one clock. The video clock differs from it by a latency that the water-tank "
+    "recording holds.",
+)

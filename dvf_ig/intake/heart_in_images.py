@@ -9,19 +9,20 @@ from scipy.spatial import cKDTree
 from dvf_ig.core.arrays import FloatArray
 from dvf_ig.core.space.image_map import ImageMap
 from dvf_ig.core.space.mesh import Mesh
-from dvf_ig.intake.agreement.finding import Disagreement, Finding, finding
-from dvf_ig.intake.ecg_delay import (
+from dvf_ig.registration.lc2.slices import fan_mask_from_images
+
+from .ecg_delay import (
     LATE_S,
     CycleSpeed,
     EcgDelay,
     delay_drift_s,
     ecg_delay,
+    image_change,
     speed_between,
 )
-from dvf_ig.intake.image_change import image_change
-from dvf_ig.intake.parts import SessionParts
-from dvf_ig.intake.preop import PreopFiles
-from dvf_ig.registration.lc2.slices import fan_mask_from_images
+from .findings import Disagreement, Finding, finding
+from .parts import SessionFiles
+from .preop import PreopFiles
 
 MOST_POINTS = 2000
 """Of a surface whose distance from the next one is measured."""
@@ -57,30 +58,30 @@ class HeartInImages:
         }
 
 
-def heart_in_images(parts: SessionParts, peaks_s: FloatArray) -> HeartInImages | None:
+def heart_in_images(files: SessionFiles, peaks_s: FloatArray) -> HeartInImages | None:
     """Compare them; None where images, their calibration and latency, or the heart's motion are not there.
 
     Args:
         peaks_s: (k,) R peaks of the ECG.
     """
-    sweep, heart = parts.sweep, None if parts.preop is None else heart_speed(parts.preop)
+    sweep, heart = files.sweep, None if files.preop is None else heart_speed(files.preop)
     if sweep is None or heart is None or sweep.recorded.images is None or len(sweep.recorded) < 2:
         return None
-    if not isinstance(parts.probe, ImageMap) or not isinstance(parts.latency, float) or not len(peaks_s):
+    if not isinstance(files.probe, ImageMap) or not isinstance(files.latency, float) or not len(peaks_s):
         return None
     images = sweep.recorded.images
-    fan = parts.fan
+    fan = files.fan
     shown = fan_mask_from_images(images) if fan is None else fan.mask(*images.shape[1:])
-    change = image_change(sweep.recorded, sweep.probe, parts.probe, shown)
+    change = image_change(sweep.recorded, sweep.probe, files.probe, shown)
     return HeartInImages(
-        ecg_delay(change, parts.latency, peaks_s, heart),
-        delay_drift_s(change, parts.latency, peaks_s, heart),
+        ecg_delay(change, files.latency, peaks_s, heart),
+        delay_drift_s(change, files.latency, peaks_s, heart),
     )
 
 
-def heart_speed(files: PreopFiles) -> CycleSpeed | None:
+def heart_speed(heart: PreopFiles) -> CycleSpeed | None:
     """How fast the heart moves over its cycle, by its labels, its model or its surfaces."""
-    preop, model = files.preop, files.model
+    preop, model = heart.preop, heart.model
     if preop.labels is not None:
         values = preop.labels.values
         changed = [np.count_nonzero(values[i - 1] != values[i]) for i in range(len(values))]

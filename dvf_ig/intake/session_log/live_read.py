@@ -10,15 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvf_ig.core import FloatArray, PoseStream, Signal, TrackedSequence, UnreadableFileError
-from dvf_ig.intake.agreement.finding import Disagreement, Finding, finding
-from dvf_ig.intake.live_record import Arrived, LiveRecord
-from dvf_ig.intake.session_log.document import SessionDocument
-from dvf_ig.intake.session_log.live import EVENT, LIVE_STREAMS, LOST, STATE, WORK, EventKind, LiveDocument
-from dvf_ig.intake.session_log.topics import ECG, EXACT_FRAME, EXACT_TOOL, IMAGE, STREAMS, TRIGGER
+from dvf_ig.intake.findings import Disagreement, Finding, finding
 from dvf_ig.io import limits
 from dvf_ig.io.ros import messages as ros
 from dvf_ig.io.ros.log_file import LogReader
 from dvf_ig.session import EcgSamples, Landmark, Rearm, ToolPose, TrackedFrame
+
+from .document import SessionDocument
+from .live import EVENT, LIVE_STREAMS, LOST, STATE, WORK, EventKind, LiveDocument
+from .live_record import Arrived, LiveRecord
+from .topics import ECG, EXACT_FRAME, EXACT_TOOL, IMAGE, STREAMS, TRIGGER
 
 Stamped = TypeVar("Stamped", TrackedFrame, ToolPose)
 UNIT = "as sent"

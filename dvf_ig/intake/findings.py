@@ -5,14 +5,22 @@ from enum import Enum
 from typing import NamedTuple
 
 from dvf_ig.core.errors import InvalidInputError
-from dvf_ig.intake.problem import Problem, Use
+
+from .problems import Problem, Use
 
 
 class Rule(NamedTuple):
-    """Of a cause: whether it is refused, else warned of; and the sentence, with names for what was found."""
+    """What follows from a cause.
+
+    Attributes:
+        refused: whether files with it cannot be used; else it is a warning.
+        sentence: with names for the numbers.
+        settings: keys that correct it.
+    """
 
     refused: bool
     sentence: str
+    settings: tuple[str, ...] = ()
 
 
 class Disagreement(Enum):
@@ -55,8 +63,8 @@ class Disagreement(Enum):
     PROBE_AND_TOOL_EXCHANGED = Rule(
         True,
         "at this start {share:.0%} of the images reach the heart; with the poses of the tool {other:.0%} "
-        "would: probe and tool look exchanged; exchange their names (--probe-name and --tool-name, or in "
-        "the recording itself)",
+        "would: probe and tool look exchanged; exchange their names, here or in the recording itself",
+        ("ultrasound.probe_name", "tool.name"),
     )
     TOOL_IS_PIVOT = Rule(
         True,
@@ -118,8 +126,9 @@ class Disagreement(Enum):
     )
     ECG_LATE = Rule(
         True,
-        "by the images' own cyclic motion the ECG is {ms:.0f} ms {which}; put its times right (ecg.start_s), "
-        "or check the latency of the images",
+        "by the images' own cyclic motion the ECG is {ms:.0f} ms {which}; check the latency of the images, "
+        "or correct the ECG's times",
+        ("ecg.start_s",),
     )
     ECG_PERHAPS_LATE = Rule(
         False,
@@ -167,7 +176,8 @@ class Finding:
     @property
     def problem(self) -> Problem:
         """The same as what keeps files from being used."""
-        return Problem(self.key, InvalidInputError(self.sentence), self.concerned)
+        error = InvalidInputError(self.sentence, key=self.key, settings=self.cause.value.settings)
+        return Problem(self.key, error, self.concerned)
 
     def concerns(self, use: Use) -> bool:
         """Whether it matters to a use; what matters to a registration matters to a replay."""

@@ -10,10 +10,12 @@ from dvf_ig.core.recordings.stream import PoseStream
 from dvf_ig.core.space.image_map import ImageMap
 from dvf_ig.core.space.points import Points
 from dvf_ig.core.space.rigid import Rigid
-from dvf_ig.intake.agreement.finding import Disagreement, Finding, finding
-from dvf_ig.intake.agreement.units import heart_surfaces
-from dvf_ig.intake.parts import SessionParts, StartFiles
 from dvf_ig.registration import start_from_landmarks
+
+from .findings import Disagreement, Finding, finding
+from .parts import SessionFiles
+from .preop import heart_surfaces
+from .readers import StartFiles
 
 OFF_MM = 100.0
 """Images, landmarks and tools that all stay this far from the box about the heart are of something else: a
@@ -30,32 +32,32 @@ MISSES, REACHES = 0.1, 0.5
 elsewhere in so many. In a synthetic recording all do; with the tool's poses in place of the probe's, none."""
 
 
-def place_findings(parts: SessionParts) -> Iterator[Finding]:
+def place_findings(files: SessionFiles) -> Iterator[Finding]:
     """What lies nowhere near the heart."""
-    heart = _heart_box(parts)
+    heart = _heart_box(files)
     if heart is None:
         return
-    marked = parts.start.landmarks_mr
+    marked = files.start.landmarks_mr
     if marked is not None:
         off_mm = float(_outside_mm(marked.points.xyz_mm, heart).min())
         if off_mm > OFF_MM:
             yield finding(Disagreement.LANDMARKS_OFF_HEART, "start.landmarks_mr", mm=off_mm)
             return
-    start = _start(parts.start)
+    start = _start(files.start)
     if start is None:
         return
-    images_off_mm = _images_off_mm(parts, start, heart)
+    images_off_mm = _images_off_mm(files, start, heart)
     if images_off_mm is not None:
-        exchanged = _exchanged(parts, start, heart, images_off_mm)
+        exchanged = _exchanged(files, start, heart, images_off_mm)
         if exchanged is not None:
             yield exchanged
             return
         if (off_mm := float(images_off_mm.min())) > OFF_MM:
-            key = "start.transform" if parts.start.start is not None else "start.landmarks_tracker"
+            key = "start.transform" if files.start.start is not None else "start.landmarks_tracker"
             yield finding(Disagreement.IMAGES_OFF_HEART, key, mm=off_mm)
             return
-    if parts.tool is not None and isinstance(parts.tip, Points):
-        tips = _moved(parts.tool, parts.tip.xyz_mm)
+    if files.tool is not None and isinstance(files.tip, Points):
+        tips = _moved(files.tool, files.tip.xyz_mm)
         off_mm = float(_outside_mm(start.apply_array(tips), heart).min()) if len(tips) else 0.0
         if off_mm > FAR_MM:
             yield finding(Disagreement.TOOL_OFF_HEART, "tool", "replay", mm=off_mm)
@@ -63,11 +65,11 @@ def place_findings(parts: SessionParts) -> Iterator[Finding]:
             yield finding(Disagreement.TOOL_FAR_FROM_HEART, "tool", "replay", mm=off_mm)
 
 
-def _heart_box(parts: SessionParts) -> tuple[FloatArray, FloatArray] | None:
+def _heart_box(files: SessionFiles) -> tuple[FloatArray, FloatArray] | None:
     """Lower and upper corner (3,) of the box about the heart, frame "mr"."""
-    if parts.preop is None:
+    if files.preop is None:
         return None
-    there = [xyz_mm for _, xyz_mm in heart_surfaces(parts.preop) if len(xyz_mm)]
+    there = [xyz_mm for _, xyz_mm in heart_surfaces(files.preop) if len(xyz_mm)]
     return None if not there else (there[0].min(axis=0), there[0].max(axis=0))
 
 
@@ -91,32 +93,32 @@ def _start(start: StartFiles) -> Rigid | None:
 
 
 def _images_off_mm(
-    parts: SessionParts, start: Rigid, heart: tuple[FloatArray, FloatArray], probe: PoseStream | None = None
+    files: SessionFiles, start: Rigid, heart: tuple[FloatArray, FloatArray], probe: PoseStream | None = None
 ) -> FloatArray | None:
     """(p,) distance of each image from the box about the heart; None if no pose or calibration is known.
 
     Args:
         probe: poses of the images, if not those of the sweep.
     """
-    if parts.sweep is None or parts.sweep.recorded.images is None or not isinstance(parts.probe, ImageMap):
+    if files.sweep is None or files.sweep.recorded.images is None or not isinstance(files.probe, ImageMap):
         return None
-    rows, columns = parts.sweep.recorded.images.shape[1:]
+    rows, columns = files.sweep.recorded.images.shape[1:]
     sides = np.meshgrid(np.linspace(0, columns, GRID), np.linspace(0, rows, GRID))
-    points = parts.probe.apply_pixels(np.stack(sides, axis=-1).reshape(-1, 2)).xyz_mm
-    at = _moved(parts.sweep.probe if probe is None else probe, points)
+    points = files.probe.apply_pixels(np.stack(sides, axis=-1).reshape(-1, 2)).xyz_mm
+    at = _moved(files.sweep.probe if probe is None else probe, points)
     if not len(at):
         return None
     return np.asarray(_outside_mm(start.apply_array(at), heart).reshape(-1, len(points)).min(axis=1))
 
 
 def _exchanged(
-    parts: SessionParts, start: Rigid, heart: tuple[FloatArray, FloatArray], images_off_mm: FloatArray
+    files: SessionFiles, start: Rigid, heart: tuple[FloatArray, FloatArray], images_off_mm: FloatArray
 ) -> Finding | None:
     """What is wrong if the images miss the heart by the probe's poses and reach it by the tool's."""
     share = float((images_off_mm == 0.0).mean())
-    if parts.tool is None or share > MISSES:
+    if files.tool is None or share > MISSES:
         return None
-    others_off_mm = _images_off_mm(parts, start, heart, parts.tool)
+    others_off_mm = _images_off_mm(files, start, heart, files.tool)
     if others_off_mm is None or (other := float((others_off_mm == 0.0).mean())) < REACHES:
         return None
     return finding(Disagreement.PROBE_AND_TOOL_EXCHANGED, "ultrasound.probe_name", share=share, other=other)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dvf_ig.core.arrays import FloatArray, read_only_arrays
-from dvf_ig.intake.agreement.finding import Finding
+from dvf_ig.intake.findings import Finding
 from dvf_ig.session import Event
 
 Arrived = tuple[Event, float | None]
@@ -21,7 +21,7 @@ class LiveRecord:
     Attributes:
         steps: events that were pushed, and between them moments at which the state was asked for.
         refused: of each work that was found done, by its number, how often it was not before.
-        states: (n, columns of `io.ros.live_log.STATE_COLUMNS`) what the session answered.
+        states: (n, columns of `session_log.live.STATE_COLUMNS`) what the session answered.
         seed: of the session.
         findings: what the record lacks.
     """

@@ -16,12 +16,8 @@ from dvf_ig.core import (
     TriggerTimes,
     UnreadableFileError,
 )
+from dvf_ig.intake.parts import SessionFiles
 from dvf_ig.intake.preop import PreopFiles, read_preop
-from dvf_ig.intake.read import SessionRecordings
-from dvf_ig.intake.session_log.document import SessionDocument, read_document
-from dvf_ig.intake.session_log.heart import MODEL
-from dvf_ig.intake.session_log.live import LIVE, LiveDocument
-from dvf_ig.intake.session_log.topics import DOCUMENT, ECG, EXACT_FRAME, EXACT_TOOL, IMAGE, STREAMS, TRIGGER
 from dvf_ig.io import limits
 from dvf_ig.io.ecg.recording import require_plausible
 from dvf_ig.io.file_within import path_within
@@ -32,13 +28,17 @@ from dvf_ig.io.ros.log_file import LogReader, opened_log
 from dvf_ig.io.writing.place import scratch_folder
 from dvf_ig.io.yaml_config import validated
 
-from .live_log_read import read_live_streams
+from .document import SessionDocument, read_document
+from .heart import MODEL
+from .live import LIVE, LiveDocument
+from .live_read import read_live_streams
+from .topics import DOCUMENT, ECG, EXACT_FRAME, EXACT_TOOL, IMAGE, STREAMS, TRIGGER
 
 _POSE = 14
 """Numbers of a pose: stamp, validity, rotation, translation."""
 
 
-def read_session_log(path: Path, *, images: bool = True) -> SessionRecordings:
+def read_session_log(path: Path, *, images: bool = True) -> SessionFiles:
     """Read a log that `dvf-ig export mcap` or `dvf-ig serve` wrote.
 
     Args:
@@ -70,12 +70,12 @@ def read_session_log(path: Path, *, images: bool = True) -> SessionRecordings:
         scenario = _recorded(document, heart, arrays, shown)
         if isinstance(scenario.ecg, Signal):
             require_plausible(path, scenario.ecg)
-    return SessionRecordings(scenario, heart.model, None, None)
+    return SessionFiles.of(scenario, heart.model)
 
 
 def _live(
     log: LogReader, path: Path, document: SessionDocument, heart: PreopFiles, live: bytes, *, images: bool
-) -> SessionRecordings:
+) -> SessionFiles:
     try:
         content = json.loads(live)
     except (ValueError, RecursionError) as exc:
@@ -84,7 +84,9 @@ def _live(
     streams = read_live_streams(log, document, options, path, images=images)
     scenario = _scenario(document, heart, streams.ecg, streams.ultrasound, streams.tool)
     fixtures = options.fixtures.fixture_set(Path())
-    return SessionRecordings(scenario, heart.model, fixtures, options.retiming, live=streams.record)
+    return SessionFiles.of(
+        scenario, heart.model, fixtures=fixtures, retiming=options.retiming, record=streams.record
+    )
 
 
 def _recorded(
