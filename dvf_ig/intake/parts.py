@@ -50,7 +50,7 @@ from .schema import SessionConfig
 if TYPE_CHECKING:
     from dvf_ig.guidance import FixtureSet
 
-    from .session_log.live_record import LiveRecord
+    from .live_record import LiveRecord
 
 DARK_BORDER = 0.02
 """A sector leaves at least this share of the image dark."""

@@ -18,8 +18,8 @@ from dvf_ig.core import DvfModel, FloatArray, Progress, Rigid, Scenario, untold
 from dvf_ig.guidance import FORBIDDEN_SURFACE, FixtureSet
 from dvf_ig.intake.findings import Finding
 from dvf_ig.intake.fit import fit_of
+from dvf_ig.intake.live_record import LiveRecord
 from dvf_ig.intake.parts import SessionFiles
-from dvf_ig.intake.session_log.live_record import LiveRecord
 from dvf_ig.session import (
     Attempt,
     GuidanceState,

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from dvf_ig.core import FloatArray, PoseStream, Signal, TrackedSequence, UnreadableFileError
 from dvf_ig.intake.findings import Disagreement, Finding, finding
+from dvf_ig.intake.live_record import Arrived, LiveRecord
 from dvf_ig.io import limits
 from dvf_ig.io.ros import messages as ros
 from dvf_ig.io.ros.log_file import LogReader
@@ -18,7 +19,6 @@ from dvf_ig.session import EcgSamples, Landmark, Rearm, ToolPose, TrackedFrame
 
 from .document import SessionDocument
 from .live import EVENT, LIVE_STREAMS, LOST, STATE, WORK, EventKind, LiveDocument
-from .live_record import Arrived, LiveRecord
 from .topics import ECG, EXACT_FRAME, EXACT_TOOL, IMAGE, STREAMS, TRIGGER
 
 Stamped = TypeVar("Stamped", TrackedFrame, ToolPose)

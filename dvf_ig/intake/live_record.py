@@ -6,8 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from dvf_ig.core.arrays import FloatArray, read_only_arrays
-from dvf_ig.intake.findings import Finding
 from dvf_ig.session import Event
+
+from .findings import Finding
 
 Arrived = tuple[Event, float | None]
 """An event, and when it came by the session's clock; None of what did not arrive."""
