@@ -153,7 +153,7 @@ KEYS: dict[str, Key] = {
     "start.touched": Key("40 points, at least 20, all over the heart's surface: x, y, z (mm, tracker)", "",
                          "touched.csv", POINTS, "--touched POINTS"),
     "start.touched_phase": Key("when in the cycle they were touched, 0 to below 1", "end-diastole", "0.0"),
-    "fixtures": Key("what acts on the tool: a list, or a file of it", "this one",
+    "fixtures": Key("what acts on the tool: a list, or a file of it", "one forbidden region",
                     "[{law: forbidden, gamma: 1.0, depth_mm: 0.0, cap_n: 0.6}]", FILE),
     "cap_n": Key("largest force of all fixtures together, N", "the largest of them"),
     "retiming": Key("how the beat is mapped to the model's cycle: two-segment, uniform", "two-segment",

@@ -69,7 +69,7 @@ def _capture(
     ] = False,
     keep: Annotated[
         Path | None,
-        typer.Option("--keep-pairs", help="Also write each pair here, as files for `register --us-volume`."),
+        typer.Option("--keep-pairs", help="Also write each pair here, as files for a session."),
     ] = None,
     workers: WorkersOption = None,
     scheduler: SchedulerOption = None,

@@ -1,4 +1,4 @@
-"""Image pairs of a study as files that `dvf-ig register --us-volume` reads, with their truth and starts."""
+"""Image pairs of a study as files that `config init --us-volume` takes, with their truth and starts."""
 
 from collections.abc import Callable, Sequence
 from itertools import product

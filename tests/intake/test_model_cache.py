@@ -10,9 +10,9 @@ import pytest
 
 import dvf_ig
 from dvf_ig.core import CycleTiming, Grid, Preop, SurfaceSeries, Volume, VolumeSeries
+from dvf_ig.intake import model_cache
 from dvf_ig.intake.model_cache import CachedModel, cache_folder, cached_model, model_key
 from dvf_ig.io import model_digest
-from dvf_ig.io.model import cache as model_cache
 from dvf_ig.preop import ModelOptions
 
 COARSE = ModelOptions(knot_spacing_mm=10.0, margin_mm=5.0)
@@ -217,7 +217,7 @@ def test_a_folder_in_the_place_of_an_entry_costs_only_the_cache(preop: Preop, fo
     path.mkdir()
     again = cached_model(preop, options=COARSE)
     assert (again.was_cached, again.path) == (False, None)
-    assert "is in the way" in again.remark
+    assert "it is a folder" in again.remark
 
 
 def test_entries_do_not_depend_on_the_umask(preop: Preop, folder: Path) -> None:
