@@ -113,8 +113,17 @@ def read_session_ecg(config: EcgConfig | None, folder: Path, sweep: Path | None)
                 f"no file of an ECG is named, and the ultrasound gives none: {exc.message}",
                 settings=("ecg.file",),
             ) from exc
+    return read_channel(config, folder, "ecg.file")
+
+
+def read_channel(config: EcgConfig, folder: Path, key: str) -> Signal | TriggerTimes:
+    """A signal or pulses from a file of their own.
+
+    Args:
+        key: that names the file, for messages.
+    """
     spec = split_ecg(config.file)
-    with concerning("ecg.file", folder / spec.name):
+    with concerning(key, folder / spec.name):
         named = f"{spec.prefix}{folder / spec.name}{spec.field}"
         ecg = read_beat_source(named, rate_hz=config.rate_hz, delay_s=config.delay_s)
         if config.start_s is None:
