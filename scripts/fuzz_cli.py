@@ -37,9 +37,9 @@ model check s/model.npz --labels s/volume.nrrd@0.3
 evaluate --transform s/start.tfm --landmarks s/points.mrk.json
 evaluate --transform s/start.tfm --landmarks s/points.tag
 register s/scenario -o out|register --fixed s/volume.mha --moving s/volume.nii -o out --init s/start.tfm
-register --model s/model.npz --us s/scenario/ultrasound.igs.mha --ecg csv:s/ecg.csv --probe s/probe.xml -o out
-register --model s/model.npz --us-volume s/volume.nii@0.3 --us-volume s/volume.mha@0.5 -o out
-replay s/scenario -o run|replay --config s/session.yaml -o run
+config init --model s/model.npz --us s/scenario/ultrasound.igs.mha --ecg csv:s/ecg.csv -o out.yaml
+config init --model s/model.npz --us-volume s/volume.nii@0.3 --us-volume s/volume.mha@0.5 -o out.yaml
+replay s/scenario -o run|replay s/session.yaml -o run|register s/session.yaml -o out
 config init s/scenario -o s.yaml|config dump s/session.yaml|config validate s/session.yaml
 synth scenario --preset calm --seconds 8 --seed 1 -o scene|synth us s/volume.nrrd -o us.mha
 synth calibration nwire -o cal|bench

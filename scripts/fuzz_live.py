@@ -523,7 +523,6 @@ def run_fault(fault: Fault, folder: Path, messages: list[tuple[float, Message]])
         "-m",
         "scripts.fuzz_live",
         "serve",
-        "--config",
         "x",
         "--listen",
         "--port",

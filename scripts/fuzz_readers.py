@@ -9,6 +9,7 @@ import numpy as np
 
 from dvf_ig import io
 from dvf_ig.core import Points, PoseStream, Volume
+from dvf_ig.intake.fixtures import read_fixtures
 
 Read = Callable[[Path], Any]
 GAPS = {"samples", "values", "points_px"}
@@ -18,12 +19,13 @@ LARGEST = 1e13
 
 def write_seeds(folder: Path) -> None:
     """Write one scenario and its recordings in other formats."""
+    from dvf_ig.intake.scenario_write import write_scenario
     from tests.io.conftest import _make_scenario
     from tests.io.ecg.test_damaged import edf
     from tests.io.model.test_model import model
 
     scenario: Any = _make_scenario(1)
-    io.write_scenario(scenario, folder / "scenario")
+    write_scenario(scenario, folder / "scenario")
     io.add_ecg_field(folder / "scenario" / "ultrasound.igs.mha", scenario.ecg, folder / "ecg.igs.mha")
     preop, out = scenario.preop, folder
     for ending in ("nrrd", "mha", "nii", "nii.gz", "mhd", "nhdr"):
@@ -84,8 +86,8 @@ def _write_logs(folder: Path) -> None:
     from toy_ball import ball_model
     from toy_run import TIP, recorded
 
+    from dvf_ig.intake.session_log.live import STATE, STATE_COLUMNS, event_messages
     from dvf_ig.io.ros import messages as ros
-    from dvf_ig.io.ros.live_log import STATE, STATE_COLUMNS, event_messages
     from dvf_ig.io.ros.log_file import LogWriter
     from dvf_ig.session import EcgSamples, ToolPose, TrackedFrame
     from tests.live.test_record import attach
@@ -117,7 +119,7 @@ def _write_logs(folder: Path) -> None:
 
 def _log(path: Path) -> Any:
     """Read a log; answers of a live session and its refused messages may be anything."""
-    from dvf_ig.replay.export.session_log_read import read_session_log
+    from dvf_ig.intake.session_log.read import read_session_log
 
     recordings = read_session_log(path)
     return [recordings.scenario, recordings.model]
@@ -135,15 +137,15 @@ def _wire_points(path: Path) -> Any:
 
 
 def _session(path: Path) -> Any:
-    from dvf_ig.io.session_file.read import read_session_config
+    from dvf_ig.intake.session import open_session
 
-    return read_session_config(path)
+    return open_session(path)[0]
 
 
 def _scenario_config(path: Path) -> Any:
-    from dvf_ig.io.scenario.read import read_scenario_session
+    from dvf_ig.intake.scenario import session_of_scenario
 
-    return read_scenario_session(path.parent)
+    return session_of_scenario(path.parent)
 
 
 READERS: dict[str, tuple[tuple[str, ...], Read]] = {
@@ -183,7 +185,7 @@ READERS: dict[str, tuple[tuple[str, ...], Read]] = {
     "timing": (("scenario/preop/timing.json",), lambda p: io.read_timing(p, beside=p.parent, phases=3)),
     "session": (("session.yaml",), _session),
     "scenario": (("scenario/scenario.yaml",), _scenario_config),
-    "fixtures": (("fixtures.yaml",), io.read_fixtures),
+    "fixtures": (("fixtures.yaml",), read_fixtures),
     "log": (("log.mcap", "live.mcap", "live.unfinished.mcap"), _log),
     "truth": (
         ("scenario/truth/truth.json", "scenario/truth/tool.npz"),

@@ -1,174 +1,148 @@
 """`dvf-ig config`: begin, show and check the file that describes a lab's own recordings."""
 
+import inspect
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
+from typer.core import TyperCommand
 
-from .register.own import CavityOption, EcgStartOption, OrganOption, PatientOption
-from .shell import (
-    EcgRateOption,
-    JsonFlag,
-    ProbeNameOption,
-    ReferenceNameOption,
-    command,
-    emit,
-    output_file,
-    warn,
-    whole_numbers,
-    wrote,
-)
+from .shell import JsonFlag, command, emit, output_file, warn, wrote
 
 if TYPE_CHECKING:
-    from dvf_ig.io.session_file.problem import Problem, Use
-    from dvf_ig.io.session_file.schema import SessionDraft
-    from dvf_ig.io.session_file.verdict import Verdict
+    from dvf_ig.intake.problems import Problem, Use
+    from dvf_ig.intake.schema import Form
+    from dvf_ig.intake.verdict import Verdict
 
 app = typer.Typer(
     no_args_is_help=True,
-    help="A lab's own recordings as one file, SESSION.yaml, for register and replay --config: begin it, show "
-    "it, check it.",
+    help="A lab's own recordings as one file, session.yaml, for register, replay and serve: begin, show, "
+    "check it.",
 )
 
-PARTS = {
-    "preop": "heart",
-    "ultrasound": "ultrasound",
-    "ecg": "ECG",
-    "tool": "tool",
-    "calibration.probe": "probe calibration",
-    "calibration.latency": "latency",
-    "calibration.tip": "tool tip",
-    "start": "start",
-}
-OPTIONS = {
-    "preop": "--model FILE, or --cine FILE --labels FILE, or --surfaces DIR",
-    "ecg": "--ecg edf:FILE",
-    "tool": "--tool FILE",
-    "calibration.probe": "--probe FILE",
-    "calibration.latency": "--latency FILE or SECONDS",
-    "calibration.tip": "--tip FILE",
-    "start": "--start FILE, or --landmarks MODEL PATIENT, or --touched FILE",
-}
-
-
 USES: "tuple[Use, Use]" = ("register", "replay")
+SessionArgument = Annotated[
+    Path, typer.Argument(metavar="SESSION", help="A session.yaml, or a scenario folder.")
+]
+OutputOption = Annotated[
+    Path, typer.Option("-o", "--out", callback=output_file, help="session.yaml to write.")
+]
 
 
-SessionArgument = Annotated[Path, typer.Argument(help="SESSION.yaml, or a scenario folder.")]
+class InitCommand(TyperCommand):
+    """A command with an option for every key that has one, from the table that is read when it is used."""
+
+    @cached_property
+    def _from_table(self) -> Any:
+        one = typer.Typer(add_completion=False)
+        one.command()(_init_function())
+        return typer.main.get_command(one)
+
+    @property
+    def params(self) -> Any:
+        return self._from_table.params
+
+    @params.setter
+    def params(self, given: Any) -> None:
+        """The table has them."""
+
+    @property
+    def callback(self) -> Any:
+        return self._from_table.callback
+
+    @callback.setter
+    def callback(self, given: Any) -> None:
+        """The one with the table's options."""
 
 
-def init(
-    us: Annotated[Path, typer.Option("--us", help="Tracked ultrasound (.igs.mha, .igs.nrrd).")],
-    output: Annotated[Path, typer.Option("-o", "--out", callback=output_file, help="SESSION.yaml to write.")],
-    ecg: Annotated[
-        str | None,
-        typer.Option("--ecg", help="wfdb:, edf:, csv: or trigger:FILE; not needed where --us holds it."),
-    ] = None,
-    rate: EcgRateOption = None,
-    ecg_start: EcgStartOption = None,
-    probe: Annotated[
-        Path | None, typer.Option("--probe", help="Probe calibration: our JSON, or a PLUS .xml.")
-    ] = None,
-    latency: Annotated[
-        str | None, typer.Option("--latency", help="Latency of the images: file, or seconds.")
-    ] = None,
-    tip: Annotated[Path | None, typer.Option("--tip", help="Tool tip: our JSON, or a PLUS .xml.")] = None,
-    tool: Annotated[
-        Path | None, typer.Option("--tool", help="Poses of the tool, where --us does not hold them.")
-    ] = None,
-    tool_name: Annotated[
-        str | None, typer.Option("--tool-name", help="The tool, as the recording names it.")
-    ] = None,
-    model: Annotated[Path | None, typer.Option("--model", help="Model of the heart (model build).")] = None,
-    cine: Annotated[
-        Path | None, typer.Option("--cine", "--mr", help="4-D MR or CT: with --labels, or beside --model.")
-    ] = None,
-    labels: Annotated[
-        Path | None, typer.Option("--labels", help="Labels, 4-D or of end-diastole alone.")
-    ] = None,
-    organ: OrganOption = None,
-    cavity: CavityOption = None,
-    surfaces: Annotated[Path | None, typer.Option("--surfaces", help="Folder of surfaces.")] = None,
-    start: Annotated[Path | None, typer.Option("--start", help="Coarse mr_from_tracker (.tfm).")] = None,
-    landmarks: Annotated[
-        tuple[Path, Path] | None,
-        typer.Option(
-            "--landmarks",
-            "--start-landmarks",
-            metavar="MODEL PATIENT",
-            help="The same points in the model and on the patient: two files.",
-        ),
-    ] = None,
-    touched: Annotated[
-        Path | None, typer.Option("--touched", help="Points touched all over the heart's surface.")
-    ] = None,
-    probe_name: ProbeNameOption = None,
-    reference_name: ReferenceNameOption = None,
-    patient: PatientOption = None,
-    as_json: JsonFlag = False,
-) -> None:
-    """Begin a SESSION.yaml from a lab's files: look into each, say what is missing or does not fit.
+def init() -> None:
+    """Begin a session.yaml from a lab's files: look into each, say what is missing or does not fit.
 
     Exits 0 when `register` could run with it. Where something is still missing, the file is written
     with commented lines for it; where a file cannot be read or does not fit, nothing is written.
     """
-    with command():
-        from dvf_ig.io import write_text
-        from dvf_ig.io.session_file.draft import GivenFiles
-        from dvf_ig.io.session_file.found import found
-        from dvf_ig.io.session_file.problem import in_options
-        from dvf_ig.io.session_file.verdict import begin_session
-        from dvf_ig.io.session_file.write import session_text
 
-        given = GivenFiles(
-            ultrasound=us,
-            ecg=ecg,
-            rate_hz=rate,
-            ecg_start_s=ecg_start,
-            probe=probe,
-            latency=latency,
-            tip=tip,
-            tool=tool,
-            tool_name=tool_name,
-            model=model,
-            mr=cine,
-            labels=labels,
-            organ_labels=None if organ is None else whole_numbers(organ, "--organ", "1,2,5"),
-            cavity_labels=None if cavity is None else whole_numbers(cavity, "--cavity", "2,4"),
-            surfaces=surfaces,
-            start=start,
-            landmarks=landmarks,
-            touched=touched,
-            probe_name=probe_name,
-            reference_name=reference_name,
-            patient_id=patient,
-        )
-        draft, verdict = begin_session(given, output)
-        told = found(verdict.parts)
-        wrong = [p for p in (*verdict.unreadable, *verdict.misfits) if p.concerns("register")]
-        if not wrong:
-            write_text(output, session_text(draft, told))
-        emit(_payload(output, verdict, told), _rows(output, verdict, told, OPTIONS), as_json=as_json)
-        if wrong:
-            _refuse([in_options(problem.sentence) for problem in wrong])
-        wrote(output)
-        for problem in verdict.misfits:
-            warn(f"a replay cannot use {in_options(problem.sentence)}")
-        _warn_of(verdict)
-        lacking = [problem.key for problem in verdict.missing if problem.concerns("register")]
-        if lacking:
-            _refuse([f"{output} is written, but register cannot run yet; it lacks: {', '.join(lacking)}"])
+
+def _init_function() -> Any:
+    """`init` with its options."""
+    from dvf_ig.intake.schema import KEYS
+
+    def begin(output: Path, as_json: bool, **given: Any) -> None:
+        with command():
+            _begin({name: given[_variable(name)] for name in named}, output, as_json=as_json)
+
+    named = [name for name, key in KEYS.items() if key.option]
+    kinds: dict[str, Any] = {"output": OutputOption, "as_json": JsonFlag}
+    for name in named:
+        key = KEYS[name]
+        note = f"{key.note[:1].upper()}{key.note[1:]}."
+        option = typer.Option(*key.options, metavar=key.metavar, help=note)
+        kinds[_variable(name)] = Annotated[_kind_of(key.form), option]
+    defaults = {"output": inspect.Parameter.empty, "as_json": False}
+    begin.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
+        [
+            inspect.Parameter(
+                name, inspect.Parameter.KEYWORD_ONLY, annotation=kind, default=defaults.get(name)
+            )
+            for name, kind in kinds.items()
+        ]
+    )
+    begin.__annotations__ = kinds
+    return begin
+
+
+def _variable(name: str) -> str:
+    return name.replace(".", "_")
+
+
+def _kind_of(form: "Form") -> Any:
+    from dvf_ig.intake.schema import Form
+
+    kinds: dict[Form, Any] = {
+        Form.NUMBER: float | None,
+        Form.PAIR: tuple[str, str] | None,
+        Form.VOLUMES: list[str] | None,
+    }
+    return kinds.get(form, str | None)
+
+
+def _begin(given: Mapping[str, Any], output: Path, *, as_json: bool) -> None:
+    from dvf_ig.intake.parts import descriptions
+    from dvf_ig.intake.schema import option_names
+    from dvf_ig.intake.verdict import begin_session
+    from dvf_ig.intake.write import session_text
+    from dvf_ig.io import write_text
+
+    if not given["ultrasound.file"] and not given["ultrasound.volumes"]:
+        raise typer.BadParameter("give --us SWEEP, or --us-volume FILE@PHASE")
+    config, verdict = begin_session(given, output)
+    described, options = descriptions(verdict.files), option_names()
+    wrong = [p for p in (*verdict.unreadable, *verdict.misfits) if p.concerns("register")]
+    if not wrong:
+        write_text(output, session_text(config, described))
+    emit(_payload(output, verdict, described), _rows(output, verdict, described, ways=True), as_json=as_json)
+    if wrong:
+        _refuse([f"{p.key}: {p.error.sentence(options)}" for p in wrong])
+    wrote(output)
+    for problem in verdict.misfits:
+        warn(f"a replay cannot use {problem.key}: {problem.error.sentence(options)}")
+    _warn_of(verdict)
+    lacking = [problem.key for problem in verdict.missing if problem.concerns("register")]
+    if lacking:
+        _refuse([f"{output} is written, but register cannot run yet; it lacks: {', '.join(lacking)}"])
 
 
 def dump(session: SessionArgument, as_json: JsonFlag = False) -> None:
     """Print the complete configuration with every default, as YAML; saved beside the files it reads back."""
     with command():
-        from dvf_ig.io.session_file.write import dump_text
+        from dvf_ig.intake.session import open_session
+        from dvf_ig.intake.write import dump_text
 
-        config, _ = _read(session)
+        config, _ = open_session(session)
         if as_json:
             emit(config.model_dump(mode="json", by_alias=True), (), as_json=True)
         else:
@@ -188,36 +162,25 @@ def validate(
     Exits 0 when all is well, else 3 after one line for each problem.
     """
     with command():
-        from dvf_ig.io.session_file.found import found
-        from dvf_ig.io.session_file.problem import in_keys
-        from dvf_ig.io.session_file.verdict import judge_session
+        from dvf_ig.intake.parts import descriptions
+        from dvf_ig.intake.session import open_session
+        from dvf_ig.intake.verdict import judge_session
 
-        config, folder = _read(session)
+        config, folder = open_session(session)
         verdict = judge_session(config, folder, str(session))
-        told = found(verdict.parts)
-        if not _wrong(verdict, purpose) and verdict.parts.recorded_calibrations:
-            verdict = _calibrated(verdict, config, folder, str(session))
-        emit(_payload(session, verdict, told), _rows(session, verdict, told, {}), as_json=as_json)
+        described = descriptions(verdict.files)
+        if not _wrong(verdict, purpose) and verdict.files.recorded_calibrations:
+            verdict = _calibrated(verdict)
+        emit(_payload(session, verdict, described), _rows(session, verdict, described), as_json=as_json)
         wrong = _wrong(verdict, purpose)
         _warn_of(verdict)
         if wrong:
-            _refuse([in_keys(problem.sentence) for problem in wrong])
+            _refuse([problem.sentence for problem in wrong])
 
 
-app.command("init")(init)
+app.command("init", cls=InitCommand)(init)
 app.command("dump")(dump)
 app.command("validate")(validate)
-
-
-def _read(session: Path) -> "tuple[SessionDraft, Path]":
-    """The configuration, and the folder at which its names of files begin."""
-    from dvf_ig.io.scenario.read import read_scenario_session
-    from dvf_ig.io.session_file.draft import as_draft
-    from dvf_ig.io.session_file.read import read_session_draft
-
-    if session.is_dir():
-        return as_draft(read_scenario_session(session)), session
-    return read_session_draft(session), session.parent
 
 
 def _wrong(verdict: "Verdict", purpose: "Use | None") -> "list[Problem]":
@@ -228,26 +191,24 @@ def _wrong(verdict: "Verdict", purpose: "Use | None") -> "list[Problem]":
     return wrong
 
 
-def _calibrated(verdict: "Verdict", config: "SessionDraft", folder: Path, named_by: str) -> "Verdict":
-    """The same with what a replay would say of calibrations that are still recordings."""
-    from dvf_ig.intake.calibrations import calibrate, calibrated
-    from dvf_ig.io.session_file.draft import complete
-    from dvf_ig.io.session_file.fit import fit_of, parts_of
-    from dvf_ig.io.session_file.problem import ProblemList
-    from dvf_ig.io.session_file.read import read_recordings
+def _calibrated(verdict: "Verdict") -> "Verdict":
+    """The verdict with what a replay would say of calibrations that are still recordings."""
+    from dvf_ig.intake.calibrations import calibrate
+    from dvf_ig.intake.fit import fit_of
+    from dvf_ig.intake.problems import ProblemList
 
-    problems = ProblemList()
+    problems, files = ProblemList(), verdict.files
     with problems.about("calibration"):
-        recordings = read_recordings(complete(config), folder, named_by)
-        done = calibrate(recordings.scenario, seed=0)
-        fit = fit_of(parts_of(replace(recordings, scenario=calibrated(recordings.scenario, done))))
+        made = calibrate(files.calibrations, seed=0)
+        image, lag_s = made.ultrasound.probe_from_image, made.ultrasound.lag_s
+        fit = fit_of(files.with_calibrations(image, lag_s, made.tip))
         return replace(verdict, misfits=fit.misfits, warnings=fit.warnings, seen=fit.seen)
     return replace(verdict, misfits=(*verdict.misfits, *problems.found))
 
 
 def _warn_of(verdict: "Verdict") -> None:
-    for found in verdict.warnings:
-        warn(f"{found.key}: {found.sentence}")
+    for doubt in verdict.warnings:
+        warn(f"{doubt.key}: {doubt.sentence}")
 
 
 def _readiness(use: "Use", verdict: "Verdict") -> str:
@@ -262,11 +223,11 @@ def _refuse(sentences: Sequence[str]) -> None:
     raise typer.Exit(3)
 
 
-def _payload(path: Path, verdict: "Verdict", told: Mapping[str, str | None]) -> dict[str, Any]:
+def _payload(path: Path, verdict: "Verdict", described: Mapping[str, str | None]) -> dict[str, Any]:
     kinds = {"unreadable": verdict.unreadable, "misfit": verdict.misfits, "missing": verdict.missing}
     return {
         "session": str(path),
-        "parts": dict(told),
+        "parts": dict(described),
         "ready": {use: not verdict.hindrances(use) for use in USES},
         "problems": [
             {"key": p.key, "kind": kind, "hinders": p.hinders, "sentence": str(p.error)}
@@ -279,16 +240,30 @@ def _payload(path: Path, verdict: "Verdict", told: Mapping[str, str | None]) -> 
 
 
 def _rows(
-    path: Path, verdict: "Verdict", told: Mapping[str, str | None], options: Mapping[str, str]
+    path: Path, verdict: "Verdict", described: Mapping[str, str | None], *, ways: bool = False
 ) -> list[tuple[str, ...]]:
-    """What was found, what can be done with it, and what is missing, with the option that gives it."""
+    """What was found, what can be done with it, and what is missing; with `ways` the options that give it."""
+    from dvf_ig.intake.parts import PARTS
+
     wrong = [p.key for p in (*verdict.unreadable, *verdict.misfits)]
     rows = [("session", str(path))]
-    for key, label in PARTS.items():
-        text = told[key] or ("cannot be used" if any(k.startswith(key) for k in wrong) else "-")
-        rows.append((label, text))
+    for part in PARTS:
+        spoilt = any(key == part.key or key.startswith(f"{part.key}.") for key in wrong)
+        rows.append((part.label, described[part.key] or ("cannot be used" if spoilt else "-")))
     if verdict.seen is not None:
         rows.append(("ECG and images", verdict.seen.sentence))
     rows += [(use, _readiness(use, verdict)) for use in USES]
-    rows += [("missing", f"{p.error} ({options.get(p.key, p.key)})") for p in verdict.missing]
+    rows += [("missing", f"{p.error.message} ({_ways(p.key) if ways else p.key})") for p in verdict.missing]
     return [*rows]
+
+
+def _ways(part: str) -> str:
+    """The options that give a part: its key's, or those of its section that need no other."""
+    from dvf_ig.intake.schema import KEYS
+
+    listed = [
+        f"{key.options[0]} {key.metavar}"
+        for name, key in KEYS.items()
+        if key.option and not key.goes_with and (name == part or name.startswith(f"{part}."))
+    ]
+    return ", or ".join(listed)

@@ -16,24 +16,21 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "dvf-ig gate plus:ultrasound.igs.mha --phase-at 50",
     ),
     "register": (
-        f"dvf-ig register --us ultrasound.igs.mha --ecg edf:ecg.edf {OWN} --cine cine.nrrd "
-        "--start-landmarks landmarks_mr.mrk.json landmarks_tracker.mrk.json -o registration",
-        "dvf-ig register --config session.yaml -o registration",
-        "dvf-ig register --us-volume ed.nrrd@0.0 --us-volume es.nrrd@0.35 --model heart.npz --cine cine.nrrd "
-        "--start start.tfm -o registration",
+        "dvf-ig register demo -o registration",
+        "dvf-ig register session.yaml -o registration",
         "dvf-ig register --fixed ultrasound.nii.gz --moving t1.nii.gz --moving flair.nii.gz -o registration",
     ),
     "evaluate": ("dvf-ig evaluate --transform registration.tfm --landmarks fixed.mrk.json moving.mrk.json",),
     "replay": (
         "dvf-ig replay demo -o run",
-        "dvf-ig replay --config session.yaml -o run --margin adaptive",
+        "dvf-ig replay session.yaml -o run --margin adaptive",
         "dvf-ig replay session.mcap -o again",
         "dvf-ig replay demo -o run --law guidance --delta 3 --m 1 --retiming uniform",
     ),
     "serve": (
-        "dvf-ig serve --config session.yaml",
-        "dvf-ig serve --config session.yaml --host 192.0.2.7 --allow 192.0.2.7 --page 8080",
-        "dvf-ig serve --config demo --seconds 70 --json",
+        "dvf-ig serve session.yaml",
+        "dvf-ig serve session.yaml --host 192.0.2.7 --allow 192.0.2.7 --page 8080",
+        "dvf-ig serve demo --seconds 70 --json",
     ),
     "synth stream": ("dvf-ig synth stream demo", "dvf-ig synth stream demo --port 18945 --speed 0.5"),
     "bench": ("dvf-ig bench", "dvf-ig bench --servo 60"),
@@ -72,6 +69,8 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         f"dvf-ig config init --us ultrasound.igs.mha --ecg edf:ecg.edf {OWN} "
         "--landmarks landmarks_mr.mrk.json landmarks_tracker.mrk.json --tool tool.igs.mha --tip tip.json "
         "-o session.yaml",
+        "dvf-ig config init --us-volume ed.nrrd@0.0 --us-volume es.nrrd@0.35 --model heart.npz "
+        "--mr cine.nrrd --start start.tfm -o session.yaml",
     ),
     "config dump": ("dvf-ig config dump session.yaml", "dvf-ig config dump demo"),
     "config validate": (

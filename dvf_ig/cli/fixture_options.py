@@ -41,7 +41,7 @@ def _law(name: str) -> str:
     return name
 
 
-# A default of None tells that an option was not given; the defaults shown are those of `dvf_ig.io.fixtures`.
+# A default of None: the option was not given; the defaults shown are those of `dvf_ig.intake.fixtures`.
 LawOption = Annotated[
     str | None,
     typer.Option(
@@ -119,7 +119,7 @@ def with_margin(fixtures: "FixtureSet", asked: str | float | None) -> "FixtureSe
     Raises:
         InvalidInputError: no such margin, or a width out of range.
     """
-    from dvf_ig.io.fixtures import margin_options
+    from dvf_ig.intake.fixtures import margin_options
 
     return fixtures if asked is None else replace(fixtures, margin=margin_options(asked))
 
@@ -130,8 +130,8 @@ def chosen_fixtures(
     """The fixtures that the user described, and the file's law of retiming where it gives one.
 
     Args:
-        given: options of a single fixture by their keys in YAML (`dvf_ig.io.fixtures`); None or False: not
-            given.
+        given: options of a single fixture by their keys in YAML (`dvf_ig.intake.fixtures`); None or False:
+            not given.
         file: of several.
         frame: of the model.
     Raises:
@@ -139,7 +139,7 @@ def chosen_fixtures(
         DvfIgError: a number out of range, or a file that does not fit.
     """
     from dvf_ig.guidance import FixtureSet
-    from dvf_ig.io.fixtures import LAWS, fixture_options, read_fixtures
+    from dvf_ig.intake.fixtures import LAWS, fixture_options, read_fixtures
 
     asked = _asked(given)
     if file is not None:
@@ -155,10 +155,10 @@ def chosen_fixtures(
 
 
 def refuse_options(given: Mapping[str, Any], file: Path | None) -> None:
-    """Raise typer.BadParameter where options describe fixtures that a SESSION.yaml describes, too."""
+    """Raise typer.BadParameter if options describe fixtures that the session describes itself."""
     asked = _options(_asked(given)) if file is None else "--fixtures"
     if asked:
-        raise typer.BadParameter(f"the SESSION.yaml describes the fixtures; leave out {asked}")
+        raise typer.BadParameter(f"the session describes the fixtures; leave out {asked}")
 
 
 def _asked(given: Mapping[str, Any]) -> dict[str, Any]:

@@ -14,8 +14,8 @@ from dvf_ig.cli.export import commands as export
 from dvf_ig.cli.inspect import command as inspect
 from dvf_ig.cli.model import commands as model
 from dvf_ig.cli.register import command as register
-from dvf_ig.cli.register.panels import RegisterCommand
 from dvf_ig.cli.serve import command as serve
+from dvf_ig.cli.session_argument import SessionCommand
 from dvf_ig.cli.shell import report_unexpected
 from dvf_ig.cli.synth import commands as synth
 
@@ -34,10 +34,10 @@ app.add_typer(model.app, name="model")
 app.command("force")(force.force)
 app.add_typer(calibrate.app, name="calibrate")
 app.command("gate")(gate.gate)
-app.command("register", cls=RegisterCommand)(register.register)
+app.command("register", cls=SessionCommand)(register.register)
 app.command("evaluate")(evaluate.evaluate)
-app.command("replay")(replay.replay)
-app.command("serve")(serve.serve)
+app.command("replay", cls=SessionCommand)(replay.replay)
+app.command("serve", cls=SessionCommand)(serve.serve)
 app.command("view")(view.view)
 app.add_typer(export.app, name="export")
 app.add_typer(config.app, name="config")

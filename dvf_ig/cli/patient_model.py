@@ -12,7 +12,8 @@ if TYPE_CHECKING:
 def patient_model(preop: "Preop", given: "DvfModel | Path | None") -> "tuple[DvfModel, str]":
     """The given model or the one in a file, else from the cache or built; and one line that says so."""
     from dvf_ig.core import DvfModel
-    from dvf_ig.io import cached_model, read_model
+    from dvf_ig.intake.model_cache import cached_model
+    from dvf_ig.io import read_model
 
     if isinstance(given, DvfModel):
         return given, f"model of patient {given.patient_id}"

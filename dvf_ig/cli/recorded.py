@@ -1,17 +1,14 @@
-"""The recording that a folder of results names, wherever it stands now."""
+"""The recording that a folder of results names, wherever it lies now."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
-
-if TYPE_CHECKING:
-    from dvf_ig.io import SessionRecordings
 
 RecordingOption = Annotated[
     Path | None,
     typer.Option(
-        "--recording", help="The recording, if it was moved: scenario folder, SESSION.yaml or LOG.mcap."
+        "--recording", help="The recording, if it was moved: scenario folder, session.yaml or LOG.mcap."
     ),
 ]
 ModelOption = Annotated[
@@ -29,16 +26,3 @@ def require_place(what: str, place: Path, run: Path, option: str) -> None:
         raise typer.BadParameter(
             f"the {what} that {run} names is not at {place}; say where it is with {option}"
         )
-
-
-def read_recording(source: Path) -> "SessionRecordings":
-    """A scenario folder, a SESSION.yaml, or a session's log."""
-    from dvf_ig.io import SessionRecordings, read_scenario, read_session
-
-    if source.suffix == ".mcap" and source.is_file():
-        from dvf_ig.replay.export.session_log_read import read_session_log
-
-        return read_session_log(source)
-    if source.is_dir():
-        return SessionRecordings(read_scenario(source), None, None, None)
-    return read_session(source)

@@ -1,7 +1,7 @@
 """`dvf-ig replay`: a recorded intervention from raw streams to force."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -24,10 +24,8 @@ from .fixture_options import (
 )
 from .patient_model import patient_model
 from .run_outputs import run_files, write_run
+from .session_argument import SESSION, ModelOption, read_agreeing
 from .shell import JsonFlag, SeedOption, ThreadsOption, command, emit, output_dir, progress, warn, wrote
-
-if TYPE_CHECKING:
-    from dvf_ig.io import SessionRecordings
 
 
 def replay(
@@ -40,17 +38,11 @@ def replay(
             help="Folder for the result, its page, the pose and the ticks.",
         ),
     ],
-    scenario: Annotated[
-        Path | None,
-        typer.Argument(help="Scenario folder (see `dvf-ig synth scenario`) or LOG.mcap; or give --config."),
-    ] = None,
-    config: Annotated[
-        Path | None,
-        typer.Option("--config", help="SESSION.yaml that names your recordings (see `dvf-ig config init`)."),
-    ] = None,
-    model: Annotated[
-        Path | None, typer.Option("--model", help="This patient's model, if `dvf-ig model build` made one.")
-    ] = None,
+    session: Annotated[
+        Path,
+        typer.Argument(metavar="SESSION", help=f"{SESSION.capitalize()}; or a session's LOG.mcap."),
+    ],
+    model: ModelOption = None,
     law: LawOption = None,
     gamma: GammaOption = None,
     delta: DeltaOption = None,
@@ -81,14 +73,14 @@ def replay(
         given = {"law": law, "gamma": gamma, "delta": delta, "m": m, "cap_n": cap_n, "depth_mm": depth_mm}
         given |= {"inside": inside, "blend": blend}
         options, of_file = chosen_fixtures(given, fixtures)
-        recordings = _read(scenario, config, model)
-        if recordings.fixtures is not None:
+        files, _ = read_agreeing(session, model, "replay")  # what is doubtful stands in the result
+        if files.fixtures is not None:
             refuse_options(given, fixtures)
-            options = recordings.fixtures
-        mode = chosen_retiming(retiming, recordings.retiming or of_file)
-        recorded = recordings.scenario
+            options = files.fixtures
+        mode = chosen_retiming(retiming, files.retiming or of_file)
+        recorded = files.scenario
         with output_folder(out, run_files()):
-            built, origin = patient_model(recorded.preop, recordings.model or model)
+            built, origin = patient_model(recorded.preop, files.model or model)
             with progress("replay") as report:
                 done = run_replay(
                     recorded,
@@ -97,14 +89,14 @@ def replay(
                     retiming=mode,
                     seed=seed,
                     progress=report,
-                    live=recordings.live,
+                    live=files.record,
                 )
             result = result_of(done)
-            files = write_run(done, result, out, config or scenario or Path(), model)
+            written = write_run(done, result, out, session, model)
         heading = ("", "estimate", "error against the truth" if done.scenario.truth is not None else "")
         emit(result, [heading, *table(result)], as_json=as_json)
         typer.echo(origin, err=True)
-        for name, frame in files.items():
+        for name, frame in written.items():
             wrote(out / name, frame)
         for warning in result["warnings"]:
             warn(f"{warning['key']}: {warning['sentence']}")
@@ -115,27 +107,3 @@ def replay(
             raise QualityGateError(f"no registration could be used, so no force was given: {reason}")
         if result["no_force"] is not None:
             raise QualityGateError(f"no force was given: {result['no_force']}")
-
-
-def _read(scenario: Path | None, config: Path | None, model: Path | None) -> "SessionRecordings":
-    """The recordings of a scenario folder or of a SESSION.yaml, which agree."""
-    from dvf_ig.io import SessionRecordings, read_scenario, read_session
-    from dvf_ig.io.session_file.fit import require_fit
-
-    if scenario is not None and config is not None:
-        raise typer.BadParameter("give a scenario folder or --config SESSION.yaml, not both")
-    if scenario is None and config is None:
-        raise typer.BadParameter("what is to be replayed? give a scenario folder, or --config SESSION.yaml")
-    if scenario is not None and scenario.suffix == ".mcap":
-        from dvf_ig.replay.export.session_log_read import read_session_log
-
-        return read_session_log(scenario)
-    if config is None:
-        of_folder = SessionRecordings(read_scenario(scenario or Path()), None, None, None)
-        require_fit(of_folder, "replay")
-        return of_folder
-    if model is not None:
-        raise typer.BadParameter(f"{config} says whose model it is (preop.model); leave out --model")
-    recordings = read_session(config)
-    require_fit(recordings, "replay")
-    return recordings

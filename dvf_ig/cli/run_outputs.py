@@ -7,8 +7,8 @@ from dvf_ig.cli.shell import warn, wrote
 
 if TYPE_CHECKING:
     from dvf_ig.core import Rigid
-    from dvf_ig.intake import Calibrations
-    from dvf_ig.io.session_file.agreement.finding import Finding
+    from dvf_ig.intake.calibrations import Calibrations
+    from dvf_ig.intake.findings import Finding
     from dvf_ig.replay import Replay
     from dvf_ig.session import SessionHistory, SessionSetup
 
@@ -65,12 +65,12 @@ def write_logged_run(
         UnreadableFileError: the session never began.
         OutputError: not writable.
     """
+    from dvf_ig.intake.session_log.read import read_session_log
     from dvf_ig.replay import Replay, result_of
-    from dvf_ig.replay.export.session_log_read import read_session_log
     from dvf_ig.replay.repetition import recorded_ticks
 
     recordings, out = read_session_log(log, images=False), log.parent
-    live = recordings.live
+    live = recordings.record
     if live is None:
         return
     ticks = recorded_ticks(live)

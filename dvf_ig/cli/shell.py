@@ -114,7 +114,7 @@ def _stated_errors() -> Iterator[None]:
     try:
         yield
     except DvfIgError as error:
-        typer.secho(f"error: {_one_line(str(error))}", err=True, fg=typer.colors.RED)
+        typer.secho(f"error: {_one_line(_told(error))}", err=True, fg=typer.colors.RED)
         raise typer.Exit(exit_code(error)) from error
     except OSError as error:
         if error.errno != errno.ENAMETOOLONG:
@@ -124,6 +124,17 @@ def _stated_errors() -> Iterator[None]:
             f"error: a file cannot have the name '{_one_line(name[:60])}…', which is too long", err=True
         )
         raise typer.Exit(3) from error
+
+
+def _told(error: "DvfIgError") -> str:
+    """The sentence of an error: by keys if a key of a session.yaml is concerned, else by options."""
+    if error.key is not None:
+        return f"{error.key}: {error}"
+    if not error.settings:
+        return error.message
+    from dvf_ig.intake.schema import option_names
+
+    return error.sentence(option_names())
 
 
 def report_unexpected(error: Exception) -> int:

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from .patient_model import patient_model
-from .recorded import ModelOption, RecordingOption, read_recording, require_place
+from .recorded import ModelOption, RecordingOption, require_place
 from .shell import JsonFlag, ThreadsOption, command, emit, output_file, wrote
 
 
@@ -28,6 +28,7 @@ def view(
     It shows the beating heart, ultrasound, tool, force and signals; its numbers are those of RUN/ticks.csv.
     """
     with command(threads):
+        from dvf_ig.intake.session import read_session
         from dvf_ig.io import provenance_fields, require_outputs, write_text
         from dvf_ig.replay.run_folder import read_run, require_same_recording
         from dvf_ig.replay.view import run_payload
@@ -37,14 +38,14 @@ def view(
         require_outputs(path)
         recorded = read_run(run)
         source = recording or recorded.view.recording
-        require_place("recording", source, run, "--recording FOLDER or SESSION.yaml")
+        require_place("recording", source, run, "--recording FOLDER or session.yaml")
         model = model or recorded.view.model
         if model is not None:
             require_place("model", model, run, "--model FILE")
-        recordings = read_recording(source)
+        files = read_session(source)
         require_same_recording(recorded.result, run, provenance_fields()["inputs"])
-        built, origin = patient_model(recordings.scenario.preop, recordings.model or model)
-        payload = run_payload(recorded, recordings.scenario, built)
+        built, origin = patient_model(files.heart, files.model or model)
+        payload = run_payload(recorded, files.scenario, built)
         page = viewer_html(payload)
         write_text(path, page)
         frames = payload["series"]["frames"]

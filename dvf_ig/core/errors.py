@@ -13,9 +13,55 @@
 Expected numerical outcomes inside a method are `Stop` values, not exceptions.
 """
 
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from types import MappingProxyType
+from typing import Self
+
+_AS_KEYS: Mapping[str, str] = MappingProxyType({})
+
 
 class DvfIgError(ValueError):
-    """Base of all errors that this package raises."""
+    """Base of all errors that this package raises.
+
+    Attributes:
+        key: of a session.yaml, if the error concerns one, for example "calibration.tip".
+        path: file or folder that the error concerns.
+        settings: keys of a session.yaml that mend it; a command line calls them by its options.
+    """
+
+    def __init__(
+        self,
+        message: str = "",
+        *,
+        key: str | None = None,
+        path: Path | None = None,
+        settings: Sequence[str] = (),
+    ) -> None:
+        super().__init__(message)
+        self.key, self.path, self.settings = key, path, tuple(settings)
+
+    def __str__(self) -> str:
+        return self.sentence()
+
+    @property
+    def message(self) -> str:
+        """What is wrong, without the settings that mend it."""
+        return str(self.args[0]) if self.args else ""
+
+    def sentence(self, spelled: Mapping[str, str] = _AS_KEYS) -> str:
+        """What is wrong, with the settings that mend it.
+
+        Args:
+            spelled: how the reader calls a setting, by its key; a setting that is not listed keeps its key.
+        """
+        named = ", ".join(spelled.get(key, key) for key in self.settings)
+        return f"{self.message} ({named})" if named else self.message
+
+    def concerning(self, key: str, path: Path | None = None) -> Self:
+        """This error with its key and path, unless they are known already."""
+        self.key, self.path = self.key or key, self.path or path
+        return self
 
 
 class InvalidInputError(DvfIgError):

@@ -5,8 +5,6 @@ from .calibration_files import read_lag as read_lag
 from .calibration_files import read_landmark_map as read_landmark_map
 from .calibration_files import read_probe as read_probe
 from .calibration_files import read_tip as read_tip
-from .describe.file import Description as Description
-from .describe.file import describe as describe
 from .dicom.cine import dicom_patient_id as dicom_patient_id
 from .dicom.cine import is_dicom_folder as is_dicom_folder
 from .ecg.beat_annotations import BeatAnnotations as BeatAnnotations
@@ -16,7 +14,6 @@ from .ecg.recording import write_ecg_csv as write_ecg_csv
 from .ecg.trigger import read_beat_source as read_beat_source
 from .ecg.trigger import read_triggers as read_triggers
 from .ecg.trigger import write_triggers as write_triggers
-from .fixtures import read_fixtures as read_fixtures
 from .image.gated_volume import GatedVolumeFile as GatedVolumeFile
 from .image.gated_volume import gated_volume_files as gated_volume_files
 from .image.gated_volume import read_gated_volumes as read_gated_volumes
@@ -42,8 +39,6 @@ from .mesh.file import write_mesh as write_mesh
 from .mesh.series import read_surface_series as read_surface_series
 from .mesh.series import surface_names as surface_names
 from .mesh.series import write_surface_series as write_surface_series
-from .model.cache import CachedModel as CachedModel
-from .model.cache import cached_model as cached_model
 from .model.model_file import model_digest as model_digest
 from .model.model_file import read_model as read_model
 from .model.model_file import write_model as write_model
@@ -77,18 +72,6 @@ from .plus.xml import write_coordinate_definitions as write_coordinate_definitio
 from .plus.xml import write_registration as write_registration
 from .points_file import read_points as read_points
 from .provenance import provenance_fields as provenance_fields
-from .scenario.read import read_scenario as read_scenario
-from .scenario.read import read_scenario_session as read_scenario_session
-from .scenario.readme import ScenarioNotes as ScenarioNotes
-from .scenario.write import write_scenario as write_scenario
-from .session_file.live_read import LivePatient as LivePatient
-from .session_file.live_read import live_patient_of_scenario as live_patient_of_scenario
-from .session_file.live_read import read_live_patient as read_live_patient
-from .session_file.preop import PreopFiles as PreopFiles
-from .session_file.preop import read_heart_options as read_heart_options
-from .session_file.read import SessionRecordings as SessionRecordings
-from .session_file.read import read_options as read_options
-from .session_file.read import read_session as read_session
 from .sidecar import write_sidecar as write_sidecar
 from .transform import read_transform as read_transform
 from .transform import write_transform as write_transform

@@ -133,7 +133,8 @@ def read_probe(path: Path | str, sensor: str = "probe", *, allow_refused: bool =
     if not same_sensor(calibration.sensor_frame, sensor):
         raise UnreadableFileError(
             f"{path} calibrates '{calibration.sensor_frame}'; needed '{sensor}': give this probe's "
-            "calibration, or name its sensor (--probe-name)"
+            "calibration, or name its sensor",
+            settings=("ultrasound.probe_name",),
         )
     with reading(path, "a probe calibration"):
         return _image_map(calibration, sensor)

@@ -70,8 +70,8 @@ def reading(path: Path, what: str) -> Iterator[None]:
     except UnicodeDecodeError as exc:
         raise UnreadableFileError(f"{path} is not {what}: it holds bytes that are not text") from exc
     except InvalidInputError as exc:
-        named = str(exc).startswith(str(path))
-        raise UnreadableFileError(str(exc) if named else f"{path}: {exc}") from exc
+        told = exc.message if exc.path == path else f"{path}: {exc.message}"
+        raise UnreadableFileError(told, path=path, settings=exc.settings) from exc
 
 
 def read_bytes(path: Path, what: str) -> bytes:

@@ -10,7 +10,7 @@ from dvf_ig.core import InvalidInputError, Landmarks
 from dvf_ig.guidance import Fixtures
 from dvf_ig.guidance.devices.tracked import TrackedTool
 from dvf_ig.guidance.servo import Servo
-from dvf_ig.io.session_file.live import EcgFieldConfig, LiveConfig
+from dvf_ig.intake.live import EcgFieldConfig, LiveConfig
 from dvf_ig.session import Beside, Event, Landmark, Session, SessionHistory, SessionSetup
 
 from .answers import last_messages

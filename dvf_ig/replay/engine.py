@@ -17,11 +17,11 @@ from dvf_ig.cardiac import RetimeMode
 from dvf_ig.core import DvfModel, FloatArray, Progress, Rigid, Scenario, untold
 from dvf_ig.guidance import FORBIDDEN_SURFACE, FixtureSet
 from dvf_ig.intake.calibrations import Calibrations, calibrate, calibrated
+from dvf_ig.intake.findings import Finding
+from dvf_ig.intake.fit import fit_of
+from dvf_ig.intake.live_record import LiveRecord
+from dvf_ig.intake.parts import SessionFiles
 from dvf_ig.intake.start import landmarks_start, require_start, start_pose
-from dvf_ig.io import SessionRecordings
-from dvf_ig.io.session_file.agreement.finding import Finding
-from dvf_ig.io.session_file.fit import fit_of, parts_of
-from dvf_ig.io.session_file.live_record import LiveRecord
 from dvf_ig.session import (
     GuidanceState,
     Heart,
@@ -172,4 +172,4 @@ def _run(
 
 
 def _findings(scenario: Scenario, model: DvfModel) -> tuple[Finding, ...]:
-    return fit_of(parts_of(SessionRecordings(scenario, model, None, None))).findings
+    return fit_of(SessionFiles.of(scenario, model)).findings

@@ -5,7 +5,7 @@ from collections.abc import Sized
 import numpy as np
 
 from dvf_ig.core import FloatArray, InvalidInputError, PoseStream, Scenario, TriggerTimes
-from dvf_ig.session.recording import checks as recording_checks
+from dvf_ig.intake import fit as recording_checks
 
 RATE_HZ = 1000.0
 

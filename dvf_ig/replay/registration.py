@@ -7,7 +7,8 @@ import numpy as np
 
 from dvf_ig.cardiac import stream_recording
 from dvf_ig.core import DvfModel, Progress, Rigid, Scenario, untold
-from dvf_ig.intake import calibrate, landmark_pose, landmark_prior, require_start, start_pose, touched_surface
+from dvf_ig.intake.calibrations import calibrate
+from dvf_ig.intake.start import landmark_pose, landmark_prior, require_start, start_pose, touched_surface
 from dvf_ig.registration import RegistrationResult
 from dvf_ig.session import (
     GatedFrames,

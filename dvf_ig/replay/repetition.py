@@ -13,8 +13,8 @@ from typing import Generic, TypeVar
 import numpy as np
 
 from dvf_ig.core import DvfIgError, FloatArray, PhaseTrack
-from dvf_ig.io.ros.live_log import STATE_COLUMNS
-from dvf_ig.io.session_file.live_record import LiveRecord
+from dvf_ig.intake.live_record import LiveRecord
+from dvf_ig.intake.session_log.live import STATE_COLUMNS
 from dvf_ig.session import GuidanceState, Job, Session
 
 from .ticks import Ticks

@@ -22,7 +22,7 @@ from dvf_ig.guidance import (
     Sigmoid,
 )
 from dvf_ig.guidance.device import COMMON_DEVICE
-from dvf_ig.io.fixtures import DeviceConfig
+from dvf_ig.intake.fixtures import DeviceConfig
 from dvf_ig.report.viewer import (
     FrameSeries,
     ImageShape,

@@ -34,7 +34,7 @@ class ViewFile:
     """The content of `view.json`.
 
     Attributes:
-        recording: scenario folder or SESSION.yaml that was replayed.
+        recording: scenario folder or session.yaml that was replayed.
         paths: path of each fixture, in order; None for one on the surface.
         model: file of the model; None if the recording names it or it was built.
         r_peaks_s: (k,) R peaks that were detected.
@@ -64,7 +64,7 @@ def write_view_file(replay: Replay, folder: Path, run: Path, recording: Path, mo
 
     Args:
         folder: folder to write to; `run` is its final name, to which paths are relative.
-        recording: scenario folder or SESSION.yaml.
+        recording: scenario folder or session.yaml.
         model: model file given by the user.
     Raises:
         OutputError: not writable.

@@ -27,9 +27,10 @@ from dvf_ig.core import (
     read_only_arrays,
 )
 from dvf_ig.guidance import Status, SupervisorState
+from dvf_ig.intake.live import EcgFieldConfig, LiveConfig
+from dvf_ig.intake.model_cache import cached_model
+from dvf_ig.intake.session import read_scenario
 from dvf_ig.intake.start import landmarks_start
-from dvf_ig.io import cached_model, read_scenario
-from dvf_ig.io.session_file.live import EcgFieldConfig, LiveConfig
 from dvf_ig.live.igtl import Message, Transform, encode
 from dvf_ig.live.link import Link, listen
 from dvf_ig.live.loop import Answer, LiveLoop

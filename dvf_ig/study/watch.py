@@ -17,8 +17,8 @@ from data_synth import ScenarioSpec, child_rng, phantom_scenario
 from dvf_ig.core import FloatArray, Rigid, Scenario, mean_displacement_mm, read_only_arrays
 from dvf_ig.guidance import Hazard
 from dvf_ig.intake.calibrations import calibrate
+from dvf_ig.intake.model_cache import cached_model
 from dvf_ig.intake.start import landmarks_start, start_pose
-from dvf_ig.io import cached_model
 from dvf_ig.registration import PoseEstimate, ShiftDetector
 from dvf_ig.replay import events_of
 from dvf_ig.session import (

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from dvf_ig.cli.main import app
 from dvf_ig.core import Scenario
-from dvf_ig.io import read_scenario
+from dvf_ig.intake.session import read_scenario
 from dvf_ig.replay import Replay
 from dvf_ig.replay.events import events_of
 
@@ -54,7 +54,7 @@ def test_a_scene_shows_tracked_targets_on_those_of_the_mr(
 
 def test_a_log_holds_the_recordings_events_to_the_last_bit(run: Path, written: Path, tmp_path: Path) -> None:
     pytest.importorskip("rosbags", reason="session logs need rosbags")
-    from dvf_ig.replay.export.session_log_read import read_session_log
+    from dvf_ig.intake.session_log.read import read_session_log
 
     log = tmp_path / "session.mcap"
     done = CliRunner().invoke(app, ["export", "mcap", str(run), "-o", str(log), "--json"])

@@ -13,7 +13,7 @@ from dvf_ig.cli.fixture_options import LAW_NAMES, RetimingName, chosen_fixtures,
 from dvf_ig.cli.main import app
 from dvf_ig.core import InvalidInputError
 from dvf_ig.guidance import Confinement, FixtureOptions, FixtureSet, Gaussian
-from dvf_ig.io.fixtures import LAWS
+from dvf_ig.intake.fixtures import LAWS
 from dvf_ig.replay import run_replay
 
 FIXTURE_COMMANDS = ("force", "replay")
@@ -89,14 +89,17 @@ def test_a_replay_is_given_what_the_user_asked_for(
     file.write_text(text, encoding="utf-8")
     given: dict[str, object] = {}
 
+    recorded = SimpleNamespace(preop=SimpleNamespace(patient_id=""))
+    files = SimpleNamespace(fixtures=None, retiming=None, model=None, record=None, scenario=recorded)
+
     def asked(scenario: object, **arguments: object) -> None:
         given.update(arguments)
         raise InvalidInputError("asked")
 
     monkeypatch.setattr(
-        "dvf_ig.io.read_scenario", lambda _: SimpleNamespace(preop=SimpleNamespace(patient_id=""))
+        "dvf_ig.cli.replay.read_agreeing",
+        lambda *_: (files, ()),
     )
-    monkeypatch.setattr("dvf_ig.io.session_file.fit.require_fit", lambda *_: ())
     monkeypatch.setattr("dvf_ig.cli.replay.patient_model", lambda *_: (None, ""))
     monkeypatch.setattr("dvf_ig.replay.run_replay", asked)
     words = [str(file) if word == "FILE" else word for word in options]

@@ -13,8 +13,8 @@ from typer.testing import CliRunner
 
 from dvf_ig.cli.main import app
 from dvf_ig.core import DvfModel, Preop, Scenario, Signal
+from dvf_ig.intake.model_cache import model_key
 from dvf_ig.io import add_ecg_field
-from dvf_ig.io.model.cache import model_key
 from dvf_ig.preop import ModelOptions
 from dvf_ig.replay import Replay, register_scenario
 
@@ -87,13 +87,15 @@ def model_of_the_same_data(scenario: Scenario, replay: Replay, monkeypatch: pyte
 def test_register_with_the_ecg_inside_the_sweep(
     scenario: Scenario, replay: Replay, lab: Path, tmp_path: Path
 ) -> None:
-    """An option for each file; phases and patient come from the files alone."""
+    """An option of `config init` for each file; phases and patient come from the files alone."""
     own = register_scenario(scenario, heart=replay.heart).target_from_source.matrix
-    found = run(
-        "register", "--us", lab / "sweep_with_ecg.igs.mha", "--cine", lab / "cine.nrrd",
+    session = tmp_path / "session.yaml"
+    run(
+        "config", "init", "--us", lab / "sweep_with_ecg.igs.mha", "--cine", lab / "cine.nrrd",
         "--labels", lab / "labels.nrrd", "--cavity", BLOOD, "--probe", lab / "probe.json",
-        "--latency", lab / "latency.json", "--start", lab / "start.tfm", "-o", tmp_path / "out",
+        "--latency", lab / "latency.json", "--start", lab / "start.tfm", "-o", session,
     )  # fmt: skip
+    found = run("register", session, "-o", tmp_path / "out")
     np.testing.assert_allclose(found["mr_from_tracker"], own, rtol=0, atol=1e-6)
 
 
@@ -101,7 +103,7 @@ def test_register_with_the_ecg_inside_the_sweep(
 def test_replay_with_the_ecg_as_edf(replay: Replay, lab: Path, tmp_path: Path) -> None:
     """Poses and force of the scenario's own replay, from one YAML."""
     (lab / "SESSION.yaml").write_text(SESSION)
-    found = run("replay", "--config", lab / "SESSION.yaml", "-o", tmp_path / "run")
+    found = run("replay", lab / "SESSION.yaml", "-o", tmp_path / "run")
     own = replay.poses[-1][1].matrix
     np.testing.assert_allclose(found["estimates"]["mr_from_tracker"], own, rtol=0, atol=1e-6)
     magnitude = np.linalg.norm(replay.ticks.force_n, axis=1)

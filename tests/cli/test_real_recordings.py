@@ -17,7 +17,8 @@ from dvf_ig.cli.main import app
 from dvf_ig.cli.synth.spec import read_spec, scenario_spec
 from dvf_ig.core import NWireRecording
 from dvf_ig.intake.calibrations import calibrate
-from dvf_ig.io import read_image_map, read_session
+from dvf_ig.intake.session import read_session
+from dvf_ig.io import read_image_map
 
 COLUMNS, ROWS = 820, 616
 DEVICE_SET = "PlusDeviceSet_fCal_Sim_SpatialCalibration_2.0.xml"

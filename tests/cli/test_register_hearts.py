@@ -17,8 +17,6 @@ from dvf_ig.io import write_surface_series, write_timing, write_volume, write_vo
 BLOOD, WALL = 3, 2
 RADII_MM = ((18.0, 26.0), (13.0, 23.0), (16.0, 25.0))
 TIMING = CycleTiming(np.array([0.0, 0.35, 0.7]), 0.85)
-REST = ["--us", "sweep.igs.mha", "--probe", "probe.json", "--lag-s", "-0.065", "--ecg", "csv:ecg.csv"]
-REST += ["--start-landmarks", "model.mrk.json", "patient.mrk.json", "-o", "out"]
 
 
 def labels() -> VolumeSeries:
@@ -65,29 +63,33 @@ def given(files: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., tuple[S
     return run
 
 
-HEARTS: dict[str, tuple[list[str], set[str]]] = {
-    "a model": (["--model", "heart.npz"], set()),
-    "a model and its cine": (["--model", "heart.npz", "--mr", "cine.nrrd"], {"mr"}),
-    "labels of every phase": (["--labels", "labels.nrrd", "--cavity", "3"], {"labels"}),
+CAVITY = {"cavity_labels": [3]}
+HEARTS: dict[str, tuple[dict[str, Any], set[str]]] = {
+    "a model": ({"model": "heart.npz"}, set()),
+    "a model and its cine": ({"model": "heart.npz", "mr": "cine.nrrd"}, {"mr"}),
+    "labels of every phase": ({"labels": "labels.nrrd", **CAVITY}, {"labels"}),
     "a cine with labels of every phase": (
-        ["--cine", "cine.nrrd", "--labels", "labels.nrrd", "--cavity", "3"],
+        {"mr": "cine.nrrd", "labels": "labels.nrrd", **CAVITY},
         {"mr", "labels"},
     ),
     "a cine with labels of end-diastole": (
-        ["--cine", "cine.nrrd", "--labels", "ed.nrrd", "--cavity", "3"],
+        {"mr": "cine.nrrd", "labels": "ed.nrrd", **CAVITY},
         {"mr", "ed_labels"},
     ),
 }
 
 
 @pytest.mark.parametrize("kind", HEARTS)
-def test_a_heart_by_options(kind: str, given: Callable[..., tuple[Scenario, DvfModel]]) -> None:
-    options, there = HEARTS[kind]
-    scenario, model = given(*REST, *options)
+def test_a_heart_of_a_session(
+    kind: str, given: Callable[..., tuple[Scenario, DvfModel]], files: Path
+) -> None:
+    heart, there = HEARTS[kind]
+    (files / "session.yaml").write_text(yaml.safe_dump(SESSION | {"preop": heart}))
+    scenario, model = given("session.yaml", "-o", "out")
     preop = scenario.preop
     assert {name for name in ("mr", "labels", "ed_labels") if getattr(preop, name) is not None} == there
     assert preop.patient_id == model.patient_id
-    if "--labels" in options:
+    if "labels" in heart:
         assert preop.organ_labels == ((WALL, BLOOD) if "labels" in there else ())
         vertices = model.reference[model.ed_phase].vertices_mm
         assert np.linalg.norm(vertices, axis=1).mean() == pytest.approx(RADII_MM[0][1], abs=1.0)
@@ -96,6 +98,6 @@ def test_a_heart_by_options(kind: str, given: Callable[..., tuple[Scenario, DvfM
 def test_surfaces_in_a_session(given: Callable[..., tuple[Scenario, DvfModel]], files: Path) -> None:
     document: dict[str, Any] = SESSION | {"preop": {"surfaces_folder": "surfaces"}, "patient_id": "ball"}
     (files / "session.yaml").write_text(yaml.safe_dump(document))
-    scenario, model = given("--config", "session.yaml", "-o", "out")
+    scenario, model = given("session.yaml", "-o", "out")
     assert [series.name for series in scenario.preop.surfaces] == ["EPICARDIAL"]
     assert model.surface_name == "EPICARDIAL"

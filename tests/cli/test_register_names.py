@@ -25,9 +25,8 @@ from dvf_ig.core import (
 )
 from dvf_ig.io import write_coordinate_definitions, write_poses, write_sequence, write_transform
 
-OPTIONS = ["--us", "one.igs.mha", "--model", "heart.npz", "--lag-s", "-0.065", "--ecg", "csv:ecg.csv"]
-OPTIONS += ["--start", "start.tfm", "-o", "out"]
 REPLAYED = {k: v for k, v in SESSION.items() if k != "tool"}
+REGISTERED = REPLAYED | {"start": {"transform": "start.tfm"}}
 
 
 def streams() -> tuple[PoseStream, PoseStream, PoseStream]:
@@ -96,7 +95,16 @@ def run(given: Given, *arguments: str) -> Scenario:
 
 def replayed(given: Given, files: Path, **changed: Any) -> Scenario:
     (files / "session.yaml").write_text(yaml.safe_dump(REPLAYED | changed))
-    return run(given, "replay", "--config", "session.yaml", "-o", "out")
+    return run(given, "replay", "session.yaml", "-o", "out")
+
+
+def registered(given: Given, files: Path, probe: str, **names: str) -> Scenario:
+    document = REGISTERED | {
+        "ultrasound": {"file": "one.igs.mha", **names},
+        "calibration": {"probe": probe, "latency": -0.065},
+    }
+    (files / "session.yaml").write_text(yaml.safe_dump(document))
+    return run(given, "register", "session.yaml", "-o", "out")
 
 
 def assert_as_recorded(found: Scenario, *, relative: bool = True, tool: bool = True) -> None:
@@ -118,14 +126,13 @@ def assert_as_recorded(found: Scenario, *, relative: bool = True, tool: bool = T
 
 @pytest.mark.parametrize("name", ["UsSensor", "us_sensor", "USSensor"])
 @pytest.mark.parametrize("calibration", ["us_sensor.json", "ussensor.json"])
-def test_options_name_the_sensor(name: str, calibration: str, given: Given) -> None:
-    found = run(given, "register", *OPTIONS, "--probe", calibration, "--probe-name", name)
-    assert_as_recorded(found)
+def test_a_session_names_the_sensor(name: str, calibration: str, given: Given, files: Path) -> None:
+    assert_as_recorded(registered(given, files, calibration, probe_name=name))
 
 
-def test_a_device_set_and_the_reference_by_name(given: Given) -> None:
-    names = ["--probe-name", "UsSensor", "--reference-name", "Reference"]
-    assert_as_recorded(run(given, "register", *OPTIONS, "--probe", "device.xml", *names))
+def test_a_device_set_and_the_reference_by_name(given: Given, files: Path) -> None:
+    names = {"probe_name": "UsSensor", "reference_name": "Reference"}
+    assert_as_recorded(registered(given, files, "device.xml", **names))
 
 
 SWEEPS: dict[str, dict[str, Any]] = {
@@ -165,7 +172,7 @@ def test_which_of_several_tools_is_asked(given: Given, files: Path) -> None:
     probe, needle, _ = streams()
     write_sequence(sequence(probe, needle, replace(needle, source="stylus")), files / "two.igs.mha")
     (files / "session.yaml").write_text(yaml.safe_dump(REPLAYED | {"ultrasound": "two.igs.mha"}))
-    done = CliRunner().invoke(app, ["replay", "--config", "session.yaml", "-o", "out"])
+    done = CliRunner().invoke(app, ["replay", "session.yaml", "-o", "out"])
     assert done.exit_code == 3
     assert given.scenario is None
     assert "the ultrasound tracks needle and stylus beside the probe; say which is the tool" in done.stderr

@@ -8,24 +8,17 @@ from typing import Any
 import numpy as np
 import pytest
 import SimpleITK
-import yaml
 from toy_lab import SESSION, write_lab
 from typer.testing import CliRunner
 
 from dvf_ig.cli.main import app
 from dvf_ig.core import DvfModel, NotConvergedError, Rigid
+from dvf_ig.intake.schema import KEYS
 from dvf_ig.io import write_coordinate_definitions, write_transform
 
-OPTIONS: dict[str, Any] = {
-    "--us": "sweep.igs.mha",
-    "--model": "heart.npz",
-    "--probe": "probe.json",
-    "--lag-s": -0.065,
-    "--ecg": "csv:ecg.csv",
-    "--start": "start.tfm",
-}
-VOLUMES: dict[str, Any] = {"--us-volume": "a.nrrd@0.1", "--model": "heart.npz", "--start": "start.tfm"}
-MARKED = ("model.mrk.json", "patient.mrk.json")
+START = {"start": {"transform": "start.tfm"}}
+REGISTERED: dict[str, Any] = SESSION | START | {"calibration": {"probe": "probe.json", "latency": -0.065}}
+OUT = ("-o", "out")
 
 
 @pytest.fixture(scope="module")
@@ -61,12 +54,10 @@ def reached(*_: object, **__: object) -> None:
     raise NotConvergedError("the work began")
 
 
-def words(options: dict[str, Any]) -> list[str]:
-    found: list[str] = []
-    for name, value in options.items():
-        given = value if isinstance(value, tuple) else (value,)
-        found += [] if value is None else [name, *map(str, given)]
-    return found
+def session(folder: Path, document: dict[str, Any]) -> str:
+    """The name of a session.yaml; a part that is None is left out."""
+    (folder / "session.yaml").write_text(json.dumps({k: v for k, v in document.items() if v is not None}))
+    return "session.yaml"
 
 
 def ended(lab: Path, *arguments: str, code: int) -> str:
@@ -77,169 +68,204 @@ def ended(lab: Path, *arguments: str, code: int) -> str:
     assert sorted(lab.rglob("*")) == before
     assert done.stdout == ""
     text = " ".join(done.stderr.replace("│", " ").split())
-    assert text.count("error: ") + text.count("Invalid value") == 1
+    assert text.count("error: ") + text.count("Invalid value") + text.count("Missing argument") == 1
     return text
 
 
 def test_what_fits_gets_to_work(lab: Path) -> None:
-    (lab / "session.yaml").write_text(yaml.safe_dump(SESSION))
-    ended(lab, "register", *words(OPTIONS), "-o", "out", code=6)
-    ended(lab, "register", *words(OPTIONS | {"--touched": "touched.csv@0.35"}), "-o", "out", code=6)
-    ended(lab, "register", "--config", "session.yaml", "-o", "out", code=6)
-    ended(lab, "replay", "--config", "session.yaml", "-o", "out", code=6)
+    ended(lab, "register", session(lab, REGISTERED), *OUT, code=6)
+    ended(lab, "register", session(lab, REGISTERED | TOUCHED), *OUT, code=6)
+    ended(lab, "register", session(lab, SESSION), *OUT, code=6)
+    ended(lab, "replay", session(lab, SESSION), *OUT, code=6)
 
 
-COMBINATIONS: dict[str, tuple[dict[str, Any], str]] = {
-    "nothing": ({}, "what is to be registered? give one of SCENARIO, --config, --us, --us-volume, --fixed"),
-    "two kinds": (OPTIONS | {"--config": "session.yaml"}, "(got --config, --us)"),
-    "a pair beside": (OPTIONS | {"--fixed": "a.nrrd"}, "(got --us, --fixed and --moving)"),
-    "half a pair": ({"--moving": "a.nrrd"}, "an image pair needs both --fixed US and --moving MR"),
-    "a pair's mask": (OPTIONS | {"--mask": "m.nrrd"}, "--mask does not go with --us; it goes with --fixed"),
-    "config and model": (
-        {"--config": "session.yaml", "--model": "heart.npz"},
-        "--model does not go with --config; it goes with SCENARIO, --us, --us-volume",
+TOUCHED = {"start": {"transform": "start.tfm", "touched": "touched.csv", "touched_phase": 0.35}}
+BOTH = "give SESSION, a scenario folder (see `dvf-ig synth scenario`) or a session.yaml"
+COMBINATIONS: dict[str, tuple[tuple[str, ...], str]] = {
+    "nothing": (OUT, BOTH),
+    "two kinds": (("session.yaml", "--fixed", "a.nrrd", "--moving", "b.nrrd", *OUT), "(got both)"),
+    "half a pair": (("--moving", "a.nrrd", *OUT), "an image pair needs both --fixed US and --moving MR"),
+    "a session's mask": (("session.yaml", "--mask", "m.nrrd", *OUT), "--mask goes with --fixed and --moving"),
+    "a session's start": (("session.yaml", "--init", "start.tfm", *OUT), "--init goes with --fixed and"),
+    "a pair's model": (
+        ("--fixed", "a.nrrd", "--moving", "b.nrrd", "--model", "heart.npz", *OUT),
+        "--model goes with SESSION alone",
     ),
-    "config and start": (
-        {"--config": "session.yaml", "--start": "start.tfm"},
-        "--start does not go with --config",
+    "a session and a model": (
+        ("session.yaml", "--model", "heart.npz", *OUT),
+        "session.yaml says whose model it is (preop.model): dvf-ig config init … --model FILE -o session",
     ),
-    "volumes and probe": (VOLUMES | {"--probe": "probe.json"}, "--probe does not go with --us-volume"),
-    "volumes and touched": (VOLUMES | {"--touched": "touched.csv"}, "--touched does not go with --us-volume"),
-    "volumes, two starts": (VOLUMES | {"--start-landmarks": MARKED}, "give either --start FILE.tfm or"),
-    "volumes, no heart": (
-        VOLUMES | {"--model": None},
-        "whose heart? give --model MODEL, or --cine CINE with",
-    ),
-    "volumes, ECG unused": (
-        VOLUMES | {"--ecg": "csv:ecg.csv"},
-        "--ecg belongs to volumes given as FILE=SECONDS",
-    ),
-    "no heart": (
-        OPTIONS | {"--model": None},
-        "whose heart? give --model MODEL, or --cine CINE with --labels",
-    ),
-    "cine alone": (OPTIONS | {"--model": None, "--cine": "cine.nrrd"}, "whose heart?"),
-    "two hearts": (
-        OPTIONS | {"--labels": "ed.nrrd"},
-        "--model, or --labels from which one is built, not both",
-    ),
-    "labels of a model": (OPTIONS | {"--cavity": "3"}, "--cavity says which of --labels are meant"),
-    "labels in words": (
-        OPTIONS | {"--model": None, "--labels": "ed.nrrd", "--organ": "heart"},
-        "--organ is 'heart'; needed whole numbers such as 1,2,5",
-    ),
-    "no probe": (OPTIONS | {"--probe": None}, "--us needs --probe FILE, the probe's calibration"),
-    "no latency": (
-        OPTIONS | {"--lag-s": None},
-        "latency of the video once: --lag-s SECONDS, or --latency JSON",
-    ),
-    "two latencies": (OPTIONS | {"--latency": "latency.json"}, "give the latency of the video once"),
-    "seconds as a file": (OPTIONS | {"--lag-s": None, "--latency": "-0.065"}, "give seconds as --lag-s"),
-    "a word as seconds": (OPTIONS | {"--lag-s": "late"}, "'--lag-s'"),
-    "no start": (
-        OPTIONS | {"--start": None},
-        "--us needs a start: --start FILE.tfm, --start-landmarks MR TRACKER",
-    ),
-    "a rate of no ECG": (
-        OPTIONS | {"--ecg": None, "--rate": 250},
-        "--rate is of the recording that --ecg names",
-    ),
-    "a short fan": (OPTIONS | {"--fan": "1,2,3"}, "--fan is '1,2,3'; needed five numbers"),
-    "a phase in words": (
-        OPTIONS | {"--touched": "touched.csv@end"},
-        "--touched: 'end' is no place in the cycle",
-    ),
-    "a phase in percent": (OPTIONS | {"--touched": "touched.csv@35"}, "needed a fraction from 0 to below 1"),
-    "a phase alone": (
-        OPTIONS | {"--touched": "@0.3"},
-        "--touched is '@0.3'; needed a file of points before @",
-    ),
-    "no output": (OPTIONS | {"-o": None}, "say where to write: -o OUT"),
+    "no output": (("session.yaml",), "Missing option '-o' / '--out'"),
+    "no output before": (("session.yaml", "--config", "session.yaml"), "--config is the argument SESSION"),
 }
 
 
 @pytest.mark.parametrize("case", COMBINATIONS)
 def test_options_that_do_not_go_together(case: str, lab: Path) -> None:
-    options, told = COMBINATIONS[case]
-    assert told in ended(lab, "register", *words({"-o": "out"} | options), code=2)
+    session(lab, REGISTERED)
+    arguments, told = COMBINATIONS[case]
+    before = sorted(lab.rglob("*"))
+    done = CliRunner().invoke(app, ["register", *arguments])
+    assert done.exit_code == 2, done.output
+    assert sorted(lab.rglob("*")) == before
+    assert told in " ".join(done.stderr.replace("│", " ").split())
+
+
+@pytest.mark.parametrize("name", [name for name, key in KEYS.items() if key.option])
+@pytest.mark.parametrize("command", ["register", "replay", "serve"])
+def test_an_option_of_old_is_answered_with_its_key_and_the_line_that_sets_it(
+    name: str, command: str, lab: Path
+) -> None:
+    for option in KEYS[name].options:
+        done = CliRunner().invoke(app, [command, option, "x", "-o", "out"])
+        told = " ".join(done.stderr.replace("│", " ").split())
+        assert done.exit_code == 2
+        if option != "--model":
+            assert f"{option} is the key {name} of a session.yaml" in told
+            assert f"dvf-ig config init … {KEYS[name].options[0]} {KEYS[name].metavar} -o" in told
+            assert f"then dvf-ig {command} session.yaml" in told
+
+
+@pytest.mark.parametrize("command", ["register", "replay", "serve"])
+def test_the_option_config_is_answered_with_the_argument(command: str, lab: Path) -> None:
+    done = CliRunner().invoke(app, [command, "--config=session.yaml", "-o", "out"])
+    assert done.exit_code == 2
+    told = " ".join(done.stderr.replace("│", " ").split())
+    assert f"--config is the argument SESSION: dvf-ig {command} session.yaml" in told
+
+
+INITS: dict[str, tuple[tuple[str, ...], int, str]] = {
+    "nothing": ((), 2, "give --us SWEEP, or --us-volume FILE@PHASE"),
+    "a word as rate": (("--us", "sweep.igs.mha", "--rate", "often"), 2, "'--rate'"),
+    "a rate of no ECG": (
+        ("--us", "sweep.igs.mha", "--rate", "250"),
+        3,
+        "--rate needs another option",
+    ),
+    "labels of a model": (
+        ("--us", "sweep.igs.mha", "--model", "heart.npz", "--cavity", "3"),
+        3,
+        "--cavity needs another option; also give --labels FILE",
+    ),
+    "labels in words": (
+        ("--us", "sweep.igs.mha", "--labels", "ed.nrrd", "--organ", "heart"),
+        3,
+        "--organ is 'heart'; needed whole numbers such as 1,2,5",
+    ),
+    "a short fan": (("--us", "sweep.igs.mha", "--fan", "1,2,3"), 3, "--fan is '1,2,3'; needed five numbers"),
+    "a phase in words": (
+        ("--us", "sweep.igs.mha", "--touched", "few.csv@end"),
+        3,
+        "--touched is 'few.csv@end'",
+    ),
+    "a phase in percent": (("--us", "sweep.igs.mha", "--touched", "few.csv@35"), 3, "from 0 to below 1"),
+    "a phase alone": (
+        ("--us", "sweep.igs.mha", "--touched", "@0.3"),
+        3,
+        "--touched is '@0.3'; needed POINTS@PHASE",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", INITS)
+def test_options_that_begin_no_session(case: str, lab: Path) -> None:
+    arguments, code, told = INITS[case]
+    assert told in ended(lab, "config", "init", *arguments, "-o", "begun.yaml", code=code)
 
 
 def test_the_start_is_no_output(lab: Path) -> None:
-    told = ended(lab, "register", *words(OPTIONS | {"-o": "start.tfm"}), code=4)
+    told = ended(lab, "register", session(lab, REGISTERED), "-o", "start.tfm", code=4)
     assert "cannot write start.tfm: a file of that name exists" in told
+
+
+def at(key: str, value: Any) -> dict[str, Any]:
+    """The session with one key changed."""
+    section, _, entry = key.partition(".")
+    return REGISTERED | {section: REGISTERED.get(section, {}) | {entry: value} if entry else value}
 
 
 MISPLACED: dict[str, tuple[dict[str, Any], str]] = {
     "the tool as ultrasound": (
-        {"--us": "needle.igs.mha"},
-        "it records tracker_from_needle; name what is meant",
+        at("ultrasound.file", "needle.igs.mha"),
+        "it records tracker_from_needle; name what is meant (ultrasound.probe_name",
     ),
-    "a model as ultrasound": ({"--us": "heart.npz"}, "heart.npz is not a sequence metafile"),
-    "a name misspelt": ({"--us": "swep.igs.mha"}, "lacks swep.igs.mha (--us), which the command names"),
+    "a model as ultrasound": (at("ultrasound.file", "heart.npz"), "heart.npz is not a sequence metafile"),
+    "a name misspelt": (
+        at("ultrasound.file", "swep.igs.mha"),
+        "lacks swep.igs.mha (ultrasound.file), which session.yaml names",
+    ),
     "a home that no shell saw": (
-        {"--ecg": "csv:~/ecg.csv"},
-        "lacks ~/ecg.csv (--ecg), which the command names",
+        at("ecg", "csv:~/ecg.csv"),
+        "lacks ~/ecg.csv (ecg.file), which",
     ),
     "a sequence as model": (
-        {"--model": "sweep.igs.mha"},
-        "sweep.igs.mha is not a model file; build one with",
+        at("preop.model", "sweep.igs.mha"),
+        "preop.model: sweep.igs.mha is not a model file; build one with",
     ),
-    "labels as cine": ({"--cine": "ed.nrrd"}, "ed.nrrd is 3-D with 1 value(s) a voxel; needed 4-D"),
-    "labels without cine": (
-        {"--model": None, "--labels": "ed.nrrd"},
-        "ed.nrrd holds the labels of one phase",
-    ),
+    "labels as cine": (at("preop.mr", "ed.nrrd"), "ed.nrrd is 3-D with 1 value(s) a voxel; needed 4-D"),
+    "labels without cine": (at("preop", {"labels": "ed.nrrd"}), "ed.nrrd holds the labels of one phase"),
     "a label that is not there": (
-        {"--model": None, "--labels": "cine.nrrd", "--organ": "7"},
-        "--organ: the image has none of the labels 7; it has 1",
+        at("preop", {"labels": "cine.nrrd", "organ_labels": [7]}),
+        "preop.organ_labels: cine.nrrd: the image has none of the labels 7; it has 1",
     ),
     "another patient": (
-        {"--patient": "P-17"},
+        at("patient_id", "P-17"),
         "heart.npz is the model of patient 'ball', needed patient 'P-17'",
     ),
-    "a tip as probe": ({"--probe": "tip.json"}, "tip.json is not a probe calibration but of kind 'tip'"),
+    "a tip as probe": (
+        at("calibration.probe", "tip.json"),
+        "calibration.probe: tip.json is not a probe calibration but of kind 'tip'",
+    ),
     "a device set without the image": (
-        {"--probe": "device.xml"},
+        at("calibration.probe", "device.xml"),
         "device.xml has no transform probe_from_image",
     ),
-    "milliseconds": ({"--lag-s": -65}, "--lag-s: the latency is -65 s; needed -1 to 1 s (is it in ms?)"),
-    "no number": ({"--lag-s": "nan"}, "--lag-s: Input should be a finite number"),
+    "milliseconds": (
+        at("calibration.latency", -65.0),
+        "calibration.latency: the latency is -65 s; needed -1 to 1 s (is it in ms?)",
+    ),
     "a tip as latency": (
-        {"--lag-s": None, "--latency": "tip.json"},
+        at("calibration.latency", "tip.json"),
         "tip.json is not a latency but of kind 'tip'",
     ),
-    "no ECG anywhere": ({"--ecg": None}, "sweep.igs.mha has no field whose name contains 'ecg'"),
-    "points as ECG": ({"--ecg": "touched.csv"}, "touched.csv"),
-    "landmarks as start": ({"--start": "model.mrk.json"}, "model.mrk.json is not a readable ITK transform"),
+    "no ECG anywhere": (at("ecg", None), "sweep.igs.mha has no field whose name contains 'ecg'"),
+    "points as ECG": (at("ecg", "touched.csv"), "touched.csv"),
+    "landmarks as start": (
+        at("start.transform", "model.mrk.json"),
+        "start.transform: model.mrk.json is not a readable ITK transform",
+    ),
     "a start as landmarks": (
-        {"--start": None, "--start-landmarks": ("start.tfm", MARKED[1])},
+        at("start", {"landmarks_mr": "start.tfm", "landmarks_tracker": "patient.mrk.json"}),
         "start.tfm has no landmark ending; needed .mrk.json, .fcsv or .tag",
     ),
     "a wrong sensor": (
-        {"--probe-name": "Stylus"},
-        "it records tracker_from_probe; name what is meant (--probe-name",
+        at("ultrasound.probe_name", "Stylus"),
+        "it records tracker_from_probe; name what is meant (ultrasound.probe_name",
     ),
-    "a sensor by number": ({"--probe-name": "123"}, "(--probe-name, --reference-name)"),
+    "a sensor by number": (
+        at("ultrasound.probe_name", "123"),
+        "(ultrasound.probe_name, ultrasound.reference_name)",
+    ),
     "three touched points": (
-        {"--touched": "few.csv"},
-        "--touched: 3 points were touched on the surface; needed at",
+        at("start.touched", "few.csv"),
+        "start.touched: few.csv: 3 points were touched on the surface; needed at",
     ),
     "points on one patch": (
-        {"--touched": "patch.csv"},
+        at("start.touched", "patch.csv"),
         "touch more of the surface, on several sides of the heart",
     ),
-    "a transform as points": ({"--touched": "start.tfm"}, "is not x,y,z in mm"),
+    "a transform as points": (at("start.touched", "start.tfm"), "is not x,y,z in mm"),
     "a sector beyond the image": (
-        {"--fan": "5000,5,20,40,0.3"},
-        "--fan: the sector covers 0.0% of the images",
+        at("ultrasound.fan", {"apex_px": [5000, 5], "start_px": 20, "stop_px": 40, "half_angle_rad": 0.3}),
+        "ultrasound.fan: the sector covers 0.0% of the images",
     ),
 }
 
 
 @pytest.mark.parametrize("case", MISPLACED)
 def test_a_file_in_the_wrong_place(case: str, lab: Path) -> None:
-    changed, told = MISPLACED[case]
-    assert told in ended(lab, "register", *words(OPTIONS | changed), "-o", "out", code=3)
+    document, told = MISPLACED[case]
+    assert told in ended(lab, "register", session(lab, document), *OUT, code=3)
 
 
 SESSIONS: dict[str, tuple[dict[str, Any], str]] = {
@@ -265,7 +291,7 @@ SESSIONS: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "few points beside a start": (
         {"start": {"transform": "start.tfm", "touched": "few.csv"}},
-        "start.touched: 3",
+        "start.touched: few.csv: 3",
     ),
 }
 
@@ -274,44 +300,30 @@ SESSIONS: dict[str, tuple[dict[str, Any], str]] = {
 def test_a_session_that_cannot_be_replayed(case: str, lab: Path) -> None:
     changed, told = SESSIONS[case]
     document = SESSION | changed | {"calibration": SESSION["calibration"] | changed.get("calibration", {})}
-    (lab / "session.yaml").write_text(json.dumps({k: v for k, v in document.items() if v is not None}))
-    assert told in ended(lab, "replay", "--config", "session.yaml", "-o", "out", code=3)
+    assert told in ended(lab, "replay", session(lab, document), *OUT, code=3)
 
 
 REPLAYS: dict[str, tuple[tuple[str, ...], int, str]] = {
-    "nothing": ((), 2, "what is to be replayed? give a scenario folder, or --config SESSION.yaml"),
-    "two": (
-        (".", "--config", "session.yaml"),
-        2,
-        "give a scenario folder or --config SESSION.yaml, not both",
-    ),
+    "nothing": ((), 2, "Missing argument 'SESSION'"),
     "a model": (
-        ("--config", "session.yaml", "--model", "heart.npz"),
+        ("session.yaml", "--model", "heart.npz"),
         2,
-        "session.yaml says whose model it is",
+        "session.yaml says whose model it is (preop.model)",
     ),
     "two fixtures": (
-        ("--config", "session.yaml", "--law", "guidance"),
+        ("session.yaml", "--law", "guidance"),
         2,
-        "the SESSION.yaml describes the fixtures; leave out --law",
+        "the session describes the fixtures; leave out --law",
     ),
-    "a file of fixtures": (
-        ("--config", "session.yaml", "--fixtures", "fixtures.yaml"),
-        2,
-        "leave out --fixtures",
-    ),
-    "a file as folder": (("session.yaml",), 3, "it is a file (a SESSION.yaml is given as --config)"),
-    "no such file": (
-        ("--config", "none.yaml"),
-        3,
-        "none.yaml does not exist; needed a session's configuration",
-    ),
-    "a sequence": (("--config", "sweep.igs.mha"), 3, "sweep.igs.mha is not a session's configuration"),
+    "a file of fixtures": (("session.yaml", "--fixtures", "fixtures.yaml"), 2, "leave out --fixtures"),
+    "no such file": (("none.yaml",), 3, "none.yaml does not exist; needed a session's configuration"),
+    "a folder of something else": ((".",), 3, "is not a scenario folder: it has no scenario.yaml"),
+    "a sequence": (("sweep.igs.mha",), 3, "sweep.igs.mha is not a session's configuration"),
 }
 
 
 @pytest.mark.parametrize("case", REPLAYS)
 def test_a_replay_of_what_does_not_go_together(case: str, lab: Path) -> None:
-    (lab / "session.yaml").write_text(yaml.safe_dump(SESSION | {"fixtures": [{"law": "forbidden"}]}))
+    session(lab, SESSION | {"fixtures": [{"law": "forbidden"}]})
     arguments, code, told = REPLAYS[case]
-    assert told in ended(lab, "replay", *arguments, "-o", "out", code=code)
+    assert told in ended(lab, "replay", *arguments, *OUT, code=code)

@@ -1,7 +1,6 @@
 """Points touched on the heart as the only start of a registration, and as a check beside another start."""
 
 import json
-import shutil
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -9,8 +8,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 from known_patient import registration
-from toy_lab import sweep, write_lab
+from toy_lab import SESSION, sweep, write_lab
 from toy_touched import beating_model, grid_targets, heart_center_mm, random_pose, touched_points
 from typer.testing import CliRunner, Result
 
@@ -21,8 +21,6 @@ from dvf_ig.registration import against_touched, target_errors_mm
 from dvf_ig.replay.page.registration_page import ShownInput
 
 POSE = random_pose(np.random.default_rng(4))
-FILES = ["--us", "sweep.igs.mha", "--model", "heart.npz", "--probe", "probe.json", "--lag-s", "-0.065"]
-FILES += ["--ecg", "csv:ecg.csv", "-o", "out"]
 
 
 @pytest.fixture(scope="module")
@@ -82,8 +80,10 @@ def shape_alone(_preop: object, model: DvfModel, **_: object) -> Any:
     return SimpleNamespace(model=model, center_mm=heart_center_mm(model))
 
 
-def register(*options: str) -> Result:
-    return CliRunner().invoke(app, ["register", *FILES, *options])
+def register(start: dict[str, Any], *options: str, model: str = "heart.npz") -> Result:
+    document = SESSION | {"start": start, "preop": {"model": model}}
+    Path("session.yaml").write_text(yaml.safe_dump(document))
+    return CliRunner().invoke(app, ["register", "session.yaml", "-o", "out", *options])
 
 
 def error_mm(found: list[list[float]], heart: DvfModel) -> float:
@@ -92,7 +92,7 @@ def error_mm(found: list[list[float]], heart: DvfModel) -> float:
 
 
 def test_touched_points_alone_start_a_registration(lab: Path, heart: DvfModel) -> None:
-    done = register("--touched", "touched.csv", "--json")
+    done = register({"touched": "touched.csv"}, "--json")
     assert done.exit_code == 0, done.output
     found = json.loads(done.stdout)
     assert error_mm(found["start"], heart) < 2.0
@@ -102,9 +102,9 @@ def test_touched_points_alone_start_a_registration(lab: Path, heart: DvfModel) -
 
 
 def test_touched_points_check_another_start(lab: Path) -> None:
-    shutil.copy(lab / "touched.csv", lab / "touched@bedside.csv")
-    named = register("--start", "start.tfm", "--touched", "touched@bedside.csv")
-    done = register("--start", "start.tfm", "--touched", "touched@bedside.csv@0")
+    start = {"transform": "start.tfm", "touched": "touched.csv"}
+    named = register(start)
+    done = register({**start, "touched_phase": 0.0})
     assert done.exit_code == 0, done.output
     assert named.stdout == done.stdout
     assert "touched surface" in done.stdout
@@ -112,7 +112,7 @@ def test_touched_points_check_another_start(lab: Path) -> None:
 
 
 def test_points_that_lie_elsewhere_refuse_the_pose_with_all_its_evidence(lab: Path) -> None:
-    done = register("--start", "start.tfm", "--touched", "moved.csv")
+    done = register({"transform": "start.tfm", "touched": "moved.csv"})
     assert done.exit_code == 7
     (told,) = [line for line in done.stderr.splitlines() if line.startswith("error: ")]
     assert "must not be used: independent checks of the pose disagree" in told
@@ -129,8 +129,9 @@ def test_points_that_lie_elsewhere_refuse_the_pose_with_all_its_evidence(lab: Pa
 def test_another_phase_lies_elsewhere(lab: Path) -> None:
     """End-systole's surface is up to a tenth smaller."""
     found = []
-    for place in ("0", "0.35"):
-        done = register("--start", "start.tfm", "--touched", f"touched.csv@{place}", "--json")
+    for place in (0.0, 0.35):
+        start = {"transform": "start.tfm", "touched": "touched.csv", "touched_phase": place}
+        done = register(start, "--json")
         found.append(json.loads(done.stdout)["surface_points"]["median_mm"])
     assert found[1] > found[0] + 1.0
 
@@ -141,6 +142,6 @@ def test_points_that_leave_the_pose_open_are_no_start(lab: Path, tmp_path: Path)
     found = touched_points(ball, POSE, np.random.default_rng(3), count=60, outlier_share=0.0, facing=-1.0)
     write_lab(tmp_path, ball)
     write_points(tmp_path / "ball.csv", found.points.xyz_mm)
-    done = register("--model", f"{tmp_path}/heart.npz", "--touched", f"{tmp_path}/ball.csv")
+    done = register({"touched": f"{tmp_path}/ball.csv"}, model=f"{tmp_path}/heart.npz")
     assert done.exit_code == 7
     assert "error: no start: the touched points leave the pose undetermined" in done.stderr

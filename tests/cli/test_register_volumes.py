@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 from html_outline import outline_of
 from toy_heart import CENTER_MM, toy_mr, toy_pose
 from toy_volume import resampled, toy_volume
@@ -16,8 +17,10 @@ from typer.testing import CliRunner, Result
 
 from dvf_ig.cli.main import app
 from dvf_ig.core import Grid, Landmarks, Points, Preop, Rigid, Signal, TrackedVolume, Volume, VolumeSeries
+from dvf_ig.intake.preop import read_preop
+from dvf_ig.intake.schema import PreopConfig
+from dvf_ig.intake.session import read_session
 from dvf_ig.io import (
-    read_heart_options,
     read_model,
     write_ecg_csv,
     write_landmarks,
@@ -107,15 +110,27 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def register(lab: Path, *options: Any) -> Result:
-    return CliRunner().invoke(app, ["register", *map(str, options)])
+def run(*words: Any) -> Result:
+    return CliRunner().invoke(app, [*map(str, words)])
 
 
-def given(lab: Path, *volumes: str) -> list[Any]:
-    out: list[Any] = ["--model", lab / "model.npz"]
-    for name in volumes:
-        out += ["--us-volume", f"{lab}/{name}"]
-    return out
+def register(*words: Any) -> Result:
+    return run("register", *words)
+
+
+def session(lab: Path, folder: Path, *volumes: str, **start: str) -> Path:
+    """A session.yaml of volumes and the model; with `mr` and `ecg` these too, the rest is its start."""
+    files = {key: str(lab / name) for key, name in start.items()}
+    document = {
+        "schema": "dvf_ig.session/1",
+        "preop": {"model": str(lab / "model.npz"), "mr": files.pop("mr", None)},
+        "ultrasound": {"volumes": [str(lab / name) for name in volumes]},
+        "ecg": f"csv:{files.pop('ecg')}" if "ecg" in files else None,
+        "start": files,
+    }
+    path = folder / "session.yaml"
+    path.write_text(yaml.safe_dump(document))
+    return path
 
 
 def pose_in(out: Path) -> tuple[Rigid, dict[str, Any]]:
@@ -135,11 +150,8 @@ def expected(lab: Path, *, mr: bool = True, start: Rigid | None = None, **option
 
 def test_files_give_the_pose_of_arrays(lab: Path, tmp_path: Path) -> None:
     """One volume stored as uint8, one as float32, the model from its file."""
-    done = register(
-        lab,
-        *given(lab, "a.nrrd@0", "b.nrrd@0.0"),
-        *("--mr", lab / "cine.nrrd", "--start", lab / "start.tfm", "--seed", 0, "-o", tmp_path / "out"),
-    )
+    file = session(lab, tmp_path, "a.nrrd@0", "b.nrrd@0.0", mr="cine.nrrd", transform="start.tfm")
+    done = register(file, "--seed", 0, "-o", tmp_path / "out")
     assert done.exit_code == 0, done.output
     found, payload = pose_in(tmp_path / "out")
     np.testing.assert_allclose(found.matrix, expected(lab).matrix, atol=1e-9)
@@ -158,12 +170,9 @@ def test_files_give_the_pose_of_arrays(lab: Path, tmp_path: Path) -> None:
 
 def test_landmarks_are_start_and_prior_and_times_need_the_ecg(lab: Path, tmp_path: Path) -> None:
     """R peaks at 0.3 + 0.8 k s; the model's own rate, so that a time at R + 0.8 p is the phase p."""
-    done = register(
-        lab,
-        *given(lab, "a.nrrd=4.3", "b.nrrd=5.1"),
-        *("--ecg", f"csv:{lab / 'ecg.csv'}", "--seed", 0, "-o", tmp_path / "out"),
-        *("--start-landmarks", lab / "mr.mrk.json", lab / "tracker.mrk.json"),
-    )
+    landmarks = {"landmarks_mr": "mr.mrk.json", "landmarks_tracker": "tracker.mrk.json"}
+    file = session(lab, tmp_path, "a.nrrd=4.3", "b.nrrd=5.1", ecg="ecg.csv", **landmarks)
+    done = register(file, "--seed", 0, "-o", tmp_path / "out")
     assert done.exit_code in (0, 7), done.output
     marked, felt = touched(0.4)
     found, payload = pose_in(tmp_path / "out")
@@ -187,66 +196,66 @@ def test_oblique_unequal_voxels_in_a_file(lab: Path, tmp_path: Path) -> None:
     )
     other = resampled(views()[0], np.array([1.0, 1.0, 1.8]), turn)
     write_volume(other.image, tmp_path / "oblique.nii.gz")
-    done = register(
-        lab,
-        *given(lab, "b.nrrd@0"),
-        *("--us-volume", f"{tmp_path / 'oblique.nii.gz'}@0", "--mr", lab / "cine.nrrd"),
-        *("--start", lab / "start.tfm", "--seed", 0, "-o", tmp_path / "out"),
-    )
+    oblique = f"{tmp_path / 'oblique.nii.gz'}@0"
+    file = session(lab, tmp_path, "b.nrrd@0", oblique, mr="cine.nrrd", transform="start.tfm")
+    done = register(file, "--seed", 0, "-o", tmp_path / "out")
     assert done.exit_code == 0, done.output
     found, _ = pose_in(tmp_path / "out")
     cubes_mm = target_errors_mm(expected(lab), toy_pose(), TARGETS).mean()
     assert abs(target_errors_mm(found, toy_pose(), TARGETS).mean() - cubes_mm) < 0.2
 
 
-WRONG = [
-    (["a.nrrd"], ["--start", "start.tfm"], 3, "does not say its phase"),
-    (["a.nrrd@1.2"], ["--start", "start.tfm"], 3, "fraction of the RR interval"),
-    (["a.nrrd@0", "here/../a.nrrd@0.5"], ["--start", "start.tfm"], 3, "twice"),
-    (["a.nrrd=4.3"], ["--start", "start.tfm"], 2, "needs the ECG"),
-    (["a.nrrd=99"], ["--start", "start.tfm", "--ecg", "ecg.csv"], 3, "no heart beat of the ECG"),
-    (["a.nrrd@0"], ["--start", "start.tfm", "--ecg", "ecg.csv"], 2, "belongs to volumes given as FILE="),
-    (["a.nrrd@0"], [], 2, "--start FILE.tfm or --start-landmarks"),
-    (
-        ["a.nrrd@0"],
-        ["--start", "start.tfm", "--start-landmarks", "mr.mrk.json", "tracker.mrk.json"],
-        2,
-        "--start FILE.tfm or --start-landmarks",
-    ),
-    (["a.nrrd@0"], ["--start", "far.tfm"], 5, "no ultrasound volume reaches the model"),
-    (["none.nrrd@0"], ["--start", "start.tfm"], 3, "does not exist"),
-    (["cine.nrrd@0"], ["--start", "start.tfm"], 3, "split it"),
-    (["a.nrrd@0"], ["--start", "start.tfm", "--mr", "a.nrrd"], 3, "needed 4-D"),
-    (["a.nrrd@0"], ["--start", "start.tfm", "--mask", "a.nrrd"], 2, "--mask does not go with --us-volume"),
-    (["a.nrrd@0"], ["--start", "start.tfm", "--fixed", "a.nrrd"], 2, "what is to be registered?"),
+START = {"transform": "start.tfm"}
+WRONG: list[tuple[list[str], dict[str, str], int, str]] = [
+    (["a.nrrd"], START, 3, "does not say when"),
+    (["a.nrrd@1.2"], START, 3, "fraction of the RR interval"),
+    (["a.nrrd@0", "here/../a.nrrd@0.5"], START, 3, "twice"),
+    (["a.nrrd=4.3"], START, 3, "ecg: a registration needs the ECG"),
+    (["a.nrrd=99"], {**START, "ecg": "ecg.csv"}, 3, "no heart beat of the ECG"),
+    (["a.nrrd@0"], {**START, "ecg": "ecg.csv"}, 3, "it belongs to volumes given as FILE=SECONDS"),
+    (["a.nrrd@0"], {}, 3, "start: a registration needs a start"),
+    (["a.nrrd@0"], {**START, "touched": "ecg.csv"}, 3, "start.touched: "),
+    (["a.nrrd@0"], {"transform": "far.tfm"}, 5, "no ultrasound volume reaches the model"),
+    (["none.nrrd@0"], START, 3, "none.nrrd (ultrasound.volumes)"),
+    (["cine.nrrd@0"], START, 3, "split it"),
+    (["a.nrrd@0"], {**START, "mr": "a.nrrd"}, 3, "needed 4-D"),
 ]
 
 
-@pytest.mark.parametrize(("volumes", "options", "code", "says"), WRONG)
+@pytest.mark.parametrize(("volumes", "files", "code", "says"), WRONG)
 def test_misuse_ends_in_one_sentence_and_writes_nothing(
-    lab: Path, tmp_path: Path, volumes: list[str], options: list[str], code: int, says: str
+    lab: Path, tmp_path: Path, volumes: list[str], files: dict[str, str], code: int, says: str
 ) -> None:
-    files = [lab / option if (lab / option).is_file() else option for option in options]
-    done = register(lab, *given(lab, *volumes), *files, "-o", tmp_path / "out")
+    done = register(session(lab, tmp_path, *volumes, **files), "-o", tmp_path / "out")
     assert done.exit_code == code, done.output
-    assert says in " ".join(done.output.replace("│", " ").split())
+    assert says in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
     assert not (tmp_path / "out").exists()
 
 
-def test_volumes_need_a_model_and_the_other_kinds_do_not_take_their_options(
-    lab: Path, tmp_path: Path
-) -> None:
-    done = register(lab, "--us-volume", f"{lab}/a.nrrd@0", "--start", lab / "start.tfm", "-o", tmp_path / "o")
-    assert (done.exit_code, "--model" in done.output) == (2, True)
-    done = register(lab, lab, "--mr", lab / "model.npz", "-o", tmp_path / "o")
-    assert (done.exit_code, "--us-volume" in done.output) == (2, True)
-    assert not (tmp_path / "o").exists()
+def test_volumes_from_options_give_a_session_that_no_replay_takes(lab: Path, tmp_path: Path) -> None:
+    words = ["--us-volume", lab / "a.nrrd@0", "--us-volume", lab / "b.nrrd@0.0", "--model", lab / "model.npz"]
+    file = tmp_path / "here" / "session.yaml"
+    file.parent.mkdir()
+    made = run("config", "init", *words, "--start", lab / "start.tfm", "-o", file)
+    assert made.exit_code == 0, made.output
+    assert "gated volumes a.nrrd, b.nrrd" in made.stdout
+    assert "note: a replay cannot use ultrasound.file: gated volumes give a pose but no force" in made.stderr
+    document = yaml.safe_load(file.read_text())
+    assert [Path(text.partition("@")[0]).is_absolute() for text in document["ultrasound"]["volumes"]] == [
+        False,
+        False,
+    ]
+    assert [volume.path.resolve() for volume in read_session(file).volumes] == [
+        (lab / name).resolve() for name in ("a.nrrd", "b.nrrd")
+    ]
+    assert run("replay", file, "-o", tmp_path / "out").exit_code == 3
 
 
 def test_times_of_a_cine_without_any_are_the_models(lab: Path, tmp_path: Path) -> None:
     write_volume_series(cine(), tmp_path / "alone.nrrd")
     files = {"model": str(lab / "model.npz"), "mr": str(tmp_path / "alone.nrrd")}
-    read = read_heart_options(files, None)
+    read = read_preop(PreopConfig.model_validate(files), Path(), None)
     assert read.preop.mr is not None
     assert read.model is not None
     assert read.preop.mr.timing is read.model.timing

@@ -15,7 +15,8 @@ from typer.testing import CliRunner
 from dvf_ig.cli.main import app
 from dvf_ig.core import DvfModel, Scenario, Signal, TrackedSequence, TriggerTimes, UnreadableFileError
 from dvf_ig.intake.calibrations import Calibrations, calibrate
-from dvf_ig.io import read_poses, read_session, write_coordinate_definitions, write_poses, write_sequence
+from dvf_ig.intake.session import read_session
+from dvf_ig.io import read_poses, write_coordinate_definitions, write_poses, write_sequence
 
 KINDS = ("pivot", "nwire", "cross-wire", "wall", "watertank")
 SEED = 101

@@ -18,6 +18,8 @@ import numpy as np
 import pytest
 
 from dvf_ig.core import DvfIgError, UnreadableFileError
+from dvf_ig.intake.scenario_write import write_scenario
+from dvf_ig.intake.session import read_scenario
 from dvf_ig.io import (
     read_calibrations,
     read_feature_points,
@@ -28,13 +30,11 @@ from dvf_ig.io import (
     read_model,
     read_points,
     read_poses,
-    read_scenario,
     read_seeds,
     read_sequence,
     read_surface_series,
     read_transform,
     write_model,
-    write_scenario,
 )
 from dvf_ig.io.model.model_file import _CHECKSUM, _digest, _unpack
 from dvf_ig.io.npz import read_npz

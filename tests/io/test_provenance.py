@@ -14,8 +14,8 @@ import pytest
 import SimpleITK
 
 from dvf_ig.core import Preop, Rigid, Signal, UnreadableFileError
+from dvf_ig.intake.model_cache import cached_model
 from dvf_ig.io import (
-    cached_model,
     provenance_fields,
     read_annotations,
     read_ecg,

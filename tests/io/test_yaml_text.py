@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dvf_ig.core import UnreadableFileError
-from dvf_ig.io import read_fixtures
-from dvf_ig.io.scenario.layout import CONFIG, read_config
-from dvf_ig.io.session_file.read import read_session_config, read_session_draft
+from dvf_ig.intake.fixtures import read_fixtures
+from dvf_ig.intake.scenario import CONFIG, read_scenario_config
+from dvf_ig.intake.session import open_session
 from dvf_ig.io.yaml_text import parse_yaml, yaml_text
 
 HERE = Path("f.yaml")
@@ -153,10 +153,10 @@ def test_fixtures_sessions_and_scenarios_are_read_by_it(tmp_path: Path) -> None:
     session = tmp_path / "session.yaml"
     session.write_text("schema: dvf_ig.session/1\ncap_n: 0.5\ncap_n: 2\n")
     with pytest.raises(UnreadableFileError, match=r"session\.yaml: line 3: 'cap_n' is given twice"):
-        read_session_config(session)
+        open_session(session)
     (tmp_path / CONFIG).write_text("schema: dvf_ig.scenario/1\nseed: 1\nseed: 2\n")
     with pytest.raises(UnreadableFileError, match=r"line 3: 'seed' is given twice"):
-        read_config(tmp_path)
+        read_scenario_config(tmp_path)
 
 
 def test_numbers_of_every_decimal_form_reach_a_fixture(tmp_path: Path) -> None:
@@ -174,4 +174,4 @@ def test_a_number_of_a_session_is_no_text_and_no_yes(tmp_path: Path, value: str)
         text = "".join(f"{section}: {{" for section in sections) + f"{last}: {value}" + "}" * len(sections)
         path.write_text(f"schema: dvf_ig.session/1\n{text}\n")
         with pytest.raises(UnreadableFileError, match=rf"{key}: needed a (whole )?number"):
-            read_session_draft(path)
+            open_session(path)

@@ -9,7 +9,7 @@ import pytest
 from waiting import WITHIN_S, until
 
 from dvf_ig.core import InvalidInputError
-from dvf_ig.io.session_file.live import EcgFieldConfig, LiveConfig
+from dvf_ig.intake.live import EcgFieldConfig, LiveConfig
 from dvf_ig.live.igtl import Image, Message, Transform, WireError, WireProblem, encode
 from dvf_ig.live.link import Arrival, Inbox, connect, listen
 from dvf_ig.live.link.inbox import MOST

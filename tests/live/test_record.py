@@ -36,17 +36,19 @@ from dvf_ig.guidance import (
     SupervisorState,
 )
 from dvf_ig.guidance.margins import MarginOptions
-from dvf_ig.io import LivePatient, SessionRecordings
-from dvf_ig.io.ros.attached_heart import attach_heart
-from dvf_ig.io.ros.live_log import LIVE, LiveDocument, live_document
+from dvf_ig.intake.live import EcgFieldConfig, LiveConfig
+from dvf_ig.intake.parts import SessionFiles
+from dvf_ig.intake.preop import PreopFiles
+from dvf_ig.intake.readers import StartFiles
+from dvf_ig.intake.session_log.document import document_of_live
+from dvf_ig.intake.session_log.heart import attach_heart
+from dvf_ig.intake.session_log.live import LIVE, LiveDocument, live_document
+from dvf_ig.intake.session_log.read import read_session_log
+from dvf_ig.intake.session_log.topics import DOCUMENT
 from dvf_ig.io.ros.log_file import LogWriter
-from dvf_ig.io.ros.session_document import document_of_live
-from dvf_ig.io.ros.session_topics import DOCUMENT
-from dvf_ig.io.session_file.live import EcgFieldConfig, LiveConfig
 from dvf_ig.live.answers import state_messages
 from dvf_ig.live.igtl import Status
 from dvf_ig.live.record import LOG, PART, CountedWork, SessionRecord, session_record
-from dvf_ig.replay.export.session_log_read import read_session_log
 from dvf_ig.replay.repetition import AsRecorded, recorded_ticks, repeat
 from dvf_ig.session import Beside, GuidanceState, Session, ToolPose
 
@@ -56,29 +58,20 @@ UNTIL_S = 14.5
 LINE = ((0.0, 0.1, 0.2), (1.0, 2.0, 3.0))
 
 
-def patient() -> LivePatient:
-    return LivePatient(
-        preop=Preop("ball"),
-        model=toy_heart().model,
+def patient() -> SessionFiles:
+    return SessionFiles(
+        preop=PreopFiles(Preop("ball"), toy_heart().model),
         probe=ImageMap(Rigid.identity("probe", "image"), np.array([4.0, 4.0])),
         latency=LAG_S,
         tip=TIP,
-        fan=None,
-        start=HOME,
-        landmarks_mr=None,
-        landmarks_tracker=None,
-        touched=None,
-        touched_phase=None,
-        fixtures=None,
-        retiming=None,
+        start=StartFiles(HOME),
         live=LiveConfig(ecg=EcgFieldConfig(rate_hz=ECG_HZ)),
-        folder=Path(),
     )
 
 
 def attach(log: LogWriter) -> None:
     setup, of = toy_setup(), patient()
-    preop = attach_heart(log, of.preop, setup.heart.model)
+    preop = attach_heart(log, of.heart, setup.heart.model)
     held = setup.calibrations
     log.attach(DOCUMENT, "application/json", document_of_live(of, held.probe_from_image, LAG_S, TIP, preop))
     log.attach(LIVE, "application/json", live_document(setup.fixtures, setup.retiming, 7))
@@ -121,9 +114,9 @@ def run(tmp_path_factory: pytest.TempPathFactory, told: list[str]) -> tuple[Path
         return folder, recorded(folder, told, UNTIL_S)
 
 
-def read(path: Path) -> SessionRecordings:
+def read(path: Path) -> SessionFiles:
     found = read_session_log(path)
-    assert found.live is not None
+    assert found.record is not None
     return found
 
 
@@ -135,7 +128,7 @@ def test_repeated_from_its_record_a_session_says_the_same_to_the_last_bit(
     assert told == []
     assert [file.name for file in folder.iterdir()] == [LOG]
     found = read(folder / LOG)
-    live = found.live
+    live = found.record
     assert live is not None
     assert live.seed == 7
     assert live.findings == ()
@@ -150,8 +143,8 @@ def test_repeated_from_its_record_a_session_says_the_same_to_the_last_bit(
 def test_record_holds_what_was_answered_and_what_was_sent(run: tuple[Path, list[GuidanceState]]) -> None:
     folder, states = run
     found = read(folder / LOG)
-    assert found.live is not None
-    ticks = recorded_ticks(found.live)
+    assert found.record is not None
+    ticks = recorded_ticks(found.record)
     states = [one for one, then in pairwise([*states, None]) if one and (not then or then.now_s > one.now_s)]
     np.testing.assert_array_equal(ticks.force_n, [state.force_n for state in states])
     np.testing.assert_array_equal(ticks.status, [state.status for state in states])
@@ -190,10 +183,10 @@ def test_what_was_written_before_a_log_ends_is_read_and_nothing_else(
         except UnreadableFileError:
             counts.append(0)
             continue
-        assert found.live is not None
-        n = len(found.live.states)
-        np.testing.assert_array_equal(found.live.states[:, 0], [state.now_s for state in states[:n]])
-        assert ["not finished" in one.sentence for one in found.live.findings] == [True]
+        assert found.record is not None
+        n = len(found.record.states)
+        np.testing.assert_array_equal(found.record.states[:, 0], [state.now_s for state in states[:n]])
+        assert ["not finished" in one.sentence for one in found.record.findings] == [True]
         counts.append(n)
     assert counts == sorted(counts)
     assert counts[0] < 0.3 * len(states)
@@ -226,7 +219,7 @@ def test_killed_while_it_records(run: tuple[Path, list[GuidanceState]], tmp_path
     child.kill()
     child.join()
     assert [file.name for file in tmp_path.iterdir()] == [PART]
-    live = read(tmp_path / PART).live
+    live = read(tmp_path / PART).record
     assert live is not None
     assert 400 < len(live.states) < len(run[1])
     assert live.states[:, 0].tolist() == [state.now_s for state in run[1][: len(live.states)]]
@@ -294,7 +287,7 @@ def test_disk_that_is_too_slow_loses_messages_that_are_counted_and_told(
     assert lost > 100
     assert told == [record.problem]
     assert f"{lost} messages" in told[0]
-    live = read(tmp_path / LOG).live
+    live = read(tmp_path / LOG).record
     assert live is not None
     assert [f"lacks {lost} messages" in one.sentence for one in live.findings] == [True]
 

@@ -14,9 +14,9 @@ from waiting import until
 
 from dvf_ig.cli.main import app
 from dvf_ig.core import DvfIgError, Points, Scenario, UnreadableFileError
-from dvf_ig.io import read_live_patient
-from dvf_ig.io.session_file.fit import require_live_fit
-from dvf_ig.io.session_file.live import EcgFieldConfig, EcgTailConfig, LiveConfig
+from dvf_ig.intake.fit import require_live_fit
+from dvf_ig.intake.live import EcgFieldConfig, EcgTailConfig, LiveConfig
+from dvf_ig.intake.session import read_session
 from dvf_ig.io.writing.listing import LISTING
 from dvf_ig.live.igtl import Image, Message, Transform
 from dvf_ig.live.link import Inbox, connect, listen
@@ -71,7 +71,7 @@ def toy_patient(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("toy_patient")
 def test_serve_ends_after_its_time_and_says_what_it_did() -> None:
-    done = run("serve", "--config", "x", "--listen", "--port", 0, "--seconds", 0.3, "--page", 0, "--json")
+    done = run("serve", "x", "--listen", "--port", 0, "--seconds", 0.3, "--page", 0, "--json")
     assert done.exit_code == 0, done.stderr
     assert "listening at 127.0.0.1:" in done.stderr
     assert "shown at http://127.0.0.1:" in done.stderr
@@ -102,7 +102,7 @@ def test_serve_leaves_what_view_shows_and_refuses_a_folder_with_a_record(tmp_pat
 
         sender = threading.Thread(target=send)
         sender.start()
-        done = run("serve", "--config", "x", "--port", server.port, "--seconds", 2.5, "-o", out, "--json")
+        done = run("serve", "x", "--port", server.port, "--seconds", 2.5, "-o", out, "--json")
         stop.set()
         sender.join()
     assert done.exit_code == 0, done.stderr
@@ -114,40 +114,43 @@ def test_serve_leaves_what_view_shows_and_refuses_a_folder_with_a_record(tmp_pat
     assert result["ticks"] > 50
     assert "no registration was in use" in result["no_force"]
     assert read_view_file(out).recording == out / "session.mcap"
-    again = run("serve", "--config", "x", "--seconds", 0.1, "-o", out)
+    again = run("serve", "x", "--seconds", 0.1, "-o", out)
     assert again.exit_code == 4
     assert "never replaced" in again.stderr
 
 
 @pytest.mark.parametrize(
-    ("changes", "expected"),
+    ("changes", "key", "expected"),
     [
-        ({"tip": Points("tool", np.array([[0.0, 0.0, 5000.0]]))}, "calibration.tip: the tip lies"),
-        ({"lag_s": 40.0}, "calibration.latency"),
+        ({"tip": Points("tool", np.array([[0.0, 0.0, 5000.0]]))}, "calibration.tip", "the tip lies"),
+        ({"lag_s": 40.0}, "calibration.latency", "the latency is 40 s"),
     ],
 )
 def test_files_that_disagree_are_refused_as_a_replay_refuses_them(
-    changes: dict[str, Any], expected: str
+    changes: dict[str, Any], key: str, expected: str
 ) -> None:
-    of, setup = ready(LiveConfig(ecg=EcgFieldConfig(rate_hz=250.0))).patient, toy_setup()
+    of, setup = ready(LiveConfig(ecg=EcgFieldConfig(rate_hz=250.0))).files, toy_setup()
     held = setup.calibrations
-    given = {"image": held.probe_from_image, "lag_s": held.lag_s, "tip": held.tip}
-    assert require_live_fit(of, setup.heart.model, **given) == ()
-    with pytest.raises(DvfIgError, match=expected):
-        require_live_fit(of, setup.heart.model, **{**given, **changes})
+    given = {"probe": held.probe_from_image, "lag_s": held.lag_s, "tip": held.tip}
+    fits = of.with_model(setup.heart.model)
+    assert require_live_fit(fits.with_calibrations(**given)) == ()
+    with pytest.raises(DvfIgError, match=expected) as refused:
+        require_live_fit(fits.with_calibrations(**{**given, **changes}))
+    assert refused.value.key == key
 
 
 def test_what_is_doubtful_is_warned_of_as_a_replay_warns() -> None:
-    of, setup = ready(LiveConfig(ecg=EcgFieldConfig(rate_hz=250.0))).patient, toy_setup()
+    of, setup = ready(LiveConfig(ecg=EcgFieldConfig(rate_hz=250.0))).files, toy_setup()
     held, near = setup.calibrations, Points("tool", np.array([[0.0, 0.0, 0.15]]))
-    (found,) = require_live_fit(of, setup.heart.model, held.probe_from_image, held.lag_s, near)
+    files = of.with_model(setup.heart.model)
+    (found,) = require_live_fit(files.with_calibrations(held.probe_from_image, held.lag_s, near))
     assert found.key == "calibration.tip"
     assert "not calibrated in m" in found.sentence
 
 
 @pytest.mark.usefixtures("toy_patient")
 def test_other_machine_needs_allow() -> None:
-    done = run("serve", "--config", "x", "--host", "192.0.2.7", "--seconds", 0.1)
+    done = run("serve", "x", "--host", "192.0.2.7", "--seconds", 0.1)
     assert done.exit_code == 3
     assert "--allow 192.0.2.7" in done.stderr
 
@@ -156,8 +159,8 @@ def test_session_without_live_says_what_to_write(tmp_path: Path) -> None:
     file = tmp_path / "session.yaml"
     file.write_text("schema: dvf_ig.session/1\npreop: {model: heart.npz}\n")
     with pytest.raises(UnreadableFileError, match="live"):
-        read_live_patient(file)
-    done = run("serve", "--config", file)
+        read_session(file, "live")
+    done = run("serve", file)
     assert done.exit_code == 3
     assert "ecg: {field" in done.stderr
 
@@ -179,11 +182,11 @@ def test_live_section_that_is_wrong_names_its_key(tmp_path: Path, line: str, exp
         f"calibration: {{probe: probe.json, latency: 0.05, tip: tip.json}}\n{line}\n"
     )
     with pytest.raises(UnreadableFileError, match=expected):
-        read_live_patient(file)
+        read_session(file, "live")
 
 
 def test_kinds_of_ecg_are_told_apart() -> None:
-    from dvf_ig.io.session_file.live import LiveConfig
+    from dvf_ig.intake.live import LiveConfig
 
     assert isinstance(LiveConfig.model_validate({"ecg": {"rate_hz": 500}}).ecg, EcgFieldConfig)
     assert isinstance(

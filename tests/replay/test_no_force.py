@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 from dvf_ig.cli.main import app
 from dvf_ig.guidance import Status
-from dvf_ig.io.session_file.agreement.finding import Disagreement, finding
+from dvf_ig.intake.findings import Disagreement, finding
 from dvf_ig.replay import Replay, result_of
 from dvf_ig.session.no_force import NoForce
 

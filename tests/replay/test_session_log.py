@@ -38,9 +38,9 @@ from dvf_ig.core import (
     UnreadableFileError,
     VolumeSeries,
 )
+from dvf_ig.intake.session_log.read import read_session_log
 from dvf_ig.replay.events import events_of
 from dvf_ig.replay.export.session_log import write_session_log
-from dvf_ig.replay.export.session_log_read import read_session_log
 
 pytest.importorskip("mcap", reason="session logs need mcap")
 pytest.importorskip("rosbags", reason="session logs need rosbags")

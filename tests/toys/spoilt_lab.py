@@ -99,7 +99,7 @@ LFS = b"version https://git-lfs.github.com/spec/v1\noid sha256:" + b"0" * 64 + b
 WRONG: dict[str, tuple[Spoil, list[str]]] = {
     "a name misspelt": (
         put("calibration.tip", "tp.json"),
-        ["calibration.tip: ", "lab/tp.json does not exist; copy it there, or mend its name"],
+        ["calibration.tip: ", "lab/tp.json does not exist; copy it there, or correct its name"],
     ),
     "an unknown key": (
         put("calibration.stylus", "tip.json"),

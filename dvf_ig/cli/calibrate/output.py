@@ -53,12 +53,7 @@ def save(
     """
     if output is None:
         return
-    from dvf_ig.io import (
-        CoordinateDefinition,
-        files_together,
-        write_coordinate_definitions,
-        write_sidecar,
-    )
+    from dvf_ig.io import CoordinateDefinition, files_together, write_coordinate_definitions, write_sidecar
 
     now = datetime.now(UTC)
     record = {**result, "date": now.isoformat(timespec="seconds")}

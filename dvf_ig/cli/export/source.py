@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 import typer
 
 from dvf_ig.cli.patient_model import patient_model
-from dvf_ig.cli.recorded import read_recording, require_place
+from dvf_ig.cli.recorded import require_place
 
 if TYPE_CHECKING:
     from dvf_ig.core import DvfModel
@@ -28,6 +28,7 @@ class Source(NamedTuple):
 
 def read_source(run: Path, recording: Path | None, model: Path | None) -> Source:
     """Read the run with its recording, which a replay names and a registration does not."""
+    from dvf_ig.intake.session import read_session
     from dvf_ig.replay.export.exported_run import read_exported_run
     from dvf_ig.replay.view_file import VIEW, read_view_file
 
@@ -35,14 +36,14 @@ def read_source(run: Path, recording: Path | None, model: Path | None) -> Source
     place = recording or (named.recording if named is not None else None)
     if place is None:
         raise typer.BadParameter(
-            f"{run} does not name its recording; name it with --recording FOLDER or SESSION.yaml"
+            f"{run} does not name its recording; name it with --recording FOLDER or session.yaml"
         )
-    require_place("recording", place, run, "--recording FOLDER or SESSION.yaml")
+    require_place("recording", place, run, "--recording FOLDER or session.yaml")
     file = model or (named.model if named is not None else None)
     if file is not None:
         require_place("model", file, run, "--model FILE")
-    recordings = read_recording(place)
-    exported = read_exported_run(run, recordings.scenario)
-    file_model = recordings.model or file
-    built, _ = patient_model(exported.scenario.preop, file_model)
-    return Source(exported, built, None if file_model is None else built)
+    files = read_session(place)
+    found = read_exported_run(run, files.scenario)
+    given = files.model or file
+    built, _ = patient_model(found.scenario.preop, given)
+    return Source(found, built, None if given is None else built)

@@ -28,13 +28,14 @@ from dvf_ig.cli.fixture_options import (
     refuse_options,
     with_margin,
 )
+from dvf_ig.cli.session_argument import ModelOption, require_own_model
 from dvf_ig.cli.shell import JsonFlag, SeedOption, ThreadsOption, command, emit, output_dir, warn
 
-from .setup import live_setup, read_patient
+from .setup import live_setup
 from .undrained import queued_stderr
 
 if TYPE_CHECKING:
-    from dvf_ig.io.session_file.live import LiveConfig
+    from dvf_ig.intake.live import LiveConfig
     from dvf_ig.live.loop import Answer, LiveLoop
     from dvf_ig.live.record import Record
     from dvf_ig.live.summary import LiveSummary
@@ -47,17 +48,15 @@ REMEMBERED = 200
 
 
 def serve(
-    config: Annotated[
+    session: Annotated[
         Path,
-        typer.Option(
-            "--config",
-            help="SESSION.yaml with a section 'live' (see the guide, live link), or a scenario folder whose "
-            "recording `dvf-ig synth stream` sends.",
+        typer.Argument(
+            metavar="SESSION",
+            help="A session.yaml with a section 'live' (see the guide, live link), or a scenario folder that "
+            "`dvf-ig synth stream` sends.",
         ),
     ],
-    model: Annotated[
-        Path | None, typer.Option("--model", help="This patient's model, if `dvf-ig model build` made one.")
-    ] = None,
+    model: ModelOption = None,
     host: Annotated[
         str | None,
         typer.Option(
@@ -121,21 +120,23 @@ def serve(
     In a terminal, r and Enter re-arms after a latch; the network never does.
     """
     with queued_stderr(), command(threads):
+        from dvf_ig.intake.session import read_session
         from dvf_ig.live.serve import require_allowed
 
-        patient = read_patient(config)
+        require_own_model(session, model)
+        files = read_session(session, "live")
         given = {"law": law, "gamma": gamma, "delta": delta, "m": m, "cap_n": cap_n, "depth_mm": depth_mm}
         given |= {"inside": inside, "blend": blend}
         options, of_file = chosen_fixtures(given, fixtures)
-        if patient.fixtures is not None:
+        if files.fixtures is not None:
             refuse_options(given, fixtures)
-            options = patient.fixtures
-        mode = chosen_retiming(retiming, patient.retiming or of_file)
+            options = files.fixtures
+        mode = chosen_retiming(retiming, files.retiming or of_file)
         changes: dict[str, Any] = {"host": host, "port": port, "role": "server" if listen else None}
-        changes["allow"] = None if not allow else (*patient.live.allow, *allow)
-        live = patient.live.model_copy(update={key: v for key, v in changes.items() if v is not None})
+        changes["allow"] = None if not allow else (*files.required_live.allow, *allow)
+        live = files.required_live.model_copy(update={key: v for key, v in changes.items() if v is not None})
         require_allowed(live)
-        ready = live_setup(patient, model, with_margin(options, margin), mode, seed)
+        ready = live_setup(files, model, with_margin(options, margin), mode, seed)
         typer.echo(ready.origin, err=True)
         for found in ready.findings:
             warn(f"{found.key}: {found.sentence}")
@@ -206,7 +207,7 @@ def _run_session(
 
     with ExitStack() as stack:
         tell = stack.enter_context(counted(warn))
-        ecg = stack.enter_context(ecg_events(live, ready.patient.folder, tell))
+        ecg = stack.enter_context(ecg_events(live, ready.files.folder, tell))
         options = LiveOptions(
             live, ready.landmarks, ecg=ecg, observe=observe, tell=tell, history=history, record=record
         )

@@ -18,20 +18,20 @@ if TYPE_CHECKING:
 @contextmanager
 def recorded_session(out: Path, ready: "LiveSetup") -> "Iterator[SessionRecord]":
     """A record in the folder, with everything attached that a replay needs besides messages."""
+    from dvf_ig.intake.session_log.document import document_of_live
+    from dvf_ig.intake.session_log.heart import attach_heart
+    from dvf_ig.intake.session_log.live import LIVE, live_document
+    from dvf_ig.intake.session_log.topics import DOCUMENT
     from dvf_ig.io import output_folder
-    from dvf_ig.io.ros.attached_heart import attach_heart
-    from dvf_ig.io.ros.live_log import LIVE, live_document
     from dvf_ig.io.ros.log_file import LogWriter
-    from dvf_ig.io.ros.session_document import document_of_live
-    from dvf_ig.io.ros.session_topics import DOCUMENT
     from dvf_ig.live.record import session_record
 
-    setup, patient = ready.setup, ready.patient
+    setup, files = ready.setup, ready.files
     in_use = setup.calibrations
 
     def attach(log: LogWriter) -> None:
-        preop = attach_heart(log, patient.preop, setup.heart.model)
-        document = document_of_live(patient, in_use.probe_from_image, in_use.lag_s, in_use.tip, preop)
+        preop = attach_heart(log, files.heart, setup.heart.model)
+        document = document_of_live(files, in_use.probe_from_image, in_use.lag_s, in_use.tip, preop)
         log.attach(DOCUMENT, "application/json", document)
         options = live_document(setup.fixtures, setup.retiming, setup.seed)
         log.attach(LIVE, "application/json", options)

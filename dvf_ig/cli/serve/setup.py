@@ -10,19 +10,10 @@ if TYPE_CHECKING:
     from dvf_ig.cardiac import RetimeMode
     from dvf_ig.core import Landmarks, Rigid
     from dvf_ig.guidance import FixtureSet
-    from dvf_ig.intake import Calibrations
-    from dvf_ig.io import LivePatient
-    from dvf_ig.io.session_file.agreement.finding import Finding
+    from dvf_ig.intake.calibrations import Calibrations
+    from dvf_ig.intake.findings import Finding
+    from dvf_ig.intake.parts import SessionFiles
     from dvf_ig.session import SessionSetup
-
-
-def read_patient(config: Path) -> "LivePatient":
-    """Of a SESSION.yaml, or of a scenario folder whose recording is streamed."""
-    from dvf_ig.io import live_patient_of_scenario, read_live_patient, read_scenario_session
-
-    if config.is_dir():
-        return live_patient_of_scenario(read_scenario_session(config, truth=False), config)
-    return read_live_patient(config)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,7 +28,7 @@ class LiveSetup:
         origin: a line that says where the model is from.
     """
 
-    patient: "LivePatient"
+    files: "SessionFiles"
     setup: "SessionSetup"
     landmarks: "tuple[Landmarks, Landmarks] | None"
     calibrations: "Calibrations"
@@ -47,7 +38,7 @@ class LiveSetup:
 
 
 def live_setup(
-    patient: "LivePatient",
+    files: "SessionFiles",
     model: Path | None,
     fixtures: "FixtureSet",
     retiming: "RetimeMode",
@@ -58,29 +49,33 @@ def live_setup(
     Raises:
         DvfIgError: the first reason why they cannot be used, or not together.
     """
-    from dvf_ig.intake import calibrate, landmarks_start, require_start, start_pose
-    from dvf_ig.io.session_file.fit import require_live_fit
+    from dvf_ig.intake.calibrations import calibrate
+    from dvf_ig.intake.fit import require_live_fit
+    from dvf_ig.intake.start import landmarks_start, require_start, start_pose
     from dvf_ig.session import EcgSource, SessionSetup, build_heart
 
-    require_start(patient)
-    calibrations = calibrate(patient, seed)
+    begin, preop = files.start, files.heart
+    require_start(begin)
+    calibrations = calibrate(files.calibrations, seed)
     used = calibrations.in_use
-    built, origin = patient_model(patient.preop, patient.model or model)
-    findings = require_live_fit(patient, built, used.probe_from_image, used.lag_s, used.tip)
-    heart = build_heart(patient.preop, built)
-    start = start_pose(patient, heart, seed)
-    by_landmarks = landmarks_start(patient)
+    built, origin = patient_model(preop, files.model or model)
+    findings = require_live_fit(
+        files.with_calibrations(used.probe_from_image, used.lag_s, used.tip).with_model(built)
+    )
+    heart = build_heart(preop, built)
+    start = start_pose(begin, heart, seed)
+    by_landmarks = landmarks_start(begin)
     setup = SessionSetup(
         heart,
         used,
-        EcgSource(patient.live.ecg.rate_hz),
+        EcgSource(files.required_live.ecg.rate_hz),
         start=None if by_landmarks else start,
-        fan=patient.fan,
+        fan=files.fan,
         fixtures=fixtures,
         retiming=retiming,
         seed=seed,
     )
     landmarks = None
-    if by_landmarks and patient.landmarks_mr is not None and patient.landmarks_tracker is not None:
-        landmarks = (patient.landmarks_mr, patient.landmarks_tracker)
-    return LiveSetup(patient, setup, landmarks, calibrations, start, findings, origin)
+    if by_landmarks and begin.landmarks_mr is not None and begin.landmarks_tracker is not None:
+        landmarks = (begin.landmarks_mr, begin.landmarks_tracker)
+    return LiveSetup(files, setup, landmarks, calibrations, start, findings, origin)

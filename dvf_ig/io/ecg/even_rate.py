@@ -19,7 +19,8 @@ def even_rate_hz(path: Path, t_s: FloatArray) -> float:
     if step == 0:
         raise UnreadableFileError(
             f"{path}: most times repeat; they are written too coarsely, leave their column "
-            "out and give the sampling rate in Hz (--rate)"
+            "out and give the sampling rate in Hz",
+            settings=("ecg.rate_hz",),
         )
     uneven = ~(np.abs(steps - step) <= 0.5 * step)
     drift = np.abs(t_s - np.linspace(t_s[0], t_s[-1], len(t_s)))

@@ -72,7 +72,8 @@ def read_ecg_table(path: Path, rate_hz: float | None = None) -> Signal:
         if rate_hz is None:
             raise UnreadableFileError(
                 f"{path} has no column of times (named t_s, time or timestamp) among "
-                f"{', '.join(names)[:60]}; give its sampling rate in Hz (--rate)"
+                f"{', '.join(names)[:60]}; give its sampling rate in Hz",
+                settings=("ecg.rate_hz",),
             )
         return Signal(samples, rate_hz, 0.0, labels, unit)
     t_s = _seconds(path, table, at)

@@ -1,6 +1,7 @@
 """Read and write trigger pulses: one column of times in seconds, with or without a header."""
 
 import re
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ from dvf_ig.io import limits
 from dvf_ig.io.reading import read_text, reading
 from dvf_ig.io.writing.atomic import write_text
 
-from .recording import read_ecg
+from .recording import KINDS, read_ecg
 
 TRIGGER_PREFIX = "trigger:"
 _DELAY = re.compile(r"#\s*delay_s\s+(\S+)")
@@ -88,3 +89,21 @@ def _is_number(text: str) -> bool:
     except ValueError:
         return False
     return True
+
+
+@dataclass(frozen=True, slots=True)
+class EcgName:
+    """`plus:sweep.igs.mha#EcgData` as its format, its file, and the field in it."""
+
+    prefix: str
+    name: str
+    field: str
+
+
+def split_ecg(spec: str) -> EcgName:
+    """What names an ECG or a trigger, in parts; prefix and field are empty where they are not given."""
+    kind, colon, rest = spec.partition(":")
+    if not colon or f"{kind}:" not in (*(f"{k}:" for k in KINDS), TRIGGER_PREFIX):
+        kind, colon, rest = "", "", spec
+    name, at, field = rest.partition("#")
+    return EcgName(kind + colon, name, at + field)

@@ -67,13 +67,15 @@ def merged_segments(path: Path, layers: AnyArray, segments: tuple[Segment, ...])
     for value, segment in zip(values, segments, strict=True):
         if not 0 <= segment.layer < len(layers):
             raise InvalidInputError(
-                f"{path}: segment '{segment.name}' is in layer {segment.layer}, not stored"
+                f"{path}: segment '{segment.name}' is in layer {segment.layer}, not stored",
+                path=path,
             )
         inside = layers[segment.layer] == segment.value
         if out[inside].any():
             raise InvalidInputError(
                 f"{path}: segment '{segment.name}' overlaps another; save them without overlap (Segment "
-                "Editor, Modify other segments: overwrite all)"
+                "Editor, Modify other segments: overwrite all)",
+                path=path,
             )
         out[inside] = value
     if values != tuple(segment.value for segment in segments):

@@ -70,7 +70,9 @@ def read_volume_series(
     if not isinstance(timing, CycleTiming):
         timing = read_timing(timing, beside=path.parent, phases=len(values), image=path.name)
     if len(timing) != len(values):
-        raise InvalidInputError(f"{path} has {len(values)} phases, its timing {len(timing)}; they must agree")
+        raise InvalidInputError(
+            f"{path} has {len(values)} phases, its timing {len(timing)}; they must agree", path=path
+        )
     return VolumeSeries(grid, values, timing)
 
 

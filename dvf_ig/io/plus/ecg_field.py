@@ -127,7 +127,7 @@ def _only_ecg_field(path: Path, raw: RawSequence) -> str:
 def _listed(raw: RawSequence) -> str:
     names = numeric_fields(raw)
     if not names:
-        return "it has no numeric fields: give the ECG as a file (--ecg)"
+        return "it has no numeric fields: give the ECG as a file"
     return f"give the ECG as a file, or name a numeric field as plus:FILE#FIELD: {', '.join(names)}"
 
 

@@ -28,6 +28,7 @@ def read_image_map(path: Path | str, sensor: str = "probe") -> ImageMap:
         if name not in transforms:
             raise UnreadableFileError(
                 f"{path} has no transform {name}; it has {', '.join(sorted(transforms)) or 'none'}: give "
-                "the file that contains it, or name its sensor (--probe-name)"
+                "the file that holds it, or name its sensor",
+                settings=("ultrasound.probe_name",),
             )
         return ImageMap.from_matrix(transforms[name].matrix, sensor)

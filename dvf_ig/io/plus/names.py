@@ -74,6 +74,10 @@ def _plain(name: str) -> str:
     return _NOT_WORD.sub("", name).replace("_", "").lower()
 
 
+NAME_SETTINGS = ("ultrasound.probe_name", "ultrasound.reference_name")
+"""Settings that say which of a recording's frames are meant."""
+
+
 @dataclass(frozen=True, slots=True)
 class ProbeNames:
     """Recorded names of the probe's sensor and of the sensor or tracker that its poses are relative to.
@@ -95,7 +99,7 @@ class ProbeNames:
                 None if reference is None else frame_from_plus(reference),
             )
         except InvalidInputError as exc:
-            raise InvalidInputError(f"{exc} (--probe-name, --reference-name)") from exc
+            raise InvalidInputError(str(exc), settings=NAME_SETTINGS) from exc
 
     def stream(self, sequence: TrackedSequence, held: str) -> PoseStream:
         """Return held_from_probe over time.
@@ -108,7 +112,7 @@ class ProbeNames:
         try:
             return sequence.stream(target, source)
         except InvalidInputError as exc:
-            raise InvalidInputError(f"{exc}; name the sensors (--probe-name, --reference-name)") from exc
+            raise InvalidInputError(f"{exc}; name what is meant", settings=NAME_SETTINGS) from exc
 
 
 USUAL_NAMES = ProbeNames()

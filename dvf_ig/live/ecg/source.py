@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from dvf_ig.io.session_file.live import EcgFieldConfig, EcgStreamConfig, LiveConfig
+from dvf_ig.intake.live import EcgFieldConfig, EcgStreamConfig, LiveConfig
 from dvf_ig.live.timed import LiveEvent
 
 from .gather import EcgReader, gathered

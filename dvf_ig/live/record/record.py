@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import IO, NamedTuple, Protocol
 
 from dvf_ig.core import FloatArray, OutputError
-from dvf_ig.io.ros.live_log import (
+from dvf_ig.intake.session_log.live import (
     LOST,
     Timed,
     answer_messages,

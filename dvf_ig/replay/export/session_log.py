@@ -22,11 +22,9 @@ from dvf_ig.core import (
 )
 from dvf_ig.core.arrays import AnyArray
 from dvf_ig.intake.calibrations import calibrate
-from dvf_ig.io.ros import messages as ros
-from dvf_ig.io.ros.attached_heart import attach_heart
-from dvf_ig.io.ros.log_file import written_log
-from dvf_ig.io.ros.session_document import document_of
-from dvf_ig.io.ros.session_topics import (
+from dvf_ig.intake.session_log.document import document_of
+from dvf_ig.intake.session_log.heart import attach_heart
+from dvf_ig.intake.session_log.topics import (
     DOCUMENT,
     ECG,
     EXACT_FRAME,
@@ -40,6 +38,8 @@ from dvf_ig.io.ros.session_topics import (
     exact_pose,
     status_message,
 )
+from dvf_ig.io.ros import messages as ros
+from dvf_ig.io.ros.log_file import written_log
 from dvf_ig.replay.events import ECG_CHUNK
 from dvf_ig.replay.outputs import TICKS
 from dvf_ig.replay.preconditions import tool_of

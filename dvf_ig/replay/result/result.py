@@ -7,7 +7,7 @@ import numpy as np
 
 from dvf_ig.cardiac import frame_period_s
 from dvf_ig.guidance import Status, summarise_supervision
-from dvf_ig.io.fixtures import DeviceConfig
+from dvf_ig.intake.fixtures import DeviceConfig
 from dvf_ig.replay.engine import Replay
 from dvf_ig.session.no_force import no_force
 

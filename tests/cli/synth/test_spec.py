@@ -22,7 +22,8 @@ from dvf_ig.core import (
     Volume,
     VolumeSeries,
 )
-from dvf_ig.io import ScenarioNotes, read_scenario, write_scenario
+from dvf_ig.intake.scenario_write import ScenarioNotes, write_scenario
+from dvf_ig.intake.session import read_scenario
 
 
 def from_text(folder: Path, text: str) -> ScenarioSpec:

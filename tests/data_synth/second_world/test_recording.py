@@ -31,10 +31,11 @@ from data_synth.second_world.recording import (
 from data_synth.second_world.rigid_fit import best_rigid
 from data_synth.second_world.sweeps import sweep
 from data_synth.ultrasound.volume import MatrixProbe
-from dvf_ig.cli.register.scenario import register_folder
+from dvf_ig.cli.register.sessions import register_session
 from dvf_ig.cli.synth.commands import app
 from dvf_ig.core import InvalidInputError, Rigid, Stop
-from dvf_ig.io import read_scenario, write_model
+from dvf_ig.intake.session import read_scenario
+from dvf_ig.io import write_model
 from dvf_ig.preop import ModelOptions, model_from_labels
 
 
@@ -260,7 +261,7 @@ def test_a_recording_is_written_with_its_floor_and_registered_to_a_defined_end(
     assert read.preset == recording.scenario.preset
     coarse = model_from_labels(read.preop, options=ModelOptions(knot_spacing_mm=8.0))
     write_model(coarse, tmp_path / "model.npz")
-    result, _ = register_folder(folder, tmp_path / "model.npz", None, seed=0)
+    result, _ = register_session(folder, tmp_path / "model.npz", seed=0)
     assert result.stop in Stop
 
 

@@ -1,0 +1,73 @@
+"""SESSION, the argument of `register`, `replay` and `serve`, and what takes the place of dropped options."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from typer.core import TyperCommand
+
+if TYPE_CHECKING:
+    from dvf_ig.intake.findings import Finding
+    from dvf_ig.intake.parts import SessionFiles
+    from dvf_ig.intake.problems import Use
+
+SESSION = "a scenario folder (see `dvf-ig synth scenario`) or a session.yaml (see `dvf-ig config init`)"
+ModelOption = Annotated[
+    Path | None,
+    typer.Option("--model", help="This patient's model for a scenario folder, which names none itself."),
+]
+
+
+class SessionCommand(TyperCommand):
+    """A command that takes SESSION; an option that only repeated one of its keys is answered with the key."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        known = {name for param in self.params for name in param.opts}
+        for word in args:
+            option = word.partition("=")[0]
+            if option.startswith("--") and option not in known:
+                _answer(option, f"dvf-ig {self.name}")
+        return super().parse_args(ctx, args)
+
+
+def _answer(option: str, command: str) -> None:
+    """Say what takes the place of an option that was dropped; others are left to the parser."""
+    from dvf_ig.intake.schema import KEYS
+
+    if option == "--config":
+        raise typer.BadParameter(f"--config is the argument SESSION: {command} session.yaml")
+    for name, key in KEYS.items():
+        if option in key.options:
+            raise typer.BadParameter(
+                f"{option} is the key {name} of a session.yaml: dvf-ig config init … {key.options[0]} "
+                f"{key.metavar} -o session.yaml, then {command} session.yaml"
+            )
+
+
+def read_agreeing(
+    session: Path, model: Path | None, use: "Use"
+) -> "tuple[SessionFiles, tuple[Finding, ...]]":
+    """A session whose files fit each other for a use, and what is doubtful about them.
+
+    Raises:
+        DvfIgError: the first reason why they cannot be used, or not together.
+        typer.BadParameter: a model for a session.yaml, which names its own.
+    """
+    from dvf_ig.intake.fit import require_fit
+    from dvf_ig.intake.session import read_session
+
+    require_own_model(session, model)
+    files = read_session(session)
+    return files, () if session.suffix == ".mcap" else require_fit(files, use)
+
+
+def require_own_model(session: Path, model: Path | None) -> None:
+    """Refuse --model for a session.yaml, which names its heart.
+
+    Raises:
+        typer.BadParameter: says the key, and the line that sets it.
+    """
+    if model is not None and session.is_file() and session.suffix != ".mcap":
+        raise typer.BadParameter(
+            f"{session} says whose model it is (preop.model): dvf-ig config init … --model FILE -o {session}"
+        )

@@ -1,0 +1,230 @@
+"""Whether a session's files agree: units, names, clocks, and where everything lies."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from dvf_ig.core.arrays import AnyArray, FloatArray
+from dvf_ig.core.recordings.scenario import Preop
+from dvf_ig.core.recordings.stream import PoseStream
+from dvf_ig.core.space.image_map import ImageMap
+from dvf_ig.core.space.points import Landmarks, Points
+
+from .findings import Disagreement, Finding, finding
+from .heart_in_images import HeartInImages, cycle_findings
+from .parts import SessionFiles
+from .places import place_findings
+from .preop import PreopFiles, heart_surfaces
+from .problems import Use
+
+HEART_MM = (60.0, 200.0)
+"""Longest side of the box about its surfaces: a small left ventricle; a dilated heart with its vessels."""
+POSSIBLE_HEART_MM = (25.0, 500.0)
+"""Outside it is no heart: a newborn's has 40 mm, and one that is in cm, inches or m 20 at most."""
+NEAREST_MM = 10.0
+"""No marker is this near to the origin of a tracker or to another marker; 10 m are beyond every tracker."""
+FARTHEST_MM = 10_000.0
+PERIOD_S = (1e-4, 1.0)
+"""Between samples of poses or images: 10 kHz to one a second. 12 images a second in ms have 83 'seconds'."""
+STILL_MM = 1.0
+"""A tracker's noise over a recording (0.25 mm RMS) moves a tool that lies still by less."""
+LONGEST_TOOL_MM = 1000.0
+SHORTEST_TOOL_MM = 2.0
+"""Tips calibrated in m lie 0.05 to 0.5 from the marker; a tip that is the marker's origin lies at 0."""
+PROBE_MM = 300.0
+"""Transthoracic probes hold their marker 50 to 150 mm from the middle of the image."""
+SAME_MM = 1e-6
+"""Poses that were written and read again differ by less; measured ones never agree to it."""
+LEAST_POSES = 10
+LEAST_SHARE = 0.5
+RATE_RATIO = 2.5
+"""A heart under stress beats twice as fast as in the scanner; a sampling rate that is wrong is so by more."""
+
+
+def disagreements(
+    files: SessionFiles, peaks_s: FloatArray, seen: HeartInImages | None
+) -> tuple[Finding, ...]:
+    """What does not agree, of the files that there are; of a key that is refused nothing more is said.
+
+    Args:
+        peaks_s: (k,) R peaks of the ECG.
+        seen: of the heart in the images.
+    """
+    found: list[Finding] = []
+    for one in _all(files, peaks_s, seen):
+        if not any(other.refused and other.key == one.key for other in found):
+            found.append(one)
+    return tuple(found)
+
+
+def _all(files: SessionFiles, peaks_s: FloatArray, seen: HeartInImages | None) -> Iterator[Finding]:
+    yield from unit_findings(files)
+    yield from name_findings(files)
+    yield from clock_findings(files, peaks_s)
+    yield from cycle_findings(seen)
+    yield from place_findings(files)
+
+
+def unit_findings(files: SessionFiles) -> Iterator[Finding]:
+    """What is of another unit."""
+    if files.preop is not None:
+        yield from _heart(files.preop)
+    if files.sweep is not None:
+        if files.sweep.recorded.has_timestamps:
+            yield from _stamps(files.sweep.recorded.t_s, "ultrasound", "ultrasound", "register")
+        yield from _range(files.sweep.probe, "ultrasound", "register")
+    if files.tool is not None:
+        yield from _stamps(files.tool.t_s, "tool", "tool", "replay")
+        yield from _range(files.tool, "tool", "replay")
+    if isinstance(files.tip, Points):
+        yield from _tip(files.tip)
+    if isinstance(files.probe, ImageMap) and files.sweep is not None:
+        yield from _image(files.probe, files.sweep.recorded.images)
+
+
+def _heart(heart: PreopFiles) -> Iterator[Finding]:
+    for key, xyz_mm in heart_surfaces(heart):
+        if not len(xyz_mm):
+            continue  # told of the labels themselves
+        longest_mm = float(np.ptp(xyz_mm, axis=0).max())
+        least, most = POSSIBLE_HEART_MM
+        if not least <= longest_mm <= most:
+            yield finding(Disagreement.HEART_NOT_IN_MM, key, mm=longest_mm)
+        elif not HEART_MM[0] <= longest_mm <= HEART_MM[1]:
+            yield finding(Disagreement.HEART_OF_UNUSUAL_SIZE, key, mm=longest_mm)
+
+
+def _range(stream: PoseStream, key: str, hinders: Use) -> Iterator[Finding]:
+    at_mm = stream.translations_mm[stream.valid]
+    if not len(at_mm):
+        return
+    farthest_mm = float(np.linalg.norm(at_mm, axis=1).max())
+    if farthest_mm < NEAREST_MM and np.ptp(at_mm, axis=0).any():
+        yield finding(Disagreement.POSES_NOT_IN_MM, key, hinders, stream=stream.name, mm=farthest_mm)
+    elif farthest_mm > FARTHEST_MM:
+        yield finding(
+            Disagreement.POSES_OUT_OF_REACH,
+            key,
+            hinders,
+            stream=stream.name,
+            mm=farthest_mm,
+            most=FARTHEST_MM,
+        )
+    elif key == "tool" and (moved_mm := float(np.ptp(at_mm, axis=0).max())) < STILL_MM:
+        yield finding(Disagreement.TOOL_STILL, key, hinders, stream=stream.name, mm=moved_mm)
+
+
+def _stamps(t_s: FloatArray, what: str, key: str, hinders: Use) -> Iterator[Finding]:
+    least, most = PERIOD_S
+    if len(t_s) > 1 and not least <= (period_s := float(np.median(np.diff(t_s)))) <= most:
+        yield finding(
+            Disagreement.STAMPS_NOT_IN_S, key, hinders, what=what, s=period_s, least=least, most=most
+        )
+
+
+def _tip(tip: Points) -> Iterator[Finding]:
+    length_mm = float(np.linalg.norm(tip.xyz_mm[0]))
+    key = "calibration.tip"
+    if length_mm > LONGEST_TOOL_MM:
+        yield finding(Disagreement.TIP_OUT_OF_REACH, key, "replay", mm=length_mm, most=LONGEST_TOOL_MM)
+    elif 0.0 < length_mm < SHORTEST_TOOL_MM:
+        yield finding(Disagreement.TIP_NEAR_MARKER, key, "replay", mm=length_mm)
+
+
+def _image(probe: ImageMap, images: AnyArray | None) -> Iterator[Finding]:
+    if images is None:
+        return
+    rows, columns = images.shape[1:]
+    middle = probe.apply_pixels(np.array([[columns / 2, rows / 2]]))
+    if (away_mm := float(np.linalg.norm(middle.xyz_mm))) > PROBE_MM:
+        yield finding(Disagreement.IMAGE_FAR_FROM_PROBE, "calibration.probe", mm=away_mm)
+
+
+def name_findings(files: SessionFiles) -> Iterator[Finding]:
+    """What is the same recording as another one."""
+    tool, start = files.tool, files.start
+    if tool is not None:
+        if files.sweep is not None and _same_poses(tool, files.sweep.probe):
+            yield finding(Disagreement.TOOL_IS_PROBE, "tool", "replay")
+        elif isinstance(files.tip, PoseStream) and _same_poses(tool, files.tip):
+            yield finding(Disagreement.TOOL_IS_PIVOT, "tool", "replay")
+    heart = files.preop
+    if heart is not None and heart.named_patient not in (None, heart.preop.patient_id):
+        yield finding(
+            Disagreement.OTHER_PATIENT,
+            "preop.surfaces_folder",
+            named=str(heart.named_patient),
+            patient=heart.preop.patient_id,
+        )
+    if files.preop is not None and _mr_is_labels(files.preop.preop):
+        yield finding(Disagreement.MR_IS_LABELS, "preop.mr")
+    marked, touched = start.landmarks_mr, start.landmarks_tracker
+    if marked is not None and touched is not None and _same_points(marked, touched):
+        yield finding(Disagreement.LANDMARKS_ARE_THE_SAME, "start.landmarks_tracker")
+
+
+def _same_poses(first: PoseStream, second: PoseStream) -> bool:
+    """Whether two recordings have the same poses at the times that they share, LEAST_POSES or more."""
+    _, here, there = np.intersect1d(first.t_s, second.t_s, return_indices=True)
+    seen = first.valid[here] & second.valid[there]
+    if np.count_nonzero(seen) < LEAST_POSES:
+        return False
+    here, there = here[seen], there[seen]
+    apart = (
+        np.abs(first.translations_mm[here] - second.translations_mm[there]).max(),
+        np.abs(first.rotations[here] - second.rotations[there]).max(),
+    )
+    return bool(max(apart) < SAME_MM)
+
+
+def _mr_is_labels(preop: Preop) -> bool:
+    mr, labels = preop.mr, preop.labels
+    if mr is None or labels is None or mr.values.shape != labels.values.shape:
+        return False
+    return bool(np.array_equal(mr.values[0], labels.values[0]))
+
+
+def _same_points(marked: Landmarks, touched: Landmarks) -> bool:
+    names, here, there = marked.paired_with(touched)
+    return len(names) > 0 and bool((np.abs(here.xyz_mm - there.xyz_mm) < SAME_MM).all())
+
+
+def clock_findings(files: SessionFiles, peaks_s: FloatArray) -> Iterator[Finding]:
+    """What was recorded at another time, or with another rate.
+
+    Args:
+        peaks_s: (k,) R peaks of the ECG.
+    """
+    if files.ecg is None:
+        return
+    ecg_s = files.ecg.t_s
+    others: list[tuple[str, FloatArray, Use]] = []
+    if files.sweep is not None:
+        others.append(("ultrasound", files.sweep.recorded.t_s, "register"))
+    if files.tool is not None:
+        others.append(("tool", files.tool.t_s, "replay"))
+    for what, t_s, use in others:
+        share = float(np.mean((t_s >= ecg_s[0]) & (t_s <= ecg_s[-1])))
+        if 0.0 < share < LEAST_SHARE:
+            yield finding(Disagreement.LITTLE_COMMON_TIME, "ecg", use, what=what, share=share)
+    yield from _rate(files, peaks_s)
+
+
+def _rate(files: SessionFiles, peaks_s: FloatArray) -> Iterator[Finding]:
+    timing = _rr_s(files)
+    if timing is None or len(peaks_s) < 3:
+        return
+    rr_s = float(np.median(np.diff(peaks_s)))
+    if max(rr_s / timing, timing / rr_s) > RATE_RATIO:
+        yield finding(Disagreement.ECG_OF_ANOTHER_RATE, "ecg", bpm=60.0 / rr_s, model_bpm=60.0 / timing)
+
+
+def _rr_s(files: SessionFiles) -> float | None:
+    """RR interval of the pre-operative heart in s; None where it was assumed."""
+    if files.preop is None:
+        return None
+    preop, model = files.preop.preop, files.preop.model
+    timing = model.timing if model is not None else None
+    for series in (preop.labels, preop.mr, *preop.surfaces):
+        timing = timing or (None if series is None else series.timing)
+    return None if timing is None or timing.rr_assumed else timing.rr_s

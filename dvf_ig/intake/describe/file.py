@@ -1,0 +1,210 @@
+"""Describe a file: its kind and the few facts that a user wants to see before using it."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
+from dvf_ig.core.recordings.phantom import NWireRecording
+from dvf_ig.core.recordings.scenario import LatencyRecording, Scenario
+from dvf_ig.core.recordings.signal import Signal
+from dvf_ig.core.recordings.stream import PoseStream
+from dvf_ig.core.space.image_map import ImageMap
+from dvf_ig.core.timing.trigger import TriggerTimes
+from dvf_ig.intake.scenario import CONFIG
+from dvf_ig.intake.session import read_scenario
+from dvf_ig.io.dicom.cine import is_dicom_folder
+from dvf_ig.io.ecg.beat_annotations import read_annotations
+from dvf_ig.io.ecg.recording import names_ecg, read_ecg
+from dvf_ig.io.mesh.file import DECODERS
+from dvf_ig.io.mesh.series import surface_names
+from dvf_ig.io.plus.feature_points import tracked_probe
+from dvf_ig.io.plus.names import ProbeNames
+from dvf_ig.io.plus.poses import read_poses
+from dvf_ig.io.plus.sequence_read import PIXEL_FRAMES, read_sequence
+from dvf_ig.io.plus.xml import CoordinateDefinition, parse_xml, read_transforms
+from dvf_ig.io.reading import read_bytes
+
+from .anatomy import (
+    cine_facts,
+    image_facts,
+    landmark_facts,
+    mesh_facts,
+    model_facts,
+    surface_facts,
+    tag_facts,
+    transform_facts,
+)
+from .sequence import (
+    clock_facts,
+    sequence_facts,
+    sequence_file_facts,
+    signal_facts,
+    stream_facts,
+)
+
+Facts = dict[str, Any]
+Reader = Callable[[Path], Facts]
+
+
+@dataclass(frozen=True, slots=True)
+class Description:
+    """Kind of a file in a few words, and its facts by name, ready for JSON; names include units."""
+
+    kind: str
+    facts: Facts
+
+
+def describe(spec: str, rate_hz: float | None = None, names: ProbeNames | None = None) -> Description:
+    """Identify a file by its name and content, read it, and summarise it.
+
+    Args:
+        spec: a path, or an ECG as `wfdb:PATH`, `edf:PATH`, `csv:PATH`, `plus:PATH`.
+        rate_hz: sampling rate of an ECG table without times.
+        names: of the probe and its reference in a tracked sequence; their joined pose is then reported too.
+    Raises:
+        UnreadableFileError: absent, of no known kind, or not readable as the kind that it claims to be.
+        InvalidInputError: a rate for anything but an ECG table, or names that are not in a tracked sequence.
+    """
+    if names_ecg(spec):
+        if names is not None:
+            raise InvalidInputError(
+                f"names of probe and reference belong to a tracked sequence; '{spec}' is an ECG"
+            )
+        facts_of_ecg = signal_facts(read_ecg(spec, rate_hz))
+        if spec.endswith(".atr"):
+            facts_of_ecg["annotated_beats"] = len(read_annotations(spec).t_s)
+        return Description("ECG", facts_of_ecg)
+    if rate_hz is not None:
+        raise InvalidInputError(f"a sampling rate belongs to an ECG text table; '{spec}' is not one")
+    path = Path(spec)
+    if not path.exists():
+        raise UnreadableFileError(f"{path} does not exist; check the name")
+    kind, facts = _folder_kind(path) if path.is_dir() else _file_kind(path)
+    if names is None:
+        return Description(kind, facts(path))
+    if facts is not sequence_file_facts:
+        raise InvalidInputError(
+            f"names of probe and reference belong to a tracked sequence; {path} is: {kind}"
+        )
+    stream = tracked_probe(read_sequence(path), names)
+    return Description(kind, {**facts(path), "probe": {stream.name: stream_facts(stream)}})
+
+
+def _folder_kind(path: Path) -> tuple[str, Reader]:
+    if (path / CONFIG).is_file():
+        return "scenario folder", _scenario_facts
+    if is_dicom_folder(path):
+        return "cine of DICOM images", cine_facts
+    if surface_names(path):
+        return "surfaces through the cycle", surface_facts
+    return "tool poses, one 4x4 text file each", _pose_facts
+
+
+def _file_kind(path: Path) -> tuple[str, Reader]:
+    name = path.name.lower()
+    by_ending: list[tuple[tuple[str, ...], str, Reader]] = [
+        (tuple(DECODERS), "triangle mesh", mesh_facts),
+        ((".npz",), "fixture model", model_facts),
+        ((".tfm",), "rigid transform", transform_facts),
+        ((".mrk.json", ".fcsv"), "landmarks", landmark_facts),
+        ((".tag",), "landmarks in two volumes", tag_facts),
+        ((".nii", ".nii.gz"), "image", image_facts),
+        ((".xml",), "PLUS configuration or result", _xml_facts),
+        ((".txt",), "tool poses, one row each", _pose_facts),
+    ]
+    for endings, kind, facts in by_ending:
+        if name.endswith(endings):
+            return kind, facts
+    if name.endswith((".mha", ".mhd", ".nrrd", ".nhdr")):
+        tracked = (
+            ".igs." in name or b"Seq_Frame" in read_bytes(path, "an image or a tracked sequence")[:65536]
+        )
+        return ("tracked sequence", sequence_file_facts) if tracked else ("image", image_facts)
+    raise UnreadableFileError(
+        f"{path} is of no kind that can be read; give a tracked sequence (.igs.mha, .igs.nrrd), an image "
+        "(.nii.gz, .nrrd, .mha), mesh (.obj, .stl, .ply, .vtp), model (.npz), transform (.tfm), "
+        "landmarks (.mrk.json, .fcsv, .tag), PLUS .xml, ECG (wfdb:, edf:, csv:, plus:) or scenario folder"
+    )
+
+
+def _pose_facts(path: Path) -> Facts:
+    stream = read_poses(path)
+    return {"transform": stream.name, **stream_facts(stream)}
+
+
+def _xml_facts(path: Path) -> Facts:
+    root = parse_xml(path, "a PLUS file")
+    placed = read_transforms(path, root)
+    return {
+        "root": root.tag,
+        "transforms": {
+            name: {"error_mm": entry.error_mm, "date": entry.date, **_image_map_facts(entry)}
+            for name, entry in placed.items()
+        },
+        "nwire_patterns": sum(1 for p in root.iter("Pattern") if p.attrib.get("Type") == "NWire"),
+        "landmarks": sum(1 for _ in root.iter("Landmark")),
+        "frames": {
+            part: sum(1 for _ in element.iter("Frame"))
+            for part in ("CalibrationData", "ValidationData", "LineSegmentationResults")
+            for element in root.iter(part)
+        },
+    }
+
+
+def _image_map_facts(entry: CoordinateDefinition) -> Facts:
+    """Report pixel size and shear of an image map, or why it cannot be used."""
+    if entry.source != "image" or entry.target in PIXEL_FRAMES:
+        return {}
+    try:
+        placed = ImageMap.from_matrix(entry.matrix, entry.target, entry.source)
+    except InvalidInputError as exc:
+        return {"problem": str(exc)}
+    return {"mm_per_px": placed.scale_mm_per_px.tolist(), "shear_deg": placed.shear_deg}
+
+
+def _beat_source_facts(source: Signal | TriggerTimes) -> Facts:
+    if isinstance(source, TriggerTimes):
+        return {"pulses": len(source), "start_s": source.start_s, "delay_s": source.delay_s}
+    return {
+        "leads": list(source.leads),
+        "rate_hz": source.rate_hz,
+        "start_s": source.start_s,
+        "duration_s": len(source) / source.rate_hz,
+    }
+
+
+def _scenario_facts(path: Path) -> Facts:
+    scenario = read_scenario(path)
+    preop = scenario.preop
+    series = [s for s in (preop.mr, preop.labels) if s is not None]
+    return {
+        "name": scenario.name,
+        "preset": scenario.preset,
+        "seed": scenario.seed,
+        "patient_id": preop.patient_id,
+        "preop_images": [[*s.values.shape[1:], len(s.timing)] for s in series],
+        "preop_surfaces": [s.name for s in preop.surfaces],
+        "ecg": _beat_source_facts(scenario.ecg),
+        "ultrasound": sequence_facts(scenario.ultrasound),
+        **_calibration_facts(scenario),
+        "start": scenario.start is not None,
+        "landmarks": 0 if scenario.landmarks_mr is None else len(scenario.landmarks_mr.names),
+        "truth": scenario.truth is not None,
+    }
+
+
+def _calibration_facts(scenario: Scenario) -> dict[str, Any]:
+    """Summarise the tool and the recordings for its tip, the probe and the latency."""
+    tool, tip, probe, latency = scenario.tool, scenario.tip, scenario.probe, scenario.latency
+    out: dict[str, Any] = {}
+    if tool is not None:
+        out["tool"] = {**clock_facts(tool.t_s), **stream_facts(tool)}
+    if isinstance(tip, PoseStream):
+        out["pivot_poses"] = len(tip)
+    if isinstance(probe, NWireRecording):
+        out["nwire_frames"] = len(probe.phantom_from_probe)
+    if isinstance(latency, LatencyRecording):
+        out["latency_frames"] = len(latency.wall_row_px.t_s)
+    return out

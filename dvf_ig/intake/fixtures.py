@@ -1,0 +1,243 @@
+"""Read virtual fixtures from YAML, under the names of the command line's options.
+
+cap_n: 0.6                  # of all together, N; default: the largest of them
+retiming: two-segment       # or uniform
+margin: adaptive            # or off, fixed (2 mm), or a number of mm
+device: {name: omega.3, continuous_force_n: 12, stiffness_n_per_m: 2000}   # needed above 4 N or 400 N/m
+fixtures:                   # the first is the primary one
+  - {law: forbidden, name: epicardium, gamma: 1.0, depth_mm: 2.0}
+  - {law: path, delta: 4.0, path: incision.mrk.json}
+"""
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from pydantic import BeforeValidator, Field, TypeAdapter, field_validator
+
+from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
+from dvf_ig.io.json_file import read_json
+from dvf_ig.io.landmarks import markup_points
+from dvf_ig.io.limits import TIME_S
+from dvf_ig.io.reading import reading
+from dvf_ig.io.yaml_config import Section, read_yaml, validated
+
+if TYPE_CHECKING:
+    from dvf_ig.guidance import DeviceLimits, FixtureOptions, FixtureSet, PathTarget
+    from dvf_ig.guidance.margins import MarginOptions
+
+Number = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-TIME_S, le=TIME_S)]
+"""Finite number; no length, time, force or stiffness from a user exceeds a time stamp."""
+BlendName = Literal["force", "distance", "periodic"]
+RetimingName = Literal["uniform", "two-segment"]
+MARGINS = ("off", "fixed", "adaptive")
+
+
+def _margin_choice(value: Any) -> Any:
+    if value in MARGINS or (type(value) in (int, float) and math.isfinite(value)):
+        return value
+    raise ValueError(f"needed {', '.join(MARGINS)}, or a number of mm")
+
+
+MarginChoice = Annotated[str | float, BeforeValidator(_margin_choice)]
+"""Margin mode, or the width in mm of a fixed margin."""
+Row = tuple[Number, Number, Number]
+
+
+class _FixtureConfig(Section):
+    name: str = ""
+    cap_n: Number = 0.6
+
+
+class ForbiddenConfig(_FixtureConfig):
+    """A forbidden region, or with `inside` a chamber that confines the tool (Ren 2008, eqs 4–6)."""
+
+    law: Literal["forbidden"] = "forbidden"
+    gamma: Number = 1.0
+    depth_mm: Number = 0.0
+    inside: bool = False
+    blend: BlendName = "force"
+
+    def options(self, folder: Path | None = None, frame: str = "mr") -> "FixtureOptions":
+        """Build the fixture; raise InvalidInputError for a number out of range."""
+        from dvf_ig.guidance import Confinement, FixtureOptions, Sigmoid
+
+        law = (Confinement if self.inside else Sigmoid)(self.gamma, self.cap_n, self.depth_mm)
+        return FixtureOptions(law, self.blend, name=self.name)
+
+
+class GuidanceConfig(_FixtureConfig):
+    """Guidance to the model's surface or a depth below it (Ren 2008, eqs 7–9)."""
+
+    law: Literal["guidance"] = "guidance"
+    delta: Number = 3.0
+    m: Number = 1.0
+    depth_mm: Number = 0.0
+    blend: BlendName = "force"
+
+    def options(self, folder: Path | None = None, frame: str = "mr") -> "FixtureOptions":
+        """Build the fixture; raise InvalidInputError for a number out of range."""
+        from dvf_ig.guidance import FixtureOptions, Gaussian
+
+        law = Gaussian(self.delta, self.m, self.cap_n, self.depth_mm)
+        return FixtureOptions(law, self.blend, name=self.name)
+
+
+class PathConfig(_FixtureConfig):
+    """Guidance to a path at rest in the model's frame: straight segments between points, mm, LPS.
+
+    `path` is a list of points, or a curve of 3D Slicer, whose control points are used.
+    """
+
+    law: Literal["path"] = "path"
+    delta: Number = 3.0
+    m: Number = 1.0
+    path: str | tuple[Row, ...]
+
+    @field_validator("path", mode="before")
+    @classmethod
+    def _file_or_points(cls, value: Any) -> Any:
+        rows = value if isinstance(value, list | tuple) else ()
+        numbers = all(
+            isinstance(row, list | tuple) and len(row) == 3 and all(type(c) in (int, float) for c in row)
+            for row in rows
+        )
+        if isinstance(value, str) or (rows and numbers):
+            return value
+        raise ValueError("needed points [[x, y, z], …] in mm, or the name of a .mrk.json file")
+
+    def options(self, folder: Path | None = None, frame: str = "mr") -> "FixtureOptions":
+        """Build the fixture.
+
+        Args:
+            folder: base of relative file names; None: the working directory.
+            frame: of the points.
+        Raises:
+            InvalidInputError: a number out of range, or an unfit path.
+        """
+        from dvf_ig.guidance import FixtureOptions, Gaussian
+
+        target = self._target(folder or Path(), frame)
+        return FixtureOptions(Gaussian(self.delta, self.m, self.cap_n), path=target, name=self.name)
+
+    def _target(self, folder: Path, frame: str) -> "PathTarget":
+        from dvf_ig.guidance import PathTarget
+
+        if not isinstance(self.path, str):
+            return PathTarget.static(frame, self.path)
+        file = folder / self.path
+        with reading(file, "a curve"):
+            points = markup_points(file)[1]
+            markups = read_json(file)["markups"]
+            if len(markups) != 1:
+                raise UnreadableFileError(f"{file} holds {len(markups)} markups; needed one, the curve")
+            return PathTarget.static(frame, points)
+
+
+FixtureConfig = Annotated[ForbiddenConfig | GuidanceConfig | PathConfig, Field(discriminator="law")]
+LAWS: dict[str, type[ForbiddenConfig | GuidanceConfig | PathConfig]] = {
+    "forbidden": ForbiddenConfig,
+    "guidance": GuidanceConfig,
+    "path": PathConfig,
+}
+
+
+class DeviceConfig(Section):
+    """The haptic device that renders the fixtures, for forces above 4 N or stiffness other than 400 N/m."""
+
+    name: Annotated[str, Field(strict=True, min_length=1)]
+    continuous_force_n: Number
+    stiffness_n_per_m: Number = 400.0
+
+    @classmethod
+    def of(cls, device: "DeviceLimits") -> "DeviceConfig | None":
+        """Describe a device; None for a device without a name."""
+        if not device.name:
+            return None
+        return cls(
+            name=device.name,
+            continuous_force_n=device.continuous_force_n,
+            stiffness_n_per_m=device.stiffness_n_per_m,
+        )
+
+    def limits(self) -> "DeviceLimits":
+        """Build the device limits; raise InvalidInputError for a number out of range."""
+        from dvf_ig.guidance import DeviceLimits
+
+        return DeviceLimits(
+            stiffness_n_per_m=self.stiffness_n_per_m,
+            continuous_force_n=self.continuous_force_n,
+            name=self.name,
+        )
+
+
+class FixturesConfig(Section):
+    """The fixtures of an intervention, their joint cap, margin and device, and the law of retiming."""
+
+    fixtures: tuple[FixtureConfig, ...] = (ForbiddenConfig(),)
+    cap_n: Number | None = None
+    retiming: RetimingName | None = None
+    margin: MarginChoice = "off"
+    device: DeviceConfig | None = None
+
+    def fixture_set(self, folder: Path, frame: str = "mr") -> "FixtureSet":
+        """Build the fixtures.
+
+        Args:
+            folder: base of relative file names.
+            frame: of the model and of every path.
+        Raises:
+            InvalidInputError: a number out of range or an unfit path; names the key.
+        """
+        from dvf_ig.guidance import FixtureSet
+        from dvf_ig.guidance.device import COMMON_DEVICE
+
+        options = []
+        for n, one in enumerate(self.fixtures):
+            try:
+                options.append(one.options(folder, frame))
+            except InvalidInputError as exc:
+                raise InvalidInputError(f"fixtures.{n}: {exc}") from exc
+        device = COMMON_DEVICE if self.device is None else self.device.limits()
+        return FixtureSet(tuple(options), self.cap_n, margin_options(self.margin), device)
+
+
+def margin_options(choice: str | float) -> "MarginOptions":
+    """Build margin options from a mode or a width in mm.
+
+    Raises:
+        InvalidInputError: another mode, or a width out of range.
+    """
+    from dvf_ig.guidance.margins import MarginOptions
+
+    if isinstance(choice, str):
+        return MarginOptions(choice)  # type: ignore[arg-type]
+    return MarginOptions("fixed", fixed_mm=float(choice))
+
+
+def fixture_options(values: Mapping[str, Any]) -> "FixtureOptions":
+    """Build one fixture from its law and some of that law's keys (`LAWS`).
+
+    Raises:
+        InvalidInputError: a number out of range.
+    """
+    config: ForbiddenConfig | GuidanceConfig | PathConfig = TypeAdapter(FixtureConfig).validate_python(
+        dict(values)
+    )
+    return config.options()
+
+
+def read_fixtures(path: Path | str, frame: str = "mr") -> tuple["FixtureSet", RetimingName | None]:
+    """Read fixtures from a YAML file, with the retiming law if the file states one.
+
+    Args:
+        path: the file; names of other files in it are relative to its folder.
+        frame: of the model and of every path.
+    Raises:
+        UnreadableFileError: absent, not YAML, unknown keys, or values that do not fit; names file and key.
+    """
+    path = Path(path)
+    config = validated(FixturesConfig, read_yaml(path, "a description of fixtures"), path)
+    with reading(path, "a description of fixtures"):
+        return config.fixture_set(path.parent, frame), config.retiming

@@ -1,0 +1,76 @@
+"""What the section `live` of a session.yaml may say: who sends, under which names, and where the ECG is from.
+
+live:
+  host: 127.0.0.1                     # where PLUS or 3D Slicer is; as a server, the address to listen at
+  port: 18944
+  role: client                        # or server
+  allow: []                           # addresses of peers that a server takes, besides this machine
+  probe: ProbeToTracker               # device names, as PLUS or Slicer sends them
+  tool: ToolToTracker
+  reference: ReferenceToTracker       # leave out where poses are relative to what is to stand still
+  image: Image_Tracker
+  image_orientation: MF               # how the images come, if not as the probe was calibrated
+  calibrated_orientation: MF
+  ecg: {field: EcgData, rate_hz: 500} # or {lsl: STREAM, rate_hz: 500}, or {tail: FILE.csv, rate_hz: 500}
+"""
+
+from typing import Annotated, Any, Literal
+
+from pydantic import Discriminator, Field, Tag
+
+from dvf_ig.io.yaml_config import KIND, Section
+
+DeviceName = Annotated[str, Field(strict=True, min_length=1, max_length=64)]
+RateHz = Annotated[float, Field(strict=True, ge=50.0, le=100_000.0)]
+Orientation = Literal["MF", "UF", "MN", "UN"]
+
+
+class EcgFieldConfig(Section):
+    """An ECG among the frame fields or strings that PLUS sends, with the time of its last sample."""
+
+    field: DeviceName = "EcgData"
+    rate_hz: RateHz
+
+
+class EcgStreamConfig(Section):
+    """An ECG of the Lab Streaming Layer, by its stream's name; `channels` counts from 0, empty takes all."""
+
+    lsl: DeviceName
+    rate_hz: RateHz
+    channels: tuple[Annotated[int, Field(strict=True, ge=0, le=255)], ...] = ()
+
+
+class EcgTailConfig(Section):
+    """An ECG in a file that grows: CSV with a line a sample (other columns are leads), or EDF."""
+
+    tail: Annotated[str, Field(strict=True, min_length=1)]
+    rate_hz: RateHz
+
+
+def _ecg_kind(value: Any) -> str | None:
+    keys = set(value) if isinstance(value, dict) else set(getattr(value, "model_fields_set", ()))
+    return next((KIND + key for key in ("lsl", "tail") if key in keys), f"{KIND}field")
+
+
+EcgLive = Annotated[
+    Annotated[EcgFieldConfig, Tag(f"{KIND}field")]
+    | Annotated[EcgStreamConfig, Tag(f"{KIND}lsl")]
+    | Annotated[EcgTailConfig, Tag(f"{KIND}tail")],
+    Discriminator(_ecg_kind),
+]
+
+
+class LiveConfig(Section):
+    """Who sends what; see the module."""
+
+    host: Annotated[str, Field(strict=True, min_length=1)] = "127.0.0.1"
+    port: Annotated[int, Field(strict=True, ge=0, le=65535)] = 18944
+    role: Literal["client", "server"] = "client"
+    allow: tuple[str, ...] = ()
+    probe: DeviceName = "ProbeToTracker"
+    tool: DeviceName = "ToolToTracker"
+    reference: DeviceName | None = None
+    image: DeviceName = "Image_Tracker"
+    image_orientation: Orientation = "MF"
+    calibrated_orientation: Orientation = "MF"
+    ecg: EcgLive

@@ -1,0 +1,197 @@
+"""Encode a session log's calibrations, start and heart as JSON, with every digit."""
+
+import json
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import Field
+
+from dvf_ig.core.errors import UnreadableFileError
+from dvf_ig.core.recordings.scenario import Scenario
+from dvf_ig.core.space.image_map import ImageMap
+from dvf_ig.core.space.points import Landmarks, Points
+from dvf_ig.core.space.rigid import Rigid
+from dvf_ig.core.timing.trigger import TriggerTimes
+from dvf_ig.intake.parts import SessionFiles
+from dvf_ig.intake.schema import FanConfig, PreopConfig
+from dvf_ig.io import limits
+from dvf_ig.io.plus.names import split_transform
+from dvf_ig.io.yaml_config import Section, validated
+
+SCHEMA = "dvf_ig.log/1"
+Length = Annotated[float, Field(ge=-limits.LENGTH_MM, le=limits.LENGTH_MM)]
+Time = Annotated[float, Field(ge=-limits.TIME_S, le=limits.TIME_S)]
+Row = tuple[Length, Length, Length]
+
+
+class RigidEntry(Section):
+    """Rigid transform, mm."""
+
+    target: str
+    source: str
+    rotation: tuple[Row, Row, Row]
+    translation_mm: Row
+
+    @classmethod
+    def of(cls, rigid: Rigid) -> "RigidEntry":
+        return cls(
+            target=rigid.target,
+            source=rigid.source,
+            rotation=rigid.rotation.tolist(),
+            translation_mm=rigid.translation_mm.tolist(),
+        )
+
+    def rigid(self) -> Rigid:
+        return Rigid(self.target, self.source, np.array(self.rotation), np.array(self.translation_mm))
+
+
+class ImageEntry(Section):
+    """Image calibration, probe_from_image."""
+
+    rigid: RigidEntry
+    scale_mm_per_px: tuple[Length, Length]
+    shear_deg: Annotated[float, Field(gt=-90.0, lt=90.0)]
+
+    @classmethod
+    def of(cls, image: ImageMap) -> "ImageEntry":
+        rigid, scale = RigidEntry.of(image.rigid), image.scale_mm_per_px.tolist()
+        return cls(rigid=rigid, scale_mm_per_px=scale, shear_deg=image.shear_deg)
+
+    def image(self) -> ImageMap:
+        return ImageMap(self.rigid.rigid(), np.array(self.scale_mm_per_px), self.shear_deg)
+
+
+class PointsEntry(Section):
+    """Points, mm, with optional names."""
+
+    frame: str
+    names: tuple[str, ...] = ()
+    xyz_mm: tuple[Row, ...]
+
+    @classmethod
+    def of(cls, values: Landmarks | Points) -> "PointsEntry":
+        points, names = (values.points, values.names) if isinstance(values, Landmarks) else (values, ())
+        return cls(frame=points.frame, names=names, xyz_mm=points.xyz_mm.tolist())
+
+    def points(self) -> Points:
+        return Points(self.frame, np.array(self.xyz_mm).reshape(-1, 3))
+
+    def landmarks(self) -> Landmarks:
+        return Landmarks(self.names, self.points())
+
+
+class BeatsEntry(Section):
+    """Format of the stream of heart beats: ECG samples, or pulses of a trigger."""
+
+    kind: Literal["ecg", "trigger"]
+    rate_hz: float | None = None
+    start_s: Time | None = None
+    leads: tuple[str, ...] = ()
+    unit: str = "mV"
+    delay_s: Time = 0.0
+
+
+class SessionDocument(Section):
+    """Content of `session.json`."""
+
+    schema_: Literal["dvf_ig.log/1"] = Field(default="dvf_ig.log/1", alias="schema")
+    name: str
+    preset: str
+    patient_id: str
+    tracked_against: str
+    beats: BeatsEntry
+    has_timestamps: bool
+    orientation: str
+    fan: FanConfig | None
+    probe_from_image: ImageEntry
+    lag_s: Time
+    tip: PointsEntry
+    start: RigidEntry | None
+    landmarks_mr: PointsEntry | None
+    landmarks_tracker: PointsEntry | None
+    touched: PointsEntry | None
+    touched_phase: Annotated[float, Field(ge=0.0, lt=1.0)] | None
+    preop: PreopConfig
+
+
+def document_of(scenario: Scenario, image: ImageMap, lag_s: float, tip: Points, preop: PreopConfig) -> bytes:
+    """Encode a recorded session with its calibrations in use as JSON."""
+    ecg, sequence = scenario.ecg, scenario.ultrasound
+    beats = (
+        BeatsEntry(kind="trigger", delay_s=ecg.delay_s)
+        if isinstance(ecg, TriggerTimes)
+        else BeatsEntry(kind="ecg", rate_hz=ecg.rate_hz, start_s=ecg.start_s, leads=ecg.leads, unit=ecg.unit)
+    )
+    return _json(
+        name=scenario.name,
+        preset=scenario.preset,
+        tracked_against=scenario.tracked_against,
+        beats=beats,
+        has_timestamps=sequence.has_timestamps,
+        orientation=sequence.orientation,
+        preop=preop,
+        **_of_patient(SessionFiles.of(scenario), image, lag_s, tip),
+    )
+
+
+def document_of_live(
+    files: SessionFiles, image: ImageMap, lag_s: float, tip: Points, preop: PreopConfig
+) -> bytes:
+    """JSON of a live session before its first event: the ECG's leads and its beginning come with it.
+
+    Raises:
+        InvalidInputError: the session has no heart, or does not say who sends what.
+    """
+    live = files.required_live
+    reference = split_transform(live.probe) if live.reference is None else split_transform(live.reference)
+    against = "tracker" if reference is None else reference[0 if live.reference is None else 1]
+    return _json(
+        name=files.heart.patient_id,
+        preset="recorded",
+        tracked_against=against,
+        beats=BeatsEntry(kind="ecg", rate_hz=live.ecg.rate_hz),
+        has_timestamps=True,
+        orientation=live.calibrated_orientation,
+        preop=preop,
+        **_of_patient(files, image, lag_s, tip),
+    )
+
+
+def _json(**fields: Any) -> bytes:
+    document = SessionDocument(**fields)
+    return json.dumps(document.model_dump(mode="json", by_alias=True), indent=1).encode()
+
+
+def _of_patient(files: SessionFiles, image: ImageMap, lag_s: float, tip: Points) -> dict[str, Any]:
+    """What a recording and a live session have in common."""
+    fan, start = files.fan, files.start
+    return {
+        "patient_id": files.heart.patient_id,
+        "fan": None if fan is None else FanConfig.of(fan),
+        "probe_from_image": ImageEntry.of(image),
+        "lag_s": lag_s,
+        "tip": PointsEntry.of(tip),
+        "start": None if start.start is None else RigidEntry.of(start.start),
+        "landmarks_mr": _points(start.landmarks_mr),
+        "landmarks_tracker": _points(start.landmarks_tracker),
+        "touched": _points(start.touched),
+        "touched_phase": start.touched_phase,
+    }
+
+
+def _points(values: Landmarks | Points | None) -> PointsEntry | None:
+    return None if values is None else PointsEntry.of(values)
+
+
+def read_document(data: bytes, path: Path) -> SessionDocument:
+    """Parse the document of a log.
+
+    Raises:
+        UnreadableFileError: not JSON, or not a session document.
+    """
+    try:
+        document: Any = json.loads(data)
+    except (ValueError, RecursionError) as exc:
+        raise UnreadableFileError(f"{path}: its session.json is damaged ({exc})") from exc
+    return validated(SessionDocument, document, path)

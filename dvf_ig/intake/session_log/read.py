@@ -1,0 +1,177 @@
+"""Reading of a session's log as a recording, whose replay pushes the logged events."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvf_ig.core import (
+    FloatArray,
+    InvalidInputError,
+    PoseStream,
+    Scenario,
+    Signal,
+    TrackedSequence,
+    TriggerTimes,
+    UnreadableFileError,
+)
+from dvf_ig.intake.parts import SessionFiles
+from dvf_ig.intake.preop import PreopFiles, read_preop
+from dvf_ig.io import limits
+from dvf_ig.io.ecg.recording import require_plausible
+from dvf_ig.io.file_within import path_within
+from dvf_ig.io.model.model_file import read_model
+from dvf_ig.io.provenance import not_recorded
+from dvf_ig.io.ros import messages as ros
+from dvf_ig.io.ros.log_file import LogReader, opened_log
+from dvf_ig.io.writing.place import scratch_folder
+from dvf_ig.io.yaml_config import validated
+
+from .document import SessionDocument, read_document
+from .heart import MODEL
+from .live import LIVE, LiveDocument
+from .live_read import read_live_streams
+from .topics import DOCUMENT, ECG, EXACT_FRAME, EXACT_TOOL, IMAGE, STREAMS, TRIGGER
+
+_POSE = 14
+"""Count of numbers of a pose: stamp, validity, rotation, translation."""
+
+
+def read_session_log(path: Path, *, images: bool = True) -> SessionFiles:
+    """Read a log that `dvf-ig export mcap` or `dvf-ig serve` wrote.
+
+    Args:
+        images: whether to read the ultrasound of a live session.
+    Returns:
+        recording, calibrations in use, and the heart; for a live session also the data that repeat it.
+    Raises:
+        MissingDependencyError: mcap or rosbags is absent.
+        UnreadableFileError: absent, another kind of file, cut off or damaged.
+    """
+    with opened_log(path) as log:
+        attached = log.attachments()
+        if DOCUMENT not in attached:
+            raise UnreadableFileError(
+                f"{path} has no {DOCUMENT} attached; needed a log that `dvf-ig export mcap` or "
+                "`dvf-ig serve` wrote"
+            )
+        document = read_document(attached[DOCUMENT], path)
+        heart = _heart(path, document, attached)
+        if LIVE in attached:
+            return _live(log, path, document, heart, attached[LIVE], images=images)
+        arrays: dict[str, list[FloatArray]] = {topic: [] for topic in STREAMS}
+        shown: list[NDArray[np.uint8]] = []
+        for topic, message in log.messages(STREAMS):
+            if topic == IMAGE:
+                shown.append(ros.grey_levels(message))
+            else:
+                arrays[topic].append(_numbers(message))
+        scenario = _recorded(document, heart, arrays, shown)
+        if isinstance(scenario.ecg, Signal):
+            require_plausible(path, scenario.ecg)
+    return SessionFiles.of(scenario, heart.model)
+
+
+def _live(
+    log: LogReader, path: Path, document: SessionDocument, heart: PreopFiles, live: bytes, *, images: bool
+) -> SessionFiles:
+    try:
+        content = json.loads(live)
+    except (ValueError, RecursionError) as exc:
+        raise UnreadableFileError(f"{path}: its {LIVE} is damaged ({exc})") from exc
+    options = validated(LiveDocument, content, path)
+    streams = read_live_streams(log, document, options, path, images=images)
+    scenario = _scenario(document, heart, streams.ecg, streams.ultrasound, streams.tool)
+    fixtures = options.fixtures.fixture_set(Path())
+    return SessionFiles.of(
+        scenario, heart.model, fixtures=fixtures, retiming=options.retiming, record=streams.record
+    )
+
+
+def _recorded(
+    document: SessionDocument,
+    heart: PreopFiles,
+    arrays: dict[str, list[FloatArray]],
+    images: list[NDArray[np.uint8]],
+) -> Scenario:
+    frames = np.array(arrays[EXACT_FRAME]).reshape(-1, _POSE + 1)
+    probe = _stream("probe", frames[:, :_POSE])
+    sequence = TrackedSequence(
+        frames[:, 0],
+        np.stack(images) if images else None,
+        frames[:, _POSE] == 1.0,
+        {probe.name: probe},
+        document.has_timestamps,
+        document.orientation,
+    )
+    tool = _stream("tool", np.array(arrays[EXACT_TOOL]).reshape(-1, _POSE))
+    return _scenario(document, heart, _beats(document, arrays), sequence, tool)
+
+
+def _scenario(
+    document: SessionDocument,
+    heart: PreopFiles,
+    ecg: Signal | TriggerTimes,
+    ultrasound: TrackedSequence,
+    tool: PoseStream,
+) -> Scenario:
+    touched, start = document.touched, document.start
+    marked, at = document.landmarks_mr, document.landmarks_tracker
+    return Scenario(
+        name=document.name,
+        preset=document.preset,
+        preop=heart.preop,
+        ecg=ecg,
+        ultrasound=ultrasound,
+        fan=None if document.fan is None else document.fan.fan(),
+        probe=document.probe_from_image.image(),
+        latency=document.lag_s,
+        tool=tool,
+        tracked_against=document.tracked_against,
+        tip=document.tip.points(),
+        start=None if start is None else start.rigid(),
+        landmarks_mr=None if marked is None else marked.landmarks(),
+        landmarks_tracker=None if at is None else at.landmarks(),
+        touched=None if touched is None else touched.points(),
+        touched_phase=document.touched_phase,
+    )
+
+
+def _beats(document: SessionDocument, arrays: dict[str, list[FloatArray]]) -> Signal | TriggerTimes:
+    beats = document.beats
+    if beats.kind == "trigger":
+        return TriggerTimes(np.concatenate([np.zeros(0), *arrays[TRIGGER]]), beats.delay_s)
+    flat = np.concatenate([np.zeros(0), *arrays[ECG]])
+    samples = flat.reshape(-1, max(len(beats.leads), 1))
+    return Signal(samples, beats.rate_hz or 0.0, beats.start_s or 0.0, beats.leads, beats.unit)
+
+
+def _stream(source: str, rows: FloatArray) -> PoseStream:
+    """Build tracker_from_source from rows of a stamp, a validity, a rotation and a translation."""
+    rotations, translations, valid = rows[:, 2:11].reshape(-1, 3, 3), rows[:, 11:], rows[:, 1] == 1.0
+    limits.require_times(rows[:, 0], f"the {source}'s poses")
+    limits.require_lengths(translations[valid], f"the {source}'s poses")
+    return PoseStream("tracker", source, rows[:, 0], rotations, translations, valid)
+
+
+def _heart(path: Path, document: SessionDocument, attached: dict[str, bytes]) -> PreopFiles:
+    """Read the heart from the attached files."""
+    with scratch_folder() as folder, not_recorded():
+        for file, data in attached.items():
+            if file.startswith("preop/"):
+                place = path_within(folder, file, path)
+                place.parent.mkdir(parents=True, exist_ok=True)
+                place.write_bytes(data)
+        try:
+            read = read_preop(document.preop, folder, document.patient_id)
+            if read.model is None and MODEL in attached:
+                return PreopFiles(read.preop, read_model(folder / MODEL, patient_id=document.patient_id))
+            return read
+        except InvalidInputError as exc:
+            reason = str(exc).replace(f"{folder}/", "its ")
+            raise UnreadableFileError(f"{path}: {reason}") from exc
+
+
+def _numbers(message: ros.Message) -> FloatArray:
+    return np.array(message.data, dtype=np.float64)

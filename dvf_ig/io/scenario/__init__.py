@@ -1,1 +1,0 @@
-"""A scenario folder: its layout, reading and writing it, its truth."""

@@ -1,1 +1,0 @@
-"""Whether files that were each read without complaint can be of one intervention."""

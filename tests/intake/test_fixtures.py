@@ -1,0 +1,275 @@
+"""Fixtures in YAML: every key reaches its value, two of them are composed, and what is wrong is named."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dvf_ig.core import DvfModel, InvalidInputError, Landmarks, Points, Rigid, UnreadableFileError
+from dvf_ig.guidance import (
+    Confinement,
+    Contribution,
+    Evaluator,
+    FixtureOptions,
+    Fixtures,
+    Gaussian,
+    PathFixture,
+    PathTarget,
+    Sigmoid,
+    compose,
+)
+from dvf_ig.guidance.margins import MarginOptions
+from dvf_ig.intake.fixtures import (
+    FixturesConfig,
+    ForbiddenConfig,
+    GuidanceConfig,
+    PathConfig,
+    fixture_options,
+    read_fixtures,
+)
+from dvf_ig.intake.schema import SessionConfig
+from dvf_ig.intake.session import session_fixtures
+from dvf_ig.io import write_landmarks
+from dvf_ig.io.json_file import read_json, write_json
+
+CURVE = np.array([[-8.0, 0.0, 12.0], [0.0, 3.0, 15.0], [9.0, 1.0, 11.0]])
+
+
+@pytest.fixture
+def curve(tmp_path: Path) -> Path:
+    """A curve beside the YAML file, stored as Slicer may: RAS."""
+    path = tmp_path / "incision.mrk.json"
+    write_landmarks(Landmarks(("a", "b", "c"), Points("mr", CURVE * [-1, -1, 1])), path)
+    text = path.read_text(encoding="utf-8").replace('"LPS"', '"RAS"').replace("Fiducial", "Curve")
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def written(folder: Path, text: str) -> Path:
+    path = folder / "fixtures.yaml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_every_key_reaches_its_value(tmp_path: Path, curve: Path) -> None:
+    path = written(
+        tmp_path,
+        """
+cap_n: 0.8
+retiming: uniform
+fixtures:
+  - {law: forbidden, name: epicardium, gamma: 2, cap_n: 0.5, depth_mm: 5.0, blend: distance}
+  - {law: forbidden, inside: true, gamma: 1.5}
+  - {law: guidance, delta: 4.0, m: 2, cap_n: 0.4, depth_mm: -1, blend: periodic}
+  - {law: path, delta: 2.5, m: 0.5, cap_n: 0.3, name: line, path: [[0, 0, 1], [0.0, 0.0, 2.0]]}
+  - {law: path, path: incision.mrk.json}
+""",
+    )
+    options, retiming = read_fixtures(path)
+    assert retiming == "uniform"
+    assert options.cap_n == 0.8
+    wall, chamber, guide, line, incision = options.fixtures
+    assert wall == FixtureOptions(Sigmoid(2.0, 0.5, 5.0), "distance", name="epicardium")
+    assert chamber == FixtureOptions(Confinement(1.5))
+    assert guide == FixtureOptions(Gaussian(4.0, 2.0, 0.4, -1.0), "periodic")
+    assert (line.law, line.name) == (Gaussian(2.5, 0.5, 0.3), "line")
+    assert line.path is not None
+    assert line.path.frame == "mr"
+    np.testing.assert_array_equal(line.path.points_mm, [[[0, 0, 1], [0, 0, 2]]])
+    assert incision.law == Gaussian()
+    assert incision.path is not None
+    np.testing.assert_allclose(incision.path.points_mm[0], CURVE, atol=1e-12)
+
+
+def test_the_guide_s_example_is_read(tmp_path: Path, curve: Path) -> None:
+    page = Path(__file__).resolve().parents[2] / "dvf_ig/docs/guide/own-recordings.md"
+    examples = re.findall(r"```yaml\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
+    (example,) = (text for text in examples if "law: path" in text)
+    options, retiming = read_fixtures(written(tmp_path, example))
+    assert (options.cap_n, retiming) == (0.6, "two-segment")
+    assert options.fixtures[0] == FixtureOptions(Sigmoid(depth_mm=2.0), name="epicardium")
+    assert options.fixtures[1].law == Gaussian(4.0)
+
+
+def test_defaults_are_those_of_the_values(tmp_path: Path) -> None:
+    assert ForbiddenConfig().options() == FixtureOptions()
+    assert ForbiddenConfig(inside=True).options().law == Confinement()
+    assert GuidanceConfig().options() == FixtureOptions(Gaussian())
+    assert PathConfig(path=((0, 0, 0), (1, 0, 0))).options().law == Gaussian()
+    assert FixturesConfig().fixture_set(tmp_path).fixtures == (FixtureOptions(),)
+    assert fixture_options({"law": "guidance", "m": 2.0}) == FixtureOptions(Gaussian(m=2.0))
+
+
+@pytest.mark.parametrize(
+    "one",
+    [
+        FixtureOptions(Sigmoid(2.0, 0.5, 1.0), "distance", name="wall"),
+        FixtureOptions(Confinement(1.5, depth_mm=-2.0)),
+        FixtureOptions(Gaussian(4.0, 2.0, 0.4, 1.0), "periodic"),
+    ],
+)
+def test_a_fixture_is_described_by_the_keys_that_make_it(one: FixtureOptions) -> None:
+    assert fixture_options(one.described()) == one
+    path = PathTarget.static("mr", CURVE)
+    of_path = FixtureOptions(Gaussian(4.0), path=path, name="incision").described()
+    again = fixture_options({**of_path, "path": CURVE.tolist()})
+    assert (again.law, again.name) == (Gaussian(4.0), "incision")
+
+
+def test_two_fixtures_are_what_compose_makes_of_them(ball: DvfModel, tmp_path: Path, curve: Path) -> None:
+    path = written(
+        tmp_path,
+        """
+fixtures:
+  - {law: forbidden, name: epicardium, cap_n: 0.5}
+  - {law: path, delta: 4.0, path: incision.mrk.json}
+""",
+    )
+    options, retiming = read_fixtures(path)
+    assert retiming is None
+    pose = Rigid.from_rotation_vector([0.4, -1.1, 0.7], [30.0, -80.0, 12.0], "mr", "tracker")
+    points = np.random.default_rng(3).normal(size=(40, 3)) * [8.0, 5.0, 3.0] + [0.0, 0.0, 13.0]
+    phase = np.linspace(0.0, 1.0, len(points))
+    tip = pose.inverse().apply_array(points)
+    got = Fixtures(ball, options).evaluate(pose, tip, phase)
+    wall = Evaluator(ball, Sigmoid(1.0, 0.5)).force(points, phase)
+    guide = PathFixture(PathTarget.static("mr", CURVE), Gaussian(4.0)).force(points, phase)
+    by_hand = [
+        compose([Contribution("mr", w, 0.5)], [Contribution("mr", g, 0.6)], frame="mr", cap_n=0.6)
+        for w, g in zip(wall.force_n, guide.force_n, strict=True)
+    ]
+    expected = np.array([c.force_n for c in by_hand])
+    np.testing.assert_allclose(got.force_n @ pose.rotation.T, expected, atol=1e-9)
+    assert got.conflict.tolist() == [c.conflict for c in by_hand]
+    np.testing.assert_allclose(got.distance_mm, wall.distance_mm, atol=1e-9)
+    assert np.linalg.norm(expected - wall.force_n, axis=1).max() > 0.05
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("fixtures: [", "is not YAML"),
+        ("", "needed keys with their values"),
+        ("fixtures: []", "holds no fixture; needed at least one"),
+        ("fixture: []", "unknown key fixture; needed some of fixtures, cap_n, retiming"),
+        ("fixtures: [{gamma: 1.0}]", "fixtures.0: its 'law' is missing"),
+        ("fixtures: [{law: sigmoid}]", "fixtures.0.law is 'sigmoid'; needed 'forbidden', 'guidance', 'path'"),
+        (
+            "fixtures: [{law: guidance, gamma: 2.0}]",
+            "fixtures.0: unknown key gamma; needed some of name, cap_n, law, delta, m, depth_mm, blend",
+        ),
+        ("fixtures: [{law: forbidden}, {law: guidance, delta: wide}]", "fixtures.1.delta: needed a number"),
+        ("fixtures: [{law: forbidden, gamma: true}]", "fixtures.0.gamma: needed a number"),
+        ("fixtures: [{law: forbidden, cap_n: .nan}]", "fixtures.0.cap_n: .*finite"),
+        (
+            "fixtures: [{law: forbidden, blend: nearest}]",
+            "fixtures.0.blend: .*'force', 'distance' or 'period",
+        ),
+        ("fixtures: [{law: forbidden, gamma: -1}]", "fixtures.0: sigmoid steepness gamma_per_mm is -1"),
+        ("fixtures: [{law: path}]", "fixtures.0.path: it is missing"),
+        ("fixtures: [{law: path, path: [[0, 0], [1, 1]]}]", r"fixtures.0.path: needed points \[\[x, y, z\]"),
+        ("fixtures: [{law: path, path: [[0, 0, 0]]}]", "fixtures.0: .*at least 2 points"),
+        (
+            "fixtures: [{law: path, path: no.mrk.json}]",
+            r"fixtures.0: .*no.mrk.json does not exist; needed 3D Sl",
+        ),
+        ("retiming: linear", "retiming: .*'uniform' or 'two-segment'"),
+        ("cap_n: -1.0", "joint cap is -1 N"),
+        ("cap_n: 1000", "the joint cap is 1000 N; no device holds more than 20 N"),
+        ("cap_n: 4.5", "the joint cap is 4.5 N; at most 4 N is allowed where no stronger device is named"),
+        (
+            "fixtures: [{law: forbidden, name: wall, cap_n: 5}]",
+            "fixture 'wall': force cap cap_n is 5 N; at most",
+        ),
+        (
+            "fixtures: [{law: forbidden, gamma: 0.001}]",
+            "fixtures.0: .* felt 4595 mm from the organ's surface",
+        ),
+        (
+            "fixtures: [{law: forbidden, depth_mm: -40}]",
+            "fixtures.0: .* felt 44.6 mm from the organ's surface",
+        ),
+        ("device: {name: omega.3}", "device.continuous_force_n: it is missing"),
+        ("device: {name: '', continuous_force_n: 9}", "device.name: it is empty"),
+        (
+            "device: {name: omega.3, continuous_force_n: 40}",
+            "continuous_force_n is 40 N; no device holds more",
+        ),
+    ],
+)
+def test_what_is_wrong_is_named_with_its_file_and_key(tmp_path: Path, text: str, complaint: str) -> None:
+    path = written(tmp_path, text)
+    with pytest.raises(UnreadableFileError, match=complaint) as raised:
+        read_fixtures(path)
+    message = str(raised.value)
+    assert message.startswith(str(path))
+    assert "\n" not in message
+
+
+def test_a_file_of_two_curves_is_refused(tmp_path: Path, curve: Path) -> None:
+    document = read_json(curve)
+    document["markups"] *= 2
+    write_json(curve, document)
+    path = written(tmp_path, "fixtures: [{law: path, path: incision.mrk.json}]")
+    with pytest.raises(UnreadableFileError, match="holds 2 markups; needed one, the curve"):
+        read_fixtures(path)
+
+
+def test_an_absent_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(UnreadableFileError, match=r"nowhere\.yaml does not exist; needed a description of"):
+        read_fixtures(tmp_path / "nowhere.yaml")
+
+
+def test_a_number_out_of_range_is_refused() -> None:
+    with pytest.raises(InvalidInputError, match="exponent m is 0"):
+        fixture_options({"law": "guidance", "m": 0.0})
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("off", MarginOptions()),
+        ("adaptive", MarginOptions("adaptive")),
+        ("fixed", MarginOptions("fixed")),
+        ("1.5", MarginOptions("fixed", fixed_mm=1.5)),
+    ],
+)
+def test_a_margin_is_a_mode_or_a_width(tmp_path: Path, text: str, expected: MarginOptions) -> None:
+    """YAML's bare `off` is false."""
+    found, _ = read_fixtures(written(tmp_path, f"margin: {text}\nfixtures: [{{law: forbidden}}]\n"))
+    assert found.margin == expected
+    with pytest.raises(UnreadableFileError, match="margin: needed off, fixed, adaptive, or a number of mm"):
+        read_fixtures(written(tmp_path, "margin: wide\n"))
+    with pytest.raises(InvalidInputError, match="between 0 and the cap"):
+        read_fixtures(written(tmp_path, "margin: 9\n"))
+
+
+def test_a_device_is_stated_with_the_fixtures(tmp_path: Path) -> None:
+    device = "device: {name: omega.3, continuous_force_n: 12, stiffness_n_per_m: 3000}"
+    path = written(tmp_path, f"{device}\ncap_n: 11.0\nfixtures: [{{law: guidance, delta: 20, cap_n: 12}}]\n")
+    options = read_fixtures(path)[0]
+    assert (options.device.name, options.device.continuous_force_n, options.joint_cap_n) == (
+        "omega.3",
+        12.0,
+        11.0,
+    )
+    assert options.device.stiffness_n_per_m == 3000.0
+
+
+def test_a_joint_cap_of_a_session_holds_without_a_list_of_fixtures(tmp_path: Path) -> None:
+    """It was read and left out: 0.6 N, or what a file of fixtures said."""
+    document = {"ultrasound": "a.mha", "cap_n": 0.2}
+    options, _ = session_fixtures(SessionConfig.model_validate(document), tmp_path, "session.yaml")
+    assert options is not None
+    assert (options.joint_cap_n, options.fixtures) == (0.2, (FixtureOptions(),))
+    document["fixtures"] = "fixtures.yaml"
+    written(tmp_path, "fixtures: [{law: forbidden}]\n")
+    with pytest.raises(
+        UnreadableFileError, match=r"cap_n belongs in fixtures\.yaml, which describes the fixtures"
+    ):
+        session_fixtures(SessionConfig.model_validate(document), tmp_path, "session.yaml")
+    del document["cap_n"]
+    options, _ = session_fixtures(SessionConfig.model_validate(document), tmp_path, "session.yaml")
+    assert options is not None
+    assert options.joint_cap_n == 0.6
