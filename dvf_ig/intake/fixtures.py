@@ -152,7 +152,7 @@ class DeviceConfig(Section):
 
     @classmethod
     def of(cls, device: "DeviceLimits") -> "DeviceConfig | None":
-        """What states this device; None for one without a name."""
+        """The section that states a device; None for one without a name."""
         if not device.name:
             return None
         return cls(

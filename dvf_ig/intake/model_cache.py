@@ -58,7 +58,7 @@ class CachedModel:
 
     Attributes:
         was_cached: it was read, not built.
-        path: its entry; None where there is none.
+        path: its entry; None if there is none.
         remark: one sentence for the user.
     """
 

@@ -37,9 +37,9 @@ def _register_frames(files: "SessionFiles", model: "DvfModel", seed: int) -> Reg
 
     recorded = files.scenario
     with progress("register") as report:
-        done = register_scenario(recorded, model=model, seed=seed, progress=report)
-    shown = replace(frames_shown(done, recorded.name, recorded.preop.mr), targets=recorded.landmarks_mr)
-    return Registered(done.result, done.start, shown, recorded.tracked_against)
+        registered = register_scenario(recorded, model=model, seed=seed, progress=report)
+    shown = replace(frames_shown(registered, recorded.name, recorded.preop.mr), targets=recorded.landmarks_mr)
+    return Registered(registered.result, registered.start, shown, recorded.tracked_against)
 
 
 def _register_volumes(files: "SessionFiles", model: "DvfModel", seed: int) -> Registered:

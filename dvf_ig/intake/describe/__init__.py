@@ -1,1 +1,1 @@
-"""What a file is, in a few facts: `dvf-ig inspect`."""
+"""Kind and facts of a file, for `dvf-ig inspect`."""

@@ -50,7 +50,7 @@ Reader = Callable[[Path], Facts]
 
 @dataclass(frozen=True, slots=True)
 class Description:
-    """What a file is (`kind`, a few words) and its facts by name, ready for JSON; units are in the names."""
+    """Kind of a file in a few words and its facts by name, ready for JSON; units are in the names."""
 
     kind: str
     facts: Facts
@@ -62,7 +62,7 @@ def describe(spec: str, rate_hz: float | None = None, names: ProbeNames | None =
     Args:
         spec: a path, or an ECG as `wfdb:PATH`, `edf:PATH`, `csv:PATH`, `plus:PATH`.
         rate_hz: sampling rate of an ECG table without times.
-        names: of the probe and its reference in a tracked sequence, whose joined pose is then told, too.
+        names: of the probe and its reference in a tracked sequence, whose joined pose is described as well.
     Raises:
         UnreadableFileError: absent, of no known kind, or not readable as what it claims to be.
         InvalidInputError: a rate for what is no ECG table, or names for what is no sequence or not in it.
@@ -196,7 +196,7 @@ def _scenario_facts(path: Path) -> Facts:
 
 
 def _calibration_facts(scenario: Scenario) -> dict[str, Any]:
-    """Of the tool and of what was recorded to calibrate it, the probe and the latency."""
+    """Facts about the tool and the recordings that calibrate it, the probe and the latency."""
     tool, tip, probe, latency = scenario.tool, scenario.tip, scenario.probe, scenario.latency
     out: dict[str, Any] = {}
     if tool is not None:

@@ -65,7 +65,7 @@ def signal_facts(signal: Signal) -> Facts:
 
 
 def _peak_to_peak(lead: FloatArray) -> float | None:
-    """Range of the delivered samples, or None where there are none."""
+    """Range of the delivered samples, or None if there are none."""
     delivered = lead[np.isfinite(lead)]
     return float(np.ptp(delivered)) if len(delivered) else None
 
@@ -85,7 +85,7 @@ def sequence_facts(sequence: TrackedSequence) -> Facts:
 
 
 def clock_facts(t_s: FloatArray | None) -> Facts:
-    """Start, length, rate, irregularity and gaps of increasing time stamps; None where there are none.
+    """Start, length, rate, irregularity and gaps of increasing time stamps; None if there are none.
 
     `jitter_s` is the standard deviation of the steps between frames of which none is missing;
     `missing_frames` is how many more frames would have fitted into the longer steps.
@@ -168,7 +168,7 @@ def _image_maps(raw: RawSequence) -> list[tuple[str, str]]:
 
 
 def _stamp_facts(raw: RawSequence) -> Facts:
-    """How the stamps stand in the file: repeats, steps back, how far the recorder's filter moved them, and
+    """How the file gives the stamps: repeats, steps back, how far the recorder's filter moved them, and
     where the clock restarted: frame, its stamp, size of the jump, and how many frames are not used for it.
     """
     stamps, plain = raw.numbers("Timestamp"), raw.numbers("UnfilteredTimestamp")

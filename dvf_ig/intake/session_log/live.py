@@ -1,4 +1,4 @@
-"""What the log of a live session holds beyond a replay's: when each event came, each state, each answer.
+"""Streams of a live session's log beyond a replay's: when each event came, each state, each answer.
 
     /exact/event    one row an event, before the event itself: what it is, its stamp, its arrival
     /exact/state    one row a state that the session was asked for, in order between the events
@@ -60,7 +60,7 @@ STATE_COLUMNS = (
     "hazards",
     "lost",
 )
-"""Of a state's row; NaN where something is not known. `lost` counts messages that were left out by then."""
+"""Columns of a state; NaN if a value is not known. `lost` counts messages that were left out by then."""
 
 Timed = tuple[float, str, str, ros.Message]
 """When, topic, type, message."""
@@ -77,7 +77,7 @@ class EventKind(IntEnum):
 
 
 class LiveDocument(Section):
-    """The content of `live.json`: what a session was set up with besides its patient."""
+    """The content of `live.json`: a session's setup except for its patient."""
 
     schema_: Literal["dvf_ig.live_log/1"] = Field(default="dvf_ig.live_log/1", alias="schema")
     fixtures: FixturesConfig
@@ -185,7 +185,7 @@ def work_message(t_s: float, number: int, refused: int) -> Timed:
 
 
 def answer_messages(state: GuidanceState, t_s: float, force_n: FloatArray) -> Iterator[Timed]:
-    """What was sent, for ROS tools: the servo's force at its tick, and the state on which it rests."""
+    """Messages of an answer, for ROS tools: the force of the servo at its tick, and the state behind it."""
     now_s, phase, pose = state.now_s, state.phase, state.transform.pose
     yield t_s, "/tool/force", ros.WRENCH, ros.wrench(t_s, "tracker", force_n)
     numbers = np.array([phase.phi, state.model_phase, phase.rr_s, state.distance_mm, state.pose_age_s])

@@ -1,4 +1,4 @@
-"""A live session's log back: its events with their arrivals, in order, and what of them is a recording."""
+"""Read a live session's log: its events with their arrivals, in order, and the recording among them."""
 
 from collections import deque
 from collections.abc import Sequence
@@ -29,7 +29,7 @@ LONGEST_ECG_S = 24 * 3600.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LiveStreams:
-    """What a live session was sent, as a recording has it, and in its order.
+    """Streams sent to a live session, as a recording and in their order.
 
     Attributes:
         ecg: on one clock; NaN where samples are missing.
@@ -154,7 +154,7 @@ def _findings(log: LogReader, states: FloatArray) -> tuple[Finding, ...]:
 
 
 def _landmarks(document: SessionDocument) -> deque[Landmark]:
-    """In the order in which a session is told them."""
+    """In the order in which a session gets them."""
     if document.landmarks_mr is None or document.landmarks_tracker is None:
         return deque()
     names, marked, touched = document.landmarks_mr.landmarks().paired_with(
@@ -167,7 +167,7 @@ def _landmarks(document: SessionDocument) -> deque[Landmark]:
 
 
 def _matrix(row: FloatArray) -> FloatArray | None:
-    """(4, 4) of a row of stamp, validity, rotation and translation; None where it was not tracked."""
+    """(4, 4) of a row of stamp, validity, rotation and translation; None if it was not tracked."""
     if row[1] != 1.0:
         return None
     matrix = np.eye(4)

@@ -1,4 +1,4 @@
-"""A session's log back as a recording: the events that its replay pushes are those that were logged."""
+"""Read a session's log as a recording: the events that its replay pushes are those that were logged."""
 
 import json
 from pathlib import Path
@@ -156,7 +156,7 @@ def _stream(source: str, rows: FloatArray) -> PoseStream:
 
 
 def _heart(path: Path, document: SessionDocument, attached: dict[str, bytes]) -> PreopFiles:
-    """What is known of the heart, from the attached files."""
+    """Read the heart from the attached files."""
     with scratch_folder() as folder, not_recorded():
         for file, data in attached.items():
             if file.startswith("preop/"):

@@ -16,7 +16,7 @@ STREAMS = {
     EXACT_FRAME: ros.ARRAY,
     EXACT_TOOL: ros.ARRAY,
 }
-"""What a replay reads, with the type of each."""
+"""Topics that a replay reads, with the type of each."""
 POSE_LABEL = "t_s, valid, rotation (9, row-major), translation_mm (3): tracker_from_{}"
 IMAGE_LABEL = ", then whether the image is valid"
 LEVELS = {
@@ -25,7 +25,7 @@ LEVELS = {
     SupervisorState.FADE: 2,
     SupervisorState.LATCHED: 2,
 }
-"""Of diagnostics: OK, warning, error."""
+"""Levels of diagnostics: OK, warning, error."""
 GUIDANCE = ("phi", "model_phase", "rr_s", "distance_mm", "pose_age_s")
 """Columns of ticks.csv that are logged as numbers; NaN where there is none."""
 STATUS_EVERY_S = 1.0
