@@ -22,7 +22,7 @@ class SessionCommand(TyperCommand):
     """A command that takes SESSION; an option that only repeated one of its keys is answered with the key."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        spellings = {name for param in self.params for name in param.opts}
+        spellings = {name for param in self.get_params(ctx) for name in param.opts}
         for word in args:
             option = word.partition("=")[0]
             if option.startswith("--") and option not in spellings:
