@@ -137,7 +137,7 @@ def _begin(given: Mapping[str, Any], output: Path, *, as_json: bool) -> None:
 
 
 def dump(session: SessionArgument, as_json: JsonFlag = False) -> None:
-    """Print the complete configuration with every default, as YAML; saved beside the files it reads back."""
+    """Print the complete configuration with every default, as YAML; saved next to the files it reads back."""
     with command():
         from dvf_ig.intake.session import open_session
         from dvf_ig.intake.write import dump_text
@@ -184,7 +184,7 @@ app.command("validate")(validate)
 
 
 def _wrong(verdict: "Verdict", purpose: "Use | None") -> "list[Problem]":
-    """What keeps the files from a purpose; without one, all that does not fit."""
+    """Problems that prevent a purpose; without one, everything that does not fit."""
     wrong = list(verdict.hindrances(purpose or "register"))
     if purpose is None:
         wrong += [problem for problem in verdict.misfits if problem not in wrong]
@@ -242,7 +242,7 @@ def _payload(path: Path, verdict: "Verdict", described: Mapping[str, str | None]
 def _rows(
     path: Path, verdict: "Verdict", described: Mapping[str, str | None], *, ways: bool = False
 ) -> list[tuple[str, ...]]:
-    """What was found, what can be done with it, and what is missing; with `ways` the options that give it."""
+    """Rows of parts, of what can be done and of what is missing; with `ways` the options that give it."""
     from dvf_ig.intake.parts import PARTS
 
     wrong = [p.key for p in (*verdict.unreadable, *verdict.misfits)]

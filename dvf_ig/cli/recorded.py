@@ -1,4 +1,4 @@
-"""The recording that a folder of results names, wherever it lies now."""
+"""Options for a recording or a model that was moved since a folder of results named it."""
 
 from pathlib import Path
 from typing import Annotated

@@ -73,7 +73,7 @@ def replay(
         given = {"law": law, "gamma": gamma, "delta": delta, "m": m, "cap_n": cap_n, "depth_mm": depth_mm}
         given |= {"inside": inside, "blend": blend}
         options, of_file = chosen_fixtures(given, fixtures)
-        files, _ = read_agreeing(session, model, "replay")  # what is doubtful stands in the result
+        files, _ = read_agreeing(session, model, "replay")  # doubts are in the result
         if files.fixtures is not None:
             refuse_options(given, fixtures)
             options = files.fixtures

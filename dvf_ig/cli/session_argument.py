@@ -22,10 +22,10 @@ class SessionCommand(TyperCommand):
     """A command that takes SESSION; an option that only repeated one of its keys is answered with the key."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        known = {name for param in self.params for name in param.opts}
+        spellings = {name for param in self.get_params(ctx) for name in param.opts}
         for word in args:
             option = word.partition("=")[0]
-            if option.startswith("--") and option not in known:
+            if option.startswith("--") and option not in spellings:
                 _answer(option, f"dvf-ig {self.name}")
         return super().parse_args(ctx, args)
 

@@ -44,7 +44,7 @@ RATE_RATIO = 2.5
 def disagreements(
     files: SessionFiles, peaks_s: FloatArray, seen: HeartInImages | None
 ) -> tuple[Finding, ...]:
-    """What does not agree, of the files that there are; of a key that is refused nothing more is said.
+    """Find disagreements among the files that were read, none for a key that is refused already.
 
     Args:
         peaks_s: (k,) R peaks of the ECG.
@@ -66,7 +66,7 @@ def _all(files: SessionFiles, peaks_s: FloatArray, seen: HeartInImages | None) -
 
 
 def unit_findings(files: SessionFiles) -> Iterator[Finding]:
-    """What is of another unit."""
+    """Find lengths and times in another unit."""
     if files.preop is not None:
         yield from _heart(files.preop)
     if files.sweep is not None:
@@ -141,7 +141,7 @@ def _image(probe: ImageMap, images: AnyArray | None) -> Iterator[Finding]:
 
 
 def name_findings(files: SessionFiles) -> Iterator[Finding]:
-    """What is the same recording as another one."""
+    """Find recordings that are given under two names."""
     tool, start = files.tool, files.start
     if tool is not None:
         if files.sweep is not None and _same_poses(tool, files.sweep.probe):
@@ -190,7 +190,7 @@ def _same_points(marked: Landmarks, touched: Landmarks) -> bool:
 
 
 def clock_findings(files: SessionFiles, peaks_s: FloatArray) -> Iterator[Finding]:
-    """What was recorded at another time, or with another rate.
+    """Find recordings of another time, or of another rate.
 
     Args:
         peaks_s: (k,) R peaks of the ECG.
@@ -220,7 +220,7 @@ def _rate(files: SessionFiles, peaks_s: FloatArray) -> Iterator[Finding]:
 
 
 def _rr_s(files: SessionFiles) -> float | None:
-    """RR interval of the pre-operative heart in s; None where it was assumed."""
+    """RR interval of the pre-operative heart in s; None if it was assumed."""
     if files.preop is None:
         return None
     preop, model = files.preop.preop, files.preop.model

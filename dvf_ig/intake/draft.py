@@ -44,7 +44,7 @@ def _require_company(name: str, there: Mapping[str, Any]) -> None:
 
 
 def _entries(entry: str, form: Form, value: Any, folder: Path | None, option: str) -> dict[str, Any]:
-    """What an option's words say, as keys of its section."""
+    """Convert an option's words to keys of its section."""
     match form:
         case Form.FILE:
             return {entry: _relative(value, folder)}

@@ -42,10 +42,10 @@ LONGEST_STEP = 1.8
 
 @dataclass(frozen=True, slots=True)
 class EcgDelay:
-    """What the images say of the ECG's clock.
+    """Delay of the ECG against the motion in the images.
 
     Attributes:
-        delay_s: of the ECG against the images; negative where it is early.
+        delay_s: of the ECG against the images; negative if it is early.
         cyclic_log_ratio: of motion in the rhythm of the ECG against none; NaN where nothing could be fitted.
         delay_log_ratio: of this delay against none.
     """
@@ -103,7 +103,7 @@ def speed_between(amounts: FloatArray, fractions: FloatArray) -> CycleSpeed:
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class ImageChange:
-    """Of (n,) pairs of frames that follow one another, both valid and tracked.
+    """Change over (n,) pairs of consecutive frames, both valid and tracked.
 
     Attributes:
         t_s: (n,) middle of the pair, video clock.
@@ -142,7 +142,7 @@ def ecg_delay(images: ImageChange, lag_s: float, peaks_s: FloatArray, heart: Cyc
 
 
 def delay_drift_s(images: ImageChange, lag_s: float, peaks_s: FloatArray, heart: CycleSpeed) -> float | None:
-    """By how much the delay grows from the first half of the pairs to the second; None if not known."""
+    """Growth of the delay from the first half of the pairs to the second; None if not known."""
     half = len(images.t_s) // 2
     parts = (_part(images, part) for part in (slice(0, half), slice(half, None)))
     found = [ecg_delay(part, lag_s, peaks_s, heart) for part in parts]
@@ -175,7 +175,7 @@ def _left(plain: FloatArray, change: FloatArray, speed: FloatArray, none: float)
 
 
 def _best(ratios: FloatArray, rr_s: float) -> EcgDelay:
-    """By a parabola through the best of (SHIFTS,) log-likelihood ratios against no cyclic motion."""
+    """Interpolate the best of (SHIFTS,) log-likelihood ratios against no cyclic motion by a parabola."""
     best = int(np.argmax(ratios))
     before, here, after = (float(ratios[(best + k) % SHIFTS]) for k in (-1, 0, 1))
     bend = before - 2.0 * here + after

@@ -1,4 +1,4 @@
-"""What two files say that cannot both be true, or hardly ever is: a cause, where it was found, in numbers."""
+"""Disagreements of two files that cannot both be true, or hardly ever are: cause, key and numbers."""
 
 from dataclasses import dataclass
 from enum import Enum
@@ -10,7 +10,7 @@ from .problems import Problem, Use
 
 
 class Rule(NamedTuple):
-    """What follows from a cause.
+    """Consequence of a cause.
 
     Attributes:
         refused: whether files with it cannot be used; else it is a warning.
@@ -163,7 +163,7 @@ class Finding:
 
     Attributes:
         cause: of it.
-        key: of the configuration, where it is to be mended.
+        key: of the configuration, to be corrected.
         sentence: what a user reads.
         concerned: as `Problem.hinders`.
     """
@@ -175,7 +175,7 @@ class Finding:
 
     @property
     def problem(self) -> Problem:
-        """The same as what keeps files from being used."""
+        """The finding as a problem that prevents a use."""
         error = InvalidInputError(self.sentence, key=self.key, settings=self.cause.value.settings)
         return Problem(self.key, error, self.concerned)
 

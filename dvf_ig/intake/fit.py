@@ -31,7 +31,7 @@ from .problems import Problem, ProblemList, Use
 from .readers import Sweep
 
 IMAGE_DEPTH_MM = (10.0, 500.0)
-"""Of images of the heart, from intracardiac probes to transthoracic ones, with room to spare."""
+"""Depth of images of the heart, from intracardiac probes to transthoracic ones, with room to spare."""
 LEAST_SHOWN = 0.01
 """A sector smaller than this share of the image is none."""
 LEAST_INSIDE = 0.5
@@ -59,26 +59,26 @@ class Fit:
 
     @property
     def misfits(self) -> tuple[Problem, ...]:
-        """What keeps parts from being used; a key that is unusable is named once."""
-        known = {problem.key for problem in self.problems}
-        refused = (one.problem for one in self.findings if one.refused and one.key not in known)
+        """Problems that prevent a use; a key that is unusable is named once."""
+        keys = {problem.key for problem in self.problems}
+        refused = (one.problem for one in self.findings if one.refused and one.key not in keys)
         return tuple(self._with_file(problem) for problem in (*self.problems, *refused))
 
     @property
     def warnings(self) -> tuple[Finding, ...]:
-        """What is doubtful, but not refused."""
+        """Findings that are doubtful, but not refused."""
         return tuple(one for one in self.findings if not one.refused)
 
     def _with_file(self, problem: Problem) -> Problem:
-        """The same problem with the name of the file that it concerns, if there is one."""
+        """Name the file that a problem concerns, if there is one."""
         key = problem.key
         of_file = next((k for k in (key, f"{key}.file", FILE_OF.get(key)) if k in self.named), None)
         if of_file is None:
             return problem
         path, error = self.named[of_file], problem.error
         key = key if of_file == FILE_OF.get(key) else of_file
-        told = type(error)(f"{path}: {error.message}", key=key, path=path, settings=error.settings)
-        return Problem(key, told, problem.hinders)
+        named = type(error)(f"{path}: {error.message}", key=key, path=path, settings=error.settings)
+        return Problem(key, named, problem.hinders)
 
 
 def fit_of(files: SessionFiles) -> Fit:
@@ -90,7 +90,7 @@ def fit_of(files: SessionFiles) -> Fit:
 
 
 def require_fit(files: SessionFiles, use: Use) -> tuple[Finding, ...]:
-    """What is doubtful about a session's files for a use.
+    """Check a session's files for a use, and return what is doubtful.
 
     Raises:
         DvfIgError: the first reason why they cannot be used for it, with its key.
@@ -103,7 +103,7 @@ def require_fit(files: SessionFiles, use: Use) -> tuple[Finding, ...]:
 
 
 def require_live_fit(files: SessionFiles) -> tuple[Finding, ...]:
-    """What is doubtful about the files that a live session begins with, its calibrations as they are used.
+    """Check the files that a live session begins with, its calibrations as they are used.
 
     Raises:
         DvfIgError: the first reason why they cannot be used, or not together, with its key.
@@ -165,7 +165,7 @@ def require_heart_beats(peaks: Sized, ecg: Signal | TriggerTimes) -> None:
 
 
 def _misfits(files: SessionFiles) -> tuple[list[Problem], tuple[RPeak, ...]]:
-    """What single parts, or pairs of them, cannot be used for; and the heart beats of the ECG."""
+    """Problems of single parts and of pairs of them; and the heart beats of the ECG."""
     problems, peaks = ProblemList(), tuple[RPeak, ...]()
     sweep, ecg, tool, start = files.sweep, files.ecg, files.tool, files.start
     if sweep is not None:
@@ -201,7 +201,7 @@ def _misfits(files: SessionFiles) -> tuple[list[Problem], tuple[RPeak, ...]]:
 
 
 def _volume_misfits(files: SessionFiles) -> list[Problem]:
-    """What gated volumes do not go with."""
+    """Problems of gated volumes with other parts."""
     problems = ProblemList()
     with problems.about("ultrasound.volumes"):
         if files.sweep is not None:
@@ -221,7 +221,7 @@ def _volume_misfits(files: SessionFiles) -> list[Problem]:
 
 
 def _heart_misfits(heart: PreopFiles) -> list[Problem]:
-    """What does not fit among model, images, labels and surfaces."""
+    """Problems among model, images, labels and surfaces."""
     problems = ProblemList()
     preop, model = heart.preop, heart.model
     if preop.surfaces and model is None:
@@ -267,7 +267,7 @@ def _require_inside(vertices_mm: FloatArray, grid: Grid) -> None:
 
 
 def _clock_misfits(files: SessionFiles) -> list[Problem]:
-    """Of ECG, ultrasound and tool the one that shares no time with the others; without a tool, the ECG."""
+    """Find which of ECG, ultrasound and tool shares no time with the others; without a tool, the ECG."""
     problems = ProblemList()
     if files.ecg is None:
         return []

@@ -152,7 +152,7 @@ class DeviceConfig(Section):
 
     @classmethod
     def of(cls, device: "DeviceLimits") -> "DeviceConfig | None":
-        """Describe a device; None for a device without a name."""
+        """The section that states a device; None for one without a name."""
         if not device.name:
             return None
         return cls(

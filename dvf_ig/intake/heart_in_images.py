@@ -25,16 +25,16 @@ from .parts import SessionFiles
 from .preop import PreopFiles
 
 MOST_POINTS = 2000
-"""Of a surface whose distance from the next one is measured."""
+"""Points of a surface whose distance from the next one is measured."""
 
 
 @dataclass(frozen=True, slots=True)
 class HeartInImages:
-    """What the images say of the ECG's clock.
+    """Delay and drift of the ECG's clock against the images.
 
     Attributes:
         delay: of the ECG.
-        drift_s: by which it grows within the recording; None where that is not known.
+        drift_s: by which it grows within the recording; None if it is not known.
     """
 
     delay: EcgDelay
@@ -42,7 +42,7 @@ class HeartInImages:
 
     @property
     def sentence(self) -> str:
-        """What a user reads."""
+        """Delay in words."""
         if not self.delay.known:
             return "not known: the images hardly change with the heart (small motion, or a probe that moves)"
         which = "late" if self.delay.delay_s > 0 else "early"
@@ -59,7 +59,7 @@ class HeartInImages:
 
 
 def heart_in_images(files: SessionFiles, peaks_s: FloatArray) -> HeartInImages | None:
-    """Compare them; None where images, their calibration and latency, or the heart's motion are not there.
+    """Compare them; None without images, their calibration and latency, or the heart's motion.
 
     Args:
         peaks_s: (k,) R peaks of the ECG.
@@ -119,7 +119,7 @@ def _between_others(surfaces: tuple[Mesh, ...]) -> FloatArray:
 
 
 def cycle_findings(seen: HeartInImages | None) -> Iterator[Finding]:
-    """What is wrong with the ECG's clock by the images."""
+    """Find what is wrong with the ECG's clock by the images."""
     if seen is None:
         return
     delay = seen.delay

@@ -1,10 +1,10 @@
-"""What the section `live` of a session.yaml may say: who sends, under which names, and where the ECG is from.
+"""The section `live` of a session.yaml: who sends, under which names, and where the ECG comes from.
 
 live:
   host: 127.0.0.1                     # where PLUS or 3D Slicer is; as a server, the address to listen at
   port: 18944
   role: client                        # or server
-  allow: []                           # addresses of peers that a server takes, besides this machine
+  allow: []                           # addresses of peers that a server takes, in addition to this machine
   probe: ProbeToTracker               # device names, as PLUS or Slicer sends them
   tool: ToolToTracker
   reference: ReferenceToTracker       # leave out where poses are relative to what is to stand still

@@ -1,4 +1,4 @@
-"""What the record of a live session says, beyond its recordings, so that the session can be repeated."""
+"""The record of a live session, beyond its recordings: everything that repeats the session."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -35,6 +35,6 @@ class LiveRecord:
 
     @property
     def last_states(self) -> FloatArray:
-        """Of `states` the last of each moment: after a re-arming there may be two of one."""
+        """The last of `states` at each moment: after a re-arming there may be two."""
         t_s = self.states[:, 0]
         return np.asarray(self.states[np.append(t_s[1:] > t_s[:-1], True)])

@@ -57,8 +57,8 @@ class CachedModel:
     """A model and its origin.
 
     Attributes:
-        was_cached: read from the cache, not built.
-        path: its cache entry; None without one.
+        was_cached: it was read, not built.
+        path: its entry; None if there is none.
         remark: one sentence for the user.
     """
 

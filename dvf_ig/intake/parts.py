@@ -67,7 +67,7 @@ class CalibrationSources:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SessionFiles:
-    """What was read of a session; None if a part is not named, or cannot be read.
+    """The parts of a session that were read; None if a part is not named, or cannot be read.
 
     Poses have the names that the recording gives them; calibrations those of a scenario.
 
@@ -181,11 +181,11 @@ class SessionFiles:
         return CalibrationSources(self.probe, self.latency, self.tip)
 
     def with_calibrations(self, probe: ImageMap, lag_s: float, tip: Points | None) -> "SessionFiles":
-        """The same files with calibrations in place of what they were made from."""
+        """Replace recordings of calibrations by the calibrations made from them."""
         return replace(self, probe=probe, latency=lag_s, tip=tip)
 
     def with_model(self, model: DvfModel) -> "SessionFiles":
-        """The same files with the patient's model."""
+        """Add the patient's model."""
         named = None if self.preop is None else self.preop.named_patient
         return replace(self, preop=PreopFiles(self.heart, model, named))
 
@@ -237,7 +237,7 @@ class Opened:
         folder: where names of files begin.
         names: of probe and reference in the recordings.
         tool: what the recording of its poses calls the tool, if they are not read.
-        read: the fields of `SessionFiles` so far.
+        read: the fields of `SessionFiles` that were read before.
     """
 
     config: SessionConfig
@@ -277,7 +277,7 @@ class Part:
 
 
 def missing_parts(files: SessionFiles, wrong: ProblemList | None = None) -> tuple[Problem, ...]:
-    """What a registration or a replay needs and is not there.
+    """Parts that a registration or a replay needs and that are not there.
 
     Args:
         wrong: known problems; a part that one of them concerns is not named again.
@@ -362,7 +362,7 @@ def _heart(files: SessionFiles) -> str | None:
 
 
 def _listed(values: tuple[int, ...]) -> str:
-    """ "1 to 4" where none is left out, else one by one."""
+    """ "1 to 4" if none is left out, else one by one."""
     if len(values) > 2 and values[-1] - values[0] == len(values) - 1:
         return f"{values[0]} to {values[-1]}"
     return ", ".join(map(str, values)) or "none"
@@ -581,5 +581,5 @@ def _timed(files: SessionFiles) -> bool:
 
 
 def descriptions(files: SessionFiles) -> dict[str, str | None]:
-    """What each part holds, by its key; None if it is not there."""
+    """Contents of each part in a line, by its key; None if it is not there."""
     return {part.key: part.describe(files) for part in PARTS}

@@ -33,7 +33,7 @@ elsewhere in so many. In a synthetic recording all do; with the tool's poses in 
 
 
 def place_findings(files: SessionFiles) -> Iterator[Finding]:
-    """What lies nowhere near the heart."""
+    """Find images, tools and landmarks that lie nowhere near the heart."""
     heart = _heart_box(files)
     if heart is None:
         return
@@ -114,7 +114,7 @@ def _images_off_mm(
 def _exchanged(
     files: SessionFiles, start: Rigid, heart: tuple[FloatArray, FloatArray], images_off_mm: FloatArray
 ) -> Finding | None:
-    """What is wrong if the images miss the heart by the probe's poses and reach it by the tool's."""
+    """Find probe and tool exchanged: images miss the heart by the probe's poses, not by the tool's."""
     share = float((images_off_mm == 0.0).mean())
     if files.tool is None or share > MISSES:
         return None

@@ -32,11 +32,11 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PreopFiles:
-    """What was read of the pre-operative heart.
+    """The pre-operative heart as read from its files.
 
     Attributes:
-        model: where a file holds it.
-        named_patient: whose surfaces they are by the names of their files; None where these do not say.
+        model: if a file holds it.
+        named_patient: whose surfaces they are by the names of their files; None if these do not say.
     """
 
     preop: Preop
@@ -125,7 +125,7 @@ def preop_label_values(preop: Preop) -> tuple[int, ...]:
 
 
 def _name(config: PreopConfig, folder: Path) -> str:
-    """Of the first file that images the heart: as DICOM images say, else its name without its endings."""
+    """Patient of the first file that images the heart: as DICOM images say, else its name without endings."""
     named = config.mr or config.labels or config.surfaces_folder or ""
     if is_dicom_folder(folder / named) and (patient := dicom_patient_id(folder / named)):
         return patient
@@ -161,7 +161,7 @@ class _Timing:
         return read_surface_series(folder, name, self._of(name) or self._path)
 
     def _of(self, name: str) -> CycleTiming | None:
-        """Its own where the file lists it, else the common one; None where the file is of another form."""
+        """Its own times if the file lists it, else the common ones; None if the file is of another form."""
         document, path = self._document, self._path
         if path is None or not isinstance(document, dict) or "fractions" not in document:
             return None

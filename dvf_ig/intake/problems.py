@@ -1,4 +1,4 @@
-"""What keeps a session's files from being registered or replayed, each with the key that it concerns."""
+"""Problems that prevent a session from being registered or replayed, each with the key that it concerns."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager

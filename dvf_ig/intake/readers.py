@@ -43,7 +43,7 @@ class Sweep:
 
     @property
     def other_tools(self) -> tuple[str, ...]:
-        """What else was tracked against the same, by its recorded name; a tool's tip is no tool."""
+        """Other tools tracked against the reference, by their recorded names; a tool's tip is no tool."""
         probe, streams = self.probe, self.recorded.poses.values()
         sources = {s.source for s in streams} - {probe.source, probe.target, "reference", "tracker"}
         return tuple(sorted(sources - {f"{name}_tip" for name in sources}))
@@ -51,7 +51,7 @@ class Sweep:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StartFiles:
-    """What a registration starts from, as fields of a scenario."""
+    """Start of a registration, as fields of a scenario."""
 
     start: Rigid | None = None
     landmarks_mr: Landmarks | None = None

@@ -47,7 +47,7 @@ from .schema import FanConfig
 
 @dataclass(frozen=True, slots=True)
 class ScenarioNotes:
-    """What is known of a synthetic scenario beyond its recordings.
+    """Notes on a synthetic scenario beyond its recordings.
 
     Attributes:
         faults: one sentence each, without values of the ground truth.

@@ -1,4 +1,4 @@
-"""What a session.yaml says: the files of one intervention, and the fixtures that act in it.
+"""The content of a session.yaml: the files of one intervention, and the fixtures that act in it.
 
 schema: dvf_ig.session/1
 preop: {model: heart.npz, mr: cine.nrrd}
@@ -58,13 +58,13 @@ TEXT, NUMBER, WHOLES, FAN, FILE, SOURCE, ECG, PAIR, POINTS, VOLUMES = Form
 
 @dataclass(frozen=True, slots=True)
 class Key:
-    """What people read of a key, and the option of `config init` that sets it.
+    """Description of a key, and the option of `config init` that sets it.
 
     Attributes:
         holds: what it says.
         unless: what holds if it is left out.
         example: value in the comment that `config init` writes; "" writes none.
-        option: its spellings and what stands for the value, for example "--mr --cine CINE"; "" has none.
+        option: its spellings and the placeholder of its value, for example "--mr --cine CINE"; "" has none.
         goes_with: keys of its section of which one has to be given as well.
     """
 
@@ -82,12 +82,12 @@ class Key:
 
     @property
     def metavar(self) -> str:
-        """What stands for the option's value."""
+        """Placeholder of the option's value."""
         return " ".join(word for word in self.option.split() if not word.startswith("--"))
 
     @property
     def note(self) -> str:
-        """What it says, and what holds without it."""
+        """Content of the key, and what holds without it."""
         return f"{self.holds}; else {self.unless}" if self.unless else self.holds
 
 
@@ -121,7 +121,7 @@ KEYS: dict[str, Key] = {
                            "`volumes`", "sweep.igs.mha", FILE, "--us SWEEP"),
     "ultrasound.volumes": Key("gated 3-D images in the tracker's LPS: FILE@PHASE of the RR interval, or "
                               "FILE=SECONDS on the ECG's clock", "`file`", "[ed.nrrd@0.0, es.nrrd@0.35]",
-                              VOLUMES, "--us-volume FILE@PHASE"),
+                              VOLUMES, "--us-volume FILE@PHASE|FILE=SECONDS"),
     "ultrasound.probe_name": Key("what the recording calls the probe's marker", "Probe", "Probe", TEXT,
                                  "--probe-name NAME"),
     "ultrasound.reference_name": Key("what its poses are relative to", "Reference if recorded, or Tracker",
@@ -141,7 +141,7 @@ KEYS: dict[str, Key] = {
     "tool.name": Key("what the recording calls it", "the only one", "Stylus", TEXT, "--tool-name NAME"),
     "calibration.probe": Key("probe_from_image, mm per pixel", "", "probe.json", FILE, "--probe FILE"),
     "calibration.latency": Key("file, or s: time of tracker = time of video + latency", "", "latency.json",
-                               SOURCE, "--latency --lag-s FILE"),
+                               SOURCE, "--latency --lag-s FILE|SECONDS"),
     "calibration.tip": Key("of the tool, mm in its own frame; a force needs it", "", "tip.json", FILE,
                            "--tip FILE"),
     "start.transform": Key("coarse mr_from_tracker, within 10 mm or so: ITK .tfm or .h5", "landmarks",
@@ -220,7 +220,7 @@ class PreopConfig(Section):
     def _enough(self) -> "PreopConfig":
         if self.model is None and self.labels is None and self.surfaces_folder is None:
             raise ValueError(
-                "needed model, or labels (with mr where they are of end-diastole alone), or surfaces_folder"
+                "needed model, or labels (with mr if they are of end-diastole alone), or surfaces_folder"
             )
         if self.surfaces and self.surfaces_folder is None:
             raise ValueError("surfaces names surfaces; also give surfaces_folder")
@@ -228,7 +228,7 @@ class PreopConfig(Section):
 
 
 class FileSection(Section):
-    """A section that its file's name may stand for."""
+    """A section that may be given as the name of its file alone."""
 
     @model_validator(mode="before")
     @classmethod
@@ -355,7 +355,7 @@ class CalibrationConfig(Section):
 
 
 class StartConfig(Section):
-    """Where registration starts: the first of three; what is given besides the first checks the result."""
+    """Where registration starts: the first of three; the others, if given, check the result."""
 
     transform: FileName | None = None
     landmarks_mr: FileName | None = None

@@ -160,7 +160,7 @@ def _read_all(
 
 
 def _live_files(config: SessionConfig, folder: Path, path: Path) -> SessionFiles:
-    """What a live session begins with; a scenario folder is streamed as it was recorded."""
+    """Read what a live session begins with; a scenario folder is streamed as it was recorded."""
     if config.live is None and path.is_dir() and config.ultrasound is not None:
         sweep = None if config.ultrasound.file is None else folder / config.ultrasound.file
         ecg = read_session_ecg(config.ecg, folder, sweep)
@@ -203,8 +203,8 @@ def session_fixtures(
     """Fixtures and retiming that a configuration states or names; None if it leaves them open.
 
     Raises:
-        UnreadableFileError: values out of range, or a joint cap or a device beside the name of a file, which
-            says them itself.
+        UnreadableFileError: values out of range, or a joint cap or a device together with the name of a file,
+            which states them itself.
     """
     margin = config.margin
     if all(given is None for given in (config.fixtures, config.cap_n, config.device, margin)):

@@ -35,7 +35,7 @@ class Verdict:
     seen: HeartInImages | None
 
     def hindrances(self, use: Use) -> tuple[Problem, ...]:
-        """What keeps these files from a use; a file that cannot be read hinders every use."""
+        """Problems that prevent a use; a file that cannot be read prevents every use."""
         fit = (problem for problem in (*self.misfits, *self.missing) if problem.concerns(use))
         return (*self.unreadable, *fit)
 
@@ -73,7 +73,7 @@ def _verdict(config: SessionConfig, files: SessionFiles, problems: ProblemList) 
     """An ECG that is neither named nor in the ultrasound is missing, not unreadable."""
     absent = tuple(p for p in problems.found if p.key == "ecg" and config.ecg is None)
     fit = fit_of(files)
-    known = ProblemList([*problems.found, *fit.misfits])
-    missing = missing_parts(files, known)
+    wrong = ProblemList([*problems.found, *fit.misfits])
+    missing = missing_parts(files, wrong)
     unreadable = tuple(p for p in problems.found if p not in absent)
     return Verdict(files, unreadable, fit.misfits, (*absent, *missing), fit.warnings, fit.seen)

@@ -6,7 +6,7 @@ from typing import Any
 from dvf_ig.io.yaml_text import yaml_text
 
 from .parts import PARTS
-from .schema import KEYS, SCHEMA, SessionConfig
+from .schema import KEYS, SCHEMA, Key, SessionConfig
 
 HEAD = (
     "# The files of one intervention; names are relative to the folder of this file.",
@@ -30,7 +30,7 @@ def session_text(config: SessionConfig, described: Mapping[str, str | None]) -> 
         section, _, entry = name.rpartition(".")
         value = given.get(section, {}).get(entry) if section else given.get(entry)
         if key.example or value is not None:
-            sections.setdefault(section or entry, []).append(_line(entry, value, key.example, key.note))
+            sections.setdefault(section or entry, []).append(_line(entry, value, key))
     for name, lines in sections.items():
         blocks.append("\n".join(_block(name, lines, given, described)))
     return "\n\n".join(blocks) + "\n"
@@ -45,12 +45,12 @@ def dump_text(config: SessionConfig) -> str:
     return head + yaml_text(config.model_dump(by_alias=True), flow=None)
 
 
-def _line(entry: str, value: Any, example: str, note: str) -> str:
+def _line(entry: str, value: Any, key: Key) -> str:
     """A key with its value, or with an example that is commented out, and what it is."""
     if value is None:
-        return f"# {entry}: {example}  # {note}"
+        return f"# {entry}: {key.example}  # {key.note}"
     shown = yaml_text([value], flow=True, width=10_000).strip().removeprefix("[").removesuffix("]")
-    return f"{entry}: {shown}  # {note}"
+    return f"{entry}: {shown}  # {key.holds}"
 
 
 def _block(

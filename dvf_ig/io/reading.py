@@ -61,14 +61,17 @@ def reading(path: Path, what: str) -> Iterator[None]:
         yield
         if before is not None:
             record_file(path, before=before)
-    except UnreadableFileError:
+    except UnreadableFileError as exc:
+        exc.path = exc.path or path
         raise
     except FileNotFoundError as exc:
-        raise UnreadableFileError(f"{path} does not exist; needed {what}") from exc
+        raise UnreadableFileError(f"{path} does not exist; needed {what}", path=path) from exc
     except OSError as exc:
-        raise UnreadableFileError(f"cannot read {path} as {what}: {exc.strerror or exc}") from exc
+        raise UnreadableFileError(f"cannot read {path} as {what}: {exc.strerror or exc}", path=path) from exc
     except UnicodeDecodeError as exc:
-        raise UnreadableFileError(f"{path} is not {what}: it holds bytes that are not text") from exc
+        raise UnreadableFileError(
+            f"{path} is not {what}: it holds bytes that are not text", path=path
+        ) from exc
     except InvalidInputError as exc:
         told = exc.message if exc.path == path else f"{path}: {exc.message}"
         raise UnreadableFileError(told, path=path, settings=exc.settings) from exc

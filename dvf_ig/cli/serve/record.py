@@ -1,4 +1,4 @@
-"""What a live session leaves in its folder: the log while it runs, and at its end what a replay leaves."""
+"""Files of a live session: the log while it runs, and at its end those of a replay."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 @contextmanager
 def recorded_session(out: Path, ready: "LiveSetup") -> "Iterator[SessionRecord]":
-    """A record in the folder, with everything attached that a replay needs besides messages."""
+    """A record in the folder, with everything attached that a replay needs in addition to messages."""
     from dvf_ig.intake.session_log.document import document_of_live
     from dvf_ig.intake.session_log.heart import attach_heart
     from dvf_ig.intake.session_log.live import LIVE, live_document

@@ -18,10 +18,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LiveSetup:
-    """What a live session is begun with.
+    """Setup of a live session, with its files and their evidence.
 
     Attributes:
-        landmarks: touched before; None where a start pose takes their place.
+        landmarks: touched before; None if a start pose takes their place.
         calibrations: in use, with their evidence.
         start: coarse mr_from_tracker that registration starts from.
         findings: in what the files disagree, though they can be used.

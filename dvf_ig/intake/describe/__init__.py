@@ -1,1 +1,1 @@
-"""Describe a file in a few facts: `dvf-ig inspect`."""
+"""Kind and facts of a file, for `dvf-ig inspect`."""

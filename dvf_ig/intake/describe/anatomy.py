@@ -39,7 +39,7 @@ def image_facts(path: Path) -> Facts:
 
 
 def cine_facts(path: Path) -> Facts:
-    """Summarise a folder of DICOM images like a cyclic image, with its patient and series."""
+    """Facts about a folder of DICOM images: those of a cyclic image, its patient and its series."""
     cine = read_dicom_cine(path)
     return {
         "patient_id": cine.patient_id,
@@ -101,7 +101,7 @@ def _mesh_facts(mesh: Mesh) -> Facts:
 
 
 def surface_facts(path: Path) -> Facts:
-    """Summarise the surfaces of a folder, with figures of EPICARDIAL or else the first one."""
+    """The surfaces of a folder, and the first of them (EPICARDIAL if there is one) in numbers."""
     names = surface_names(path)
     series = read_surface_series(path, "EPICARDIAL" if "EPICARDIAL" in names else names[0])
     return {

@@ -50,7 +50,7 @@ Reader = Callable[[Path], Facts]
 
 @dataclass(frozen=True, slots=True)
 class Description:
-    """Kind of a file in a few words, and its facts by name, ready for JSON; names include units."""
+    """Kind of a file in a few words and its facts by name, ready for JSON; units are in the names."""
 
     kind: str
     facts: Facts
@@ -62,7 +62,7 @@ def describe(spec: str, rate_hz: float | None = None, names: ProbeNames | None =
     Args:
         spec: a path, or an ECG as `wfdb:PATH`, `edf:PATH`, `csv:PATH`, `plus:PATH`.
         rate_hz: sampling rate of an ECG table without times.
-        names: of the probe and its reference in a tracked sequence; their joined pose is then reported too.
+        names: of the probe and its reference in a tracked sequence, whose joined pose is described as well.
     Raises:
         UnreadableFileError: absent, of no known kind, or not readable as the kind that it claims to be.
         InvalidInputError: a rate for anything but an ECG table, or names that are not in a tracked sequence.
@@ -196,7 +196,7 @@ def _scenario_facts(path: Path) -> Facts:
 
 
 def _calibration_facts(scenario: Scenario) -> dict[str, Any]:
-    """Summarise the tool and the recordings for its tip, the probe and the latency."""
+    """Facts about the tool and the recordings that calibrate it, the probe and the latency."""
     tool, tip, probe, latency = scenario.tool, scenario.tip, scenario.probe, scenario.latency
     out: dict[str, Any] = {}
     if tool is not None:

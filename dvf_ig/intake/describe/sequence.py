@@ -85,7 +85,7 @@ def sequence_facts(sequence: TrackedSequence) -> Facts:
 
 
 def clock_facts(t_s: FloatArray | None) -> Facts:
-    """Summarise start, length, rate, irregularity and gaps of increasing time stamps; None without stamps.
+    """Start, length, rate, irregularity and gaps of increasing time stamps; None if there are none.
 
     `jitter_s` is the standard deviation of the steps between frames without a gap;
     `missing_frames` is the number of frames that would have fitted into the longer steps.
@@ -167,8 +167,8 @@ def _image_maps(raw: RawSequence) -> list[tuple[str, str]]:
 
 
 def _stamp_facts(raw: RawSequence) -> Facts:
-    """Count repeated and backward stamps, the shift by the recorder's filter, and describe a clock restart:
-    its frame, its stamp, the size of the jump, and the number of frames not used because of it.
+    """How the file gives the stamps: repeats, steps back, how far the recorder's filter moved them, and
+    where the clock restarted: frame, its stamp, size of the jump, and how many frames are not used for it.
     """
     stamps, plain = raw.numbers("Timestamp"), raw.numbers("UnfilteredTimestamp")
     if stamps is None:

@@ -1,4 +1,4 @@
-"""Encode a session log's calibrations, start and heart as JSON, with every digit."""
+"""Document of a session log, as JSON: calibrations, start, heart; every digit kept."""
 
 import json
 from pathlib import Path
@@ -63,7 +63,7 @@ class ImageEntry(Section):
 
 
 class PointsEntry(Section):
-    """Points, mm, with optional names."""
+    """Points, mm, with their names if they have any."""
 
     frame: str
     names: tuple[str, ...] = ()
@@ -164,7 +164,7 @@ def _json(**fields: Any) -> bytes:
 
 
 def _of_patient(files: SessionFiles, image: ImageMap, lag_s: float, tip: Points) -> dict[str, Any]:
-    """What a recording and a live session have in common."""
+    """Fields that a recording and a live session have in common."""
     fan, start = files.fan, files.start
     return {
         "patient_id": files.heart.patient_id,

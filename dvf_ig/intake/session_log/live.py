@@ -1,4 +1,4 @@
-"""Content of a live session's log beyond a replay's: arrival of each event, each state, each answer.
+"""Streams of a live session's log beyond a replay's: when each event came, each state, each answer.
 
     /exact/event    one row per event, before the event itself: its kind, its stamp, its arrival
     /exact/state    one row per state requested from the session, in order between the events
@@ -60,7 +60,7 @@ STATE_COLUMNS = (
     "hazards",
     "lost",
 )
-"""Columns of a state's row; NaN for unknown values. `lost` counts the messages not written so far."""
+"""Columns of a state; NaN if a value is not known. `lost` counts messages that were left out by then."""
 
 Timed = tuple[float, str, str, ros.Message]
 """Time, topic, type and message."""
@@ -77,7 +77,7 @@ class EventKind(IntEnum):
 
 
 class LiveDocument(Section):
-    """Content of `live.json`: the setup of a session apart from its patient."""
+    """The content of `live.json`: a session's setup except for its patient."""
 
     schema_: Literal["dvf_ig.live_log/1"] = Field(default="dvf_ig.live_log/1", alias="schema")
     fixtures: FixturesConfig
@@ -185,7 +185,7 @@ def work_message(t_s: float, number: int, refused: int) -> Timed:
 
 
 def answer_messages(state: GuidanceState, t_s: float, force_n: FloatArray) -> Iterator[Timed]:
-    """Yield what was sent, for ROS tools: the servo's force at its tick, and the state behind it."""
+    """Messages of an answer, for ROS tools: the force of the servo at its tick, and the state behind it."""
     now_s, phase, pose = state.now_s, state.phase, state.transform.pose
     yield t_s, "/tool/force", ros.WRENCH, ros.wrench(t_s, "tracker", force_n)
     numbers = np.array([phase.phi, state.model_phase, phase.rr_s, state.distance_mm, state.pose_age_s])

@@ -1,4 +1,4 @@
-"""Reading of a live session's log: its events with their arrivals, in order, and its recording."""
+"""Read a live session's log: its events with their arrivals, in order, and the recording among them."""
 
 from collections import deque
 from collections.abc import Sequence
@@ -29,7 +29,7 @@ LONGEST_ECG_S = 24 * 3600.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LiveStreams:
-    """Streams sent to a live session, in the form and order of a recording.
+    """Streams sent to a live session, as a recording and in their order.
 
     Attributes:
         ecg: ECG on one clock; NaN if samples are missing.
@@ -155,7 +155,7 @@ def _findings(log: LogReader, states: FloatArray) -> tuple[Finding, ...]:
 
 
 def _landmarks(document: SessionDocument) -> deque[Landmark]:
-    """List landmarks in the order in which a session receives them."""
+    """In the order in which a session gets them."""
     if document.landmarks_mr is None or document.landmarks_tracker is None:
         return deque()
     names, marked, touched = document.landmarks_mr.landmarks().paired_with(
@@ -168,7 +168,7 @@ def _landmarks(document: SessionDocument) -> deque[Landmark]:
 
 
 def _matrix(row: FloatArray) -> FloatArray | None:
-    """Build (4, 4) from a row of stamp, validity, rotation and translation; None if not tracked."""
+    """(4, 4) of a row of stamp, validity, rotation and translation; None if it was not tracked."""
     if row[1] != 1.0:
         return None
     matrix = np.eye(4)

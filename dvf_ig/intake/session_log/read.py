@@ -1,4 +1,4 @@
-"""Reading of a session's log as a recording, whose replay pushes the logged events."""
+"""Read a session's log as a recording: the events that its replay pushes are those that were logged."""
 
 import json
 from pathlib import Path

@@ -25,7 +25,7 @@ LEVELS = {
     SupervisorState.FADE: 2,
     SupervisorState.LATCHED: 2,
 }
-"""Level of diagnostics by state: OK, warning, error."""
+"""Levels of diagnostics: OK, warning, error."""
 GUIDANCE = ("phi", "model_phase", "rr_s", "distance_mm", "pose_age_s")
 """Columns of ticks.csv that are logged as numbers; NaN for missing values."""
 STATUS_EVERY_S = 1.0
