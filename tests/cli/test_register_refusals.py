@@ -202,7 +202,7 @@ MISPLACED: dict[str, tuple[dict[str, Any], str]] = {
         at("preop.model", "sweep.igs.mha"),
         "preop.model: sweep.igs.mha is not a model file; build one with",
     ),
-    "labels as cine": (at("preop.mr", "ed.nrrd"), "ed.nrrd is 3-D with 1 value(s) a voxel; needed 4-D"),
+    "labels as cine": (at("preop.mr", "ed.nrrd"), "ed.nrrd is 3-D with 1 value(s) per voxel; needed 4-D"),
     "labels without cine": (at("preop", {"labels": "ed.nrrd"}), "ed.nrrd holds the labels of one phase"),
     "a label that is not there": (
         at("preop", {"labels": "cine.nrrd", "organ_labels": [7]}),

@@ -207,7 +207,7 @@ def test_oblique_unequal_voxels_in_a_file(lab: Path, tmp_path: Path) -> None:
 
 START = {"transform": "start.tfm"}
 WRONG: list[tuple[list[str], dict[str, str], int, str]] = [
-    (["a.nrrd"], START, 3, "does not say when"),
+    (["a.nrrd"], START, 3, "does not say its phase"),
     (["a.nrrd@1.2"], START, 3, "fraction of the RR interval"),
     (["a.nrrd@0", "here/../a.nrrd@0.5"], START, 3, "twice"),
     (["a.nrrd=4.3"], START, 3, "ecg: a registration needs the ECG"),

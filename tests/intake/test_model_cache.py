@@ -217,7 +217,7 @@ def test_a_folder_in_the_place_of_an_entry_costs_only_the_cache(preop: Preop, fo
     path.mkdir()
     again = cached_model(preop, options=COARSE)
     assert (again.was_cached, again.path) == (False, None)
-    assert "it is a folder" in again.remark
+    assert "is in the way" in again.remark
 
 
 def test_entries_do_not_depend_on_the_umask(preop: Preop, folder: Path) -> None:
