@@ -26,7 +26,7 @@ from dvf_ig.core import FloatArray, InvalidInputError, PhaseState
 from dvf_ig.guidance import Fixtures, Hazard, PoseAndPhase, RearmAnswer, Status, Supervisor, hazard_of
 from dvf_ig.guidance.fixtures import CONFLICT, DISTANCE, FORCE, GRADIENT, RATE, TICK_OUTPUT
 from dvf_ig.guidance.phase_loss import FixturesOverTime
-from dvf_ig.kernels.place import MODEL_PHASE, PLACE_SIZE, TURN_RATE, place_tick
+from dvf_ig.kernels.place import PLACE, place_tick
 from dvf_ig.registration import SliceThreads
 
 from .events import EcgSamples, Event, Landmark, Rearm, ToolPose, TrackedFrame, Trigger
@@ -99,8 +99,8 @@ class Session:
         self._fixtures.widen(self._margins.margin_mm)
         self._supervisor = Supervisor(setup.device, walls=fixtures.walls)
         self._actions: list[Landmark | Rearm] = []
-        self._place = np.empty(PLACE_SIZE)
-        self._model_from_tracker = self._place[:TURN_RATE].reshape(3, 4)
+        self._place = np.zeros(1, PLACE)[0]
+        self._model_from_tracker = self._place["model_from_tracker"]
         self._point = np.empty(3)
         self._known: tuple[object, object, object] = (None, None, None)
         self._rearmed: RearmAnswer | None = None
@@ -191,7 +191,7 @@ class Session:
             doubt=self._pose.monitor.doubt,
             tip_seen=self._tip.seen,
             registration=self.history.attempts[-1] if self.history.attempts else None,
-            model_phase=self._place.item(MODEL_PHASE),
+            model_phase=float(self._place["model_phase"]),
             tool=tool,
             calibrations=self.setup.calibrations,
             status=status,
@@ -256,7 +256,7 @@ class Session:
             center_mm=heart.center_mm,
             pose_until_s=-inf if confirmation is None else confirmation.until_s,
         )
-        self._packed = self._transform.packed.copy()
+        self._packed = self._transform.packed[0]
 
     def _hazards(self, now_s: float, tool: Hazard) -> Hazard:
         """What is wrong with pose, phase, tracking and time at this moment."""
@@ -301,7 +301,7 @@ class Session:
             status, posed = Status.STALE_TOOL, False
         pose = self._model_from_tracker if posed else _UNPOSED
         self._point[:] = tool.tip_tracker_mm
-        phase = self._place.item(MODEL_PHASE)
+        phase = float(self._place["model_phase"])
         found = self._fixtures.tick(now_s, pose, self._point, phase, int(status), out)
         out.setflags(write=False)
         return Status(found), out

@@ -1,10 +1,12 @@
 """One tick of the servo in readable form; tests hold `dvf_ig.kernels.servo.tick` to it."""
 
+import math
+
 import numpy as np
 
-from dvf_ig.core import FloatArray
+from dvf_ig.core import FloatArray, Rigid
 from dvf_ig.guidance.device import DeviceLimits
-from dvf_ig.guidance.evaluator import Evaluator, ForceSamples
+from dvf_ig.guidance.evaluator import ForceSamples
 from dvf_ig.guidance.fixture import FixtureSet
 from dvf_ig.guidance.fixtures import Fixtures
 from dvf_ig.guidance.joint_force import composed_force
@@ -12,6 +14,7 @@ from dvf_ig.guidance.phase_loss import PhaseLoss
 from dvf_ig.guidance.status import Status
 from dvf_ig.guidance.supervision.hazards import Hazard, hazard_of
 from dvf_ig.guidance.supervision.supervisor import SupervisedForce, Supervisor, SupervisorState
+from dvf_ig.guidance.targets import PathFixture
 
 from .bound import tick_constants
 from .inputs import ServoInputs
@@ -72,7 +75,7 @@ class ReadableTick:
         self, fixtures: Fixtures, limits: DeviceLimits, options: ServoOptions, latency_s: float
     ) -> None:
         self._set: FixtureSet = fixtures.options
-        self._parts = [part for part in fixtures.parts if isinstance(part, Evaluator)]
+        self._parts = fixtures.parts
         self._c, self._options = tick_constants(fixtures, options, latency_s), options
         self._supervisor, self._loss = Supervisor(limits, walls=fixtures.walls), PhaseLoss()
         self._wall = next((i for i, one in enumerate(fixtures.options.fixtures) if one.forbidden), None)
@@ -80,6 +83,8 @@ class ReadableTick:
         self._last: tuple[float, FloatArray] | None = None
         self._speed = np.zeros(3)
         self._following = False
+        self.distance_mm = math.nan
+        """Of the primary fixture in the last step."""
 
     def step(self, t_s: float, xyz_device_mm: FloatArray, inputs: ServoInputs) -> SupervisedForce:
         """One tick at the session's time `t_s`; the force sent, tracker frame."""
@@ -125,13 +130,19 @@ class ReadableTick:
         found = refused[0] if refused else max(statuses)
         place = inputs.transform.at(xyz[None], t_s)
         self._loss.step(dt_s, found, float(place.model_phase[0]))
+        self.distance_mm = math.nan
         if found != Status.OK and (found != Status.NO_PHASE or self._wall is None):
             return nothing, nothing, nothing, found
-        primary = each[0 if found == Status.OK or self._wall is None else self._wall]
+        first = 0 if found == Status.OK or self._wall is None else self._wall
+        primary = each[first]
+        self.distance_mm = float(primary.distance_mm[0])
         field_n = self._crossed(self._composed(each), xyz, t_s, inputs, found)
         gradient = primary.gradient[0]
         rotation = inputs.transform.pose.at(t_s).rotation if inputs.transform.pose is not None else np.eye(3)
-        by_phase = primary.rate_mm_per_cycle * np.nan_to_num(place.model_phase_rate_hz)
+        per_cycle, part = primary.rate_mm_per_cycle, self._parts[first]
+        if isinstance(part, PathFixture):
+            per_cycle = np.array([part.target.rate(place.xyz_mm[0], float(place.model_phase[0]))])
+        by_phase = per_cycle * np.nan_to_num(place.model_phase_rate_hz)
         by_pose = np.einsum("ni,ni->n", (rotation @ gradient)[None], place.velocity_mm_s)
         rate = float((by_pose + (by_phase if found == Status.OK else 0.0))[0])
         norm = float(np.linalg.norm(gradient))
@@ -139,8 +150,16 @@ class ReadableTick:
         return field_n, pushed, -rate / norm * gradient / norm, found
 
     def _each(self, xyz: FloatArray, t_s: float, inputs: ServoInputs, status: Status) -> list[ForceSamples]:
-        given = np.array([int(status)])
-        return [inputs.transform.evaluate(part, xyz[None], t_s, given) for part in self._parts]
+        transform, given = inputs.transform, np.array([int(status)])
+        place = transform.at(xyz[None], t_s)
+        known = place.status if status == Status.OK else given
+        pose = Rigid.identity("mr", "tracker") if transform.pose is None else transform.pose.at(t_s)
+        return [
+            part.force_through(pose, xyz[None], place.model_phase, known)
+            if isinstance(part, PathFixture)
+            else transform.evaluate(part, xyz[None], t_s, given)
+            for part in self._parts
+        ]
 
     def _composed(self, each: list[ForceSamples]) -> FloatArray:
         return composed_force(self._set, np.array([one.force_n[0] for one in each])).force_n

@@ -12,11 +12,11 @@ from dvf_ig.core import DvfModel, FloatArray, Rigid
 from dvf_ig.guidance import Evaluator, Fixtures, PoseAndPhase, Sigmoid
 from dvf_ig.guidance.device import COMMON_DEVICE
 from dvf_ig.guidance.servo import ServoInputs, ServoOptions
-from dvf_ig.guidance.servo.bound import bind_fixtures, new_scratch
+from dvf_ig.guidance.servo.bound import bind_fixtures
 from dvf_ig.kernels.compiled import kernel
 from dvf_ig.kernels.servo.borrowed import borrowed
-from dvf_ig.kernels.servo.record import ROW
-from dvf_ig.kernels.servo.tick import unpacked_tick
+from dvf_ig.kernels.servo.layout import new_scratch
+from dvf_ig.kernels.servo.tick import servo_tick
 
 from .cpp_floor import compiled_floor
 from .heart import CYCLE_S, RATE_HZ, hand_path, random_points
@@ -107,15 +107,15 @@ def _ticks(model: DvfModel, tip: FloatArray) -> Pass:
     stay = tip[: round(2.0 * RATE_HZ)]
     tip = np.ascontiguousarray(np.tile(np.concatenate([stay, stay[::-1]]), (3, 1))[: len(tip)])
     numbers = np.zeros(1)
-    bound = tuple(bind_fixtures(Fixtures(model, TWO_FIXTURES), COMMON_DEVICE, ServoOptions(), 0.0))
-    scratch = tuple(new_scratch(len(TWO_FIXTURES.fixtures)))
+    bound = bind_fixtures(Fixtures(model, TWO_FIXTURES), COMMON_DEVICE, ServoOptions(), 0.0)
+    scratch = new_scratch(len(TWO_FIXTURES.fixtures))
     inputs = ServoInputs(
         PoseAndPhase(*steady(POSE)), 0.0, Rigid.identity("tracker", "device"), valid_for_s=1e9
     )
-    values, row_, force = inputs.packed(0.0), np.empty(ROW), np.empty(3)
+    scratch.inputs[:], force = inputs.packed(0.0), np.empty(3)
 
     def run(i: int, j: int) -> None:
-        tick_batch(bound, scratch, values, tip[i:j], numbers, 1.0 / RATE_HZ, row_, force)
+        tick_batch(bound, scratch, tip[i:j], numbers, 1.0 / RATE_HZ, force)
 
     return run
 
@@ -124,16 +124,13 @@ def _ticks(model: DvfModel, tip: FloatArray) -> Pass:
 def tick_batch(
     bound: Any,
     scratch: Any,
-    inputs: FloatArray,
     xyz_mm: FloatArray,
     ticks: FloatArray,
     period_s: float,
-    row_: FloatArray,
     force: FloatArray,
 ) -> None:
     """`servo_tick` at (n, 3) positions a period apart; `ticks` counts on."""
-    bound, scratch, inputs, xyz_mm = borrowed(bound), borrowed(scratch), borrowed(inputs), borrowed(xyz_mm)
-    row_, force = borrowed(row_), borrowed(force)
+    bound, scratch, xyz_mm, force = borrowed(bound), borrowed(scratch), borrowed(xyz_mm), borrowed(force)
     for n in range(len(xyz_mm)):
-        unpacked_tick(*bound, inputs, xyz_mm[n], 0, 1.0 + ticks[0] * period_s, 0, *scratch, row_, force)
+        servo_tick(bound, scratch, scratch.inputs[0], xyz_mm[n], 0, 1.0 + ticks[0] * period_s, 0, force)
         ticks[0] += 1.0
