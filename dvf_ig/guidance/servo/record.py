@@ -6,8 +6,10 @@ from typing import Any
 import numpy as np
 
 from dvf_ig.core import FloatArray, IntArray, read_only_arrays
+from dvf_ig.guidance.status import Status
 from dvf_ig.guidance.supervision.hazards import Hazard
-from dvf_ig.guidance.supervision.supervisor import SupervisorState
+from dvf_ig.guidance.supervision.supervisor import SupervisedForce, SupervisorState
+from dvf_ig.kernels.servo.layout import ROW
 
 
 @read_only_arrays
@@ -26,6 +28,82 @@ class SentForce:
     force_n: FloatArray
     state: SupervisorState
     hazards: Hazard
+
+
+class ServoTick:
+    """One tick: the fixtures at the tool, and the force that the supervisor let through; frame "tracker".
+
+    Args:
+        row: (1,) ROW, which is copied.
+    """
+
+    __slots__ = ("_row",)
+
+    def __init__(self, row: Any) -> None:
+        self._row: Any = np.frombuffer(row.tobytes(), ROW)[0]
+
+    @property
+    def status(self) -> Status:
+        """Of the fixtures; anything but OK goes with no wanted force, but for the walls of NO_PHASE."""
+        return Status(int(self._row["status"]))
+
+    @property
+    def wanted_n(self) -> FloatArray:
+        """(3,) of fixtures, damping and passivity controller, before the supervisor."""
+        return np.asarray(self._row["wanted_n"])
+
+    @property
+    def sent_n(self) -> FloatArray:
+        """(3,) what the supervisor let through."""
+        return np.asarray(self._row["sent_n"])
+
+    @property
+    def distance_mm(self) -> float:
+        """Of the primary fixture, positive inside; at NO_PHASE of the first wall; else NaN unless OK."""
+        return float(self._row["distance_mm"])
+
+    @property
+    def gradient(self) -> FloatArray:
+        """(3,) of the distance."""
+        return np.asarray(self._row["gradient"])
+
+    @property
+    def rate_mm_per_cycle(self) -> float:
+        """Change of the distance with the model's phase; zero at NO_PHASE, NaN of a path."""
+        return float(self._row["rate_mm_per_cycle"])
+
+    @property
+    def sigma_mm(self) -> float:
+        """Standard deviation of the distance by those of pose and phase."""
+        return float(self._row["sigma_mm"])
+
+    @property
+    def conflict(self) -> bool:
+        """Whether fixtures oppose each other."""
+        return bool(self._row["conflict"])
+
+    @property
+    def state(self) -> SupervisorState:
+        """Of the supervisor."""
+        return SupervisorState(int(self._row["state"]))
+
+    @property
+    def hazards(self) -> Hazard:
+        """Active in this tick: published ones and those that the servo met."""
+        return Hazard(int(self._row["hazards"]))
+
+    @property
+    def supervised(self) -> SupervisedForce:
+        """The force sent, and the supervisor's state with what it met."""
+        row = self._row
+        return SupervisedForce(
+            self.sent_n,
+            self.state,
+            self.hazards,
+            Hazard(int(row["cause"])),
+            float(row["scale"]),
+            bool(row["clamped"]),
+        )
 
 
 @read_only_arrays

@@ -12,7 +12,7 @@ from dvf_ig.guidance.fixtures import Fixtures
 from dvf_ig.guidance.joint_force import composed_force
 from dvf_ig.guidance.phase_loss import PhaseLoss
 from dvf_ig.guidance.status import Status
-from dvf_ig.guidance.supervision.hazards import Hazard, hazard_of
+from dvf_ig.guidance.supervision.hazards import Hazard, hazard_of, withholding
 from dvf_ig.guidance.supervision.supervisor import SupervisedForce, Supervisor, SupervisorState
 from dvf_ig.guidance.targets import PathFixture
 
@@ -102,6 +102,9 @@ class ReadableTick:
         hazards |= Hazard.SESSION_SILENT if silent else Hazard.NONE
         ahead = xyz + (c.lead_s * self._speed if self._options.predict_tool else 0.0)
         field_n, wanted_n, surface, status = self._forces(ahead, t_s + c.lead_s, dt_s, inputs, status)
+        met = status in (Status.FAULT, Status.OUT_OF_VOLUME)
+        if met or not hazards & withholding(self._wall is not None):
+            hazards |= hazard_of(status)
         self.observer.observe(xyz, field_n, dt_s, following=self._following)
         if status == Status.OK or (status == Status.NO_PHASE and self._wall is not None):
             wanted_n = wanted_n + self.observer.damping(self._speed, surface, c.period_s)
@@ -110,7 +113,7 @@ class ReadableTick:
             wanted_n = wanted_n * (c.cap_n / length)
         if self.observer.residual_mj > self._options.residual_limit_mj:
             hazards |= Hazard.ENERGY
-        sent = self._supervisor.step(t_s, wanted_n, hazards | hazard_of(status))
+        sent = self._supervisor.step(t_s, wanted_n, hazards)
         if sent.state is SupervisorState.LATCHED:
             self.observer.forget_residual()
         self.observer.note(sent.force_n)

@@ -278,7 +278,7 @@ def new_scratch(fixtures: int) -> Scratch:
         order=np.zeros(fixtures),
         composed=np.zeros(1, COMPOSED),
         other=np.zeros(1, COMPOSED),
-        vectors=np.zeros((5, 3)),
+        vectors=np.zeros((7, 3)),
     )
 
 

@@ -134,7 +134,10 @@ def servo_tick(
         wanted[k] = field[k]
     if evaluated:
         surface_speed = _relative_damping(settings, m, sample, surface, wanted)
-    active |= hazards.of_status[status]
+    met = status == code.FAULT or status == code.OUT_OF_VOLUME
+    if met or not active & hazards.fading:
+        # otherwise who published why no force is given has said it
+        active |= hazards.of_status[status]
     s, p = m.supervision, m.passivity
     if device_status == 0 and m.tool_known != 0:
         following = s.state <= supervision.DEGRADED and s.slow == 0

@@ -65,7 +65,7 @@ class _Reading:
             return
         self.end_event()
         if topic in (EVENT, STATE):
-            limits.require_times(values[topic == EVENT], "the time of an event or a state")
+            limits.require_times(values[int(topic == EVENT)], "the time of an event or a state")
         if topic == EVENT:
             self.announced = (EventKind(int(values[0])), float(values[1]), float(values[2]))
         elif topic == STATE:

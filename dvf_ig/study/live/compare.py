@@ -57,10 +57,10 @@ def samples_of(run: LiveRun) -> LiveSamples:
             poses[i] = transform.pose.matrices(np.array([now_s]))[0]
     return LiveSamples(
         state_s=np.array([a.state.now_s for a in answers]) + run.offset_s,
-        servo_s=np.array([a.t_s for a in answers]) + run.offset_s,
-        force_n=np.array([a.force_n for a in answers]),
+        servo_s=np.array([a.state.now_s for a in answers]) + run.offset_s,
+        force_n=np.array([a.state.force_n for a in answers]),
         session_n=np.array([a.state.force_n for a in answers]),
-        servo=np.array([int(a.servo) for a in answers]),
+        servo=np.array([int(a.state.supervisor) for a in answers]),
         supervisor=np.array([int(a.state.supervisor) for a in answers]),
         status=np.array([int(a.state.status) for a in answers]),
         mr_from_tracker=poses,

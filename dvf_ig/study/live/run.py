@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from dvf_ig.core import InvalidInputError, Landmarks
-from dvf_ig.guidance import SupervisorState
 from dvf_ig.io import read_scenario
 from dvf_ig.io.session_file.live import EcgFieldConfig, LiveConfig
 from dvf_ig.live.igtl import Message, Transform, encode
@@ -19,7 +18,7 @@ from dvf_ig.live.loop import Answer, LiveLoop
 from dvf_ig.live.player import play
 from dvf_ig.live.serve import LiveOptions, SessionThread, live_session
 from dvf_ig.live.summary import LiveSummary
-from dvf_ig.replay.operator import REARM_AFTER_S, SimulatedOperator
+from dvf_ig.replay.operator import SimulatedOperator
 from dvf_ig.session import EcgSource, SessionHistory, SessionSetup
 
 ORIGIN_S = 1.0e6
@@ -103,12 +102,12 @@ def _taken(
     config: LiveConfig, setup: SessionSetup, landmarks: tuple[Landmarks, Landmarks] | None, child: Connection
 ) -> LiveRun:
     answers: list[Answer] = []
-    history, summary, operator = SessionHistory(), LiveSummary(), _Operator()
+    history, summary, operator = SessionHistory(), LiveSummary(), SimulatedOperator()
 
     def observe(answer: Answer) -> None:
         answers.append(answer)
         summary.add(answer)
-        if operator.rearms(answer):
+        if operator.action(answer.state) is not None:
             loop.ask_rearm()
 
     options = LiveOptions(config, landmarks=landmarks, observe=observe, history=history)
@@ -126,25 +125,3 @@ def _taken(
 
 def _offset_s(loop: LiveLoop) -> float:
     return loop.source.tool_offset_s - ORIGIN_S
-
-
-class _Operator:
-    """The operator of a replay, who re-arms the servo as well as the session."""
-
-    def __init__(self) -> None:
-        self._session = SimulatedOperator()
-        self._latched_s: float | None = None
-
-    def rearms(self, answer: Answer) -> bool:
-        if self._session.action(answer.state) is not None:
-            return True
-        latched = answer.servo is SupervisorState.LATCHED
-        if not latched or answer.state.supervisor > SupervisorState.DEGRADED:
-            self._latched_s = None
-            return False
-        if self._latched_s is None:
-            self._latched_s = answer.t_s
-        if answer.t_s - self._latched_s < REARM_AFTER_S:
-            return False
-        self._latched_s = answer.t_s
-        return True
