@@ -7,7 +7,7 @@ With d_i the distance in each of the model's N phases, a wall that keeps out of 
 which is max_i d_i (docs/theory/safety.md) and, where several phases reach alike, up to τ log N more: never
 less protection, and a gradient without steps, so that the force never jumps from one phase's direction to
 another's. A confinement takes −τ log Σ exp(−d_i/τ): the narrowest chamber. The readable form is
-`dvf_ig.guidance.margins.worst_phase`.
+`tests/oracles/readable_walls.py`.
 
 Source: the smooth maximum, Boyd and Vandenberghe 2004, section 3.1.5.
 """

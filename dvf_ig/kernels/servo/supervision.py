@@ -1,6 +1,6 @@
 """The supervisor of the force as a kernel: fades, slew limit, latch, re-arm.
 
-`tests/oracles/supervisor.py` is its readable form; tests hold one to the other step by step.
+`tests/oracles/readable_supervisor.py` is its readable form; tests hold one to the other step by step.
 """
 
 import math

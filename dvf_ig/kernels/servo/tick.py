@@ -3,7 +3,7 @@
     validate → pose and phase at the moment at which the force is felt → fixtures → compose → relative damping
     → passivity → saturate → supervise (fade, slew, latch) → ceiling of any force → output
 
-`tests/oracles/tick.py` is the readable form.
+`tests/oracles/readable_tick.py` is the readable form.
 """
 
 import math

@@ -15,19 +15,18 @@ from dvf_ig.guidance import (
     Fixtures,
     FixtureSet,
     Gaussian,
+    Hazard,
     PoseAndPhase,
     Sigmoid,
     Status,
-    Supervisor,
 )
 from dvf_ig.guidance.devices.recorded import RecordedDevice
-from dvf_ig.guidance.fixtures import FORCE, TICK_OUTPUT
-from dvf_ig.guidance.servo import Deadlines, Servo, ServoInputs, ServoOptions
+from dvf_ig.guidance.servo import Deadlines, Servo, ServoInputs, ServoOptions, TrackedServo
 from dvf_ig.guidance.servo.deadlines import BINS, deadlines_of
 from dvf_ig.guidance.servo.threads import real_time_thread
 from dvf_ig.kernels.servo import loop, shared
 
-from .heart import CYCLE_S, hand_path
+from .heart import hand_path
 from .rows import steady
 from .timing import Row
 
@@ -150,13 +149,13 @@ def _floor(seconds: float, rate_hz: float) -> Deadlines:
 
 
 def _python_thread(fixtures: Fixtures, mesh: Mesh, seconds: float, seed: int) -> Deadlines:
-    """The same fixtures and supervisor stepped by a Python thread of the same priority."""
+    """The same ticks stepped by a Python thread of the same priority."""
     path = hand_path(mesh, round(seconds * 1000.0) + 1000, np.random.default_rng(seed))
-    pose = np.eye(3, 4)
     late: list[float] = []
     skipped = 0
     stop = threading.Event()
-    supervisor, out = Supervisor(), np.empty(TICK_OUTPUT)
+    servo, transform = TrackedServo(fixtures), _steady_transform(fixtures.model)
+    still, nothing = np.zeros(3), np.zeros(0)
 
     def ticks() -> None:
         nonlocal skipped
@@ -169,8 +168,7 @@ def _python_thread(fixtures: Fixtures, mesh: Mesh, seconds: float, seed: int) ->
                 time.sleep(due * 1e-3 - now)
                 now = time.monotonic() - begin
             late.append(1e6 * (now - due * 1e-3))
-            fixtures.tick(pose, path[due % len(path)], now / CYCLE_S % 1.0, int(Status.OK), out)
-            supervisor.step(now, out[FORCE].copy())
+            servo.step(now, transform, Hazard.NONE, Status.OK, nothing, (path[due % len(path)], still))
             passed = int((time.monotonic() - begin) / 1e-3) - due
             if passed > 0:
                 skipped += passed

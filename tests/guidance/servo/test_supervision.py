@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
+from readable_supervisor import Supervisor
 
-from dvf_ig.guidance import DeviceLimits, Hazard, RearmAnswer, Supervisor
+from dvf_ig.guidance import DeviceLimits, Hazard, RearmAnswer
 from dvf_ig.guidance.servo.bound import REARM_ANSWERS, set_hazards, set_limits
 from dvf_ig.kernels.servo import supervision as kernel
 from dvf_ig.kernels.servo.layout import HAZARDS, LIMITS, new_memory

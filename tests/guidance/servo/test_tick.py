@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from readable_tick import ReadableTick
 
 from dvf_ig.core import CycleTiming, InvalidInputError, PhaseState, Rigid
 from dvf_ig.guidance import (
@@ -22,7 +23,6 @@ from dvf_ig.guidance import (
 )
 from dvf_ig.guidance.devices.recorded import RecordedDevice
 from dvf_ig.guidance.servo import ServoInputs, ServoOptions, ServoRecord, SimulatedServo
-from dvf_ig.guidance.servo.twin import ReadableTick
 
 from .conftest import RATE_HZ, THREE, TRACKER_FROM_DEVICE, beat
 

@@ -3,6 +3,8 @@
 import math
 
 import numpy as np
+from readable_phase_loss import PhaseLoss
+from readable_supervisor import Supervisor
 
 from dvf_ig.core import FloatArray, Rigid
 from dvf_ig.guidance.device import DeviceLimits
@@ -10,15 +12,12 @@ from dvf_ig.guidance.evaluator import ForceSamples
 from dvf_ig.guidance.fixture import FixtureSet
 from dvf_ig.guidance.fixtures import Fixtures
 from dvf_ig.guidance.joint_force import composed_force
-from dvf_ig.guidance.phase_loss import PhaseLoss
+from dvf_ig.guidance.servo import ServoInputs, ServoOptions
+from dvf_ig.guidance.servo.bound import tick_constants
 from dvf_ig.guidance.status import Status
 from dvf_ig.guidance.supervision.hazards import Hazard, hazard_of, withholding
-from dvf_ig.guidance.supervision.supervisor import SupervisedForce, Supervisor, SupervisorState
+from dvf_ig.guidance.supervision.supervisor import SupervisedForce, SupervisorState
 from dvf_ig.guidance.targets import PathFixture
-
-from .bound import tick_constants
-from .inputs import ServoInputs
-from .options import ServoOptions
 
 
 class PassivityObserver:
@@ -178,7 +177,7 @@ class ReadableTick:
             worst = self._composed(self._each(xyz, t_s, inputs, Status.NO_PHASE))
             return (1.0 - share) * force_n + share * worst
         if found == Status.NO_PHASE and share < 1.0:
-            phase = self._loss.held_phase
+            phase = self._loss.last_phase
             held = [part.force_through(pose.at(t_s), xyz[None], phase) for part in self._parts]
             return (1.0 - share) * self._composed(held) + share * force_n
         return force_n
