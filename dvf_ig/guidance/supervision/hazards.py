@@ -130,7 +130,7 @@ HAZARD_RULES: Mapping[Hazard, HazardRule] = MappingProxyType(
         Hazard.MISSED_DEADLINES: HazardRule(
             Response.NO_FORCE,
             Latch.AT_ONCE,
-            "the servo was late by 2 ms in 3 of 100 ticks or silent for 10 ms (tenfold without a device)",
+            "the servo was late by 2 ms in 3 of 100 ticks or silent for 10 ms",
         ),
         Hazard.TOOL_CONTRADICTED: HazardRule(
             Response.FADE,
