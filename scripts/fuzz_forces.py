@@ -42,7 +42,7 @@ from dvf_ig.guidance.blend import Blend
 from dvf_ig.guidance.devices.recorded import RecordedDevice
 from dvf_ig.guidance.servo import ServoInputs, ServoOptions, SimulatedServo
 from dvf_ig.guidance.supervision.supervisor import SLEW_SPEED_M_S
-from dvf_ig.kernels.servo import published
+from dvf_ig.kernels.servo.layout import INPUTS
 
 HOSTILE = np.array(
     [
@@ -191,17 +191,18 @@ class Corrupted:
 
     def __init__(self, inputs: ServoInputs, rng: np.random.Generator, places: int) -> None:
         self.now_s, self._inputs = inputs.now_s, inputs
-        whole = {
-            published.HAZARDS,
-            published.TOOL_STATUS,
-            *range(published.TRACKER_FROM_DEVICE, published.MARGIN_MM),
-        }
-        allowed = [at for at in range(published.INPUT_SIZE) if at not in whole]
+        offset, size = (
+            {name: field[1] // 8 for name, field in (INPUTS.fields or {}).items()},
+            INPUTS.itemsize // 8,
+        )
+        whole = {offset["hazards"], offset["tool_status"]}
+        whole.update(range(offset["tracker_from_device"], offset["margin_mm"]))
+        allowed = [at for at in range(size) if at not in whole]
         self._at, self._by = rng.choice(allowed, places), rng.choice(HOSTILE, places)
 
-    def packed(self, clock_s: float) -> FloatArray:
+    def packed(self, clock_s: float) -> Any:
         values = self._inputs.packed(clock_s)
-        values[self._at] = self._by
+        values.view(np.float64)[self._at] = self._by
         return values
 
 

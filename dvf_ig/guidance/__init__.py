@@ -51,7 +51,6 @@ from .supervision.summary import SupervisionSummary as SupervisionSummary
 from .supervision.summary import summarise_supervision as summarise_supervision
 from .supervision.supervisor import RearmAnswer as RearmAnswer
 from .supervision.supervisor import SupervisedForce as SupervisedForce
-from .supervision.supervisor import Supervisor as Supervisor
 from .supervision.supervisor import SupervisorState as SupervisorState
 from .targets import PathFixture as PathFixture
 from .targets import PathTarget as PathTarget

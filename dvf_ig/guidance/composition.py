@@ -103,23 +103,18 @@ def compose(
         return Composed(frame, nothing, nothing, nothing, nothing, saturated=False, conflict=False)
     forces_n, caps_n = np.array([part.force_n for part in parts]), np.array([part.cap_n for part in parts])
     first = np.repeat([1.0, 0.0], [len(forbidden), len(guidance)])
-    work, order, out = (
-        np.empty(kernel.work_size(len(parts))),
-        np.empty(len(parts)),
-        np.empty(kernel.COMPOSED_SIZE),
-    )
+    work, order = np.empty(kernel.work_size(len(parts))), np.empty(len(parts))
+    out = np.zeros(1, kernel.COMPOSED)[0]
     kernel.compose_forces(forces_n, caps_n, first, cap_n, work, order, out)
-    forbidden_n, guidance_n, rejected_n = (
-        out[k : k + 3].copy() for k in (kernel.FORBIDDEN_N, kernel.GUIDANCE_N, kernel.REJECTED_N)
-    )
+    forbidden_n, guidance_n = out["forbidden_n"], out["guidance_n"]
     return Composed(
         frame,
         forbidden_n + guidance_n,
-        forbidden_n,
-        guidance_n,
-        rejected_n,
-        saturated=bool(out[kernel.SATURATED]),
-        conflict=bool(out[kernel.CONFLICT]),
+        forbidden_n.copy(),
+        guidance_n.copy(),
+        out["rejected_n"].copy(),
+        saturated=bool(out["saturated"]),
+        conflict=bool(out["conflict"]),
     )
 
 

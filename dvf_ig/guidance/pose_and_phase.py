@@ -26,7 +26,7 @@ from dvf_ig.core import (
     read_only_arrays,
 )
 from dvf_ig.core.arrays import check_shape, frozen_floats
-from dvf_ig.kernels.place import PLACE_SIZE, TURN_RATE, packed_pose_and_phase, place_tick
+from dvf_ig.kernels.place import PLACE, packed_pose_and_phase, place_tick
 from dvf_ig.kernels.pose_and_phase import DISTANCE_SIGMA, GUIDED_SIZE, guided_batch, guided_tick
 
 from .evaluator import Evaluator, ForceSamples
@@ -60,8 +60,8 @@ class PoseAndPhase:
     covariance_mm2: FloatArray | None = None
     center_mm: FloatArray = field(default_factory=lambda: np.zeros(3))
     pose_until_s: float = math.inf
-    packed: FloatArray = field(init=False, repr=False)
-    """All of it in one array for `dvf_ig.kernels.place` and `dvf_ig.kernels.pose_and_phase`."""
+    packed: Any = field(init=False, repr=False)
+    """(1,) all of it in one record for `dvf_ig.kernels.place` and `dvf_ig.kernels.pose_and_phase`."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "center_mm", frozen_floats(self.center_mm, "centre of the heart", (3,)))
@@ -121,14 +121,14 @@ class PoseAndPhase:
 
     def at_one(self, xyz_tracker_mm: FloatArray, t_s: float) -> PlaceInModel:
         """`at` for one point, (3,), without checks of its shape: quick enough for a loop at 1 kHz."""
-        place = np.empty(PLACE_SIZE)
-        status = place_tick(self.packed, t_s, place)
-        pose = place[:TURN_RATE].reshape(3, 4)
-        xyz = pose[:, :3] @ xyz_tracker_mm + pose[:, 3]
+        found = np.zeros(1, PLACE)
+        status = place_tick(self.packed[0], t_s, found[0])
         if not np.isfinite(xyz_tracker_mm).all():
-            place[:], xyz[:], status = math.nan, math.nan, Status.FAULT
+            found.view(np.float64)[:], status = math.nan, Status.FAULT
+        pose = found["model_from_tracker"][0]
+        xyz = pose[:, :3] @ xyz_tracker_mm + pose[:, 3]
         x, y, z = xyz.tolist()
-        u, v, w, a, b, c, phase, rate, sigma = place[TURN_RATE:].tolist()
+        _, (u, v, w), (a, b, c), phase, rate, sigma = found[0].tolist()
         velocity = np.array([v * z - w * y + a, w * x - u * z + b, u * y - v * x + c])
         return PlaceInModel(xyz, velocity, phase, rate, sigma, Status(status))
 
@@ -184,9 +184,9 @@ class PoseAndPhase:
         """
         return BoundTick(*self._kernel_arguments(evaluator))
 
-    def _kernel_arguments(self, evaluator: Evaluator) -> tuple[Any, FloatArray, FloatArray]:
+    def _kernel_arguments(self, evaluator: Evaluator) -> tuple[Any, FloatArray, Any]:
         """Leading arguments of `guided_tick`; the fixture's array is a new one, which its calls write to."""
-        return *evaluator.kernel_arguments(self._pose_frames(evaluator)), self.packed
+        return *evaluator.kernel_arguments(self._pose_frames(evaluator)), self.packed[0]
 
     def _pose_frames(self, evaluator: Evaluator) -> Rigid:
         """A map between the frames of the pose; the kernel sets its numbers."""
@@ -237,7 +237,7 @@ class BoundTick(partial[int]):
 
     __slots__ = ()
 
-    def __new__(cls, coefficients: Any, fixture: FloatArray, packed: FloatArray) -> "BoundTick":
+    def __new__(cls, coefficients: Any, fixture: FloatArray, packed: Any) -> "BoundTick":
         return super().__new__(cls, guided_tick, coefficients, fixture, packed)
 
 

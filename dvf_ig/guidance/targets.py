@@ -19,14 +19,12 @@ from dvf_ig.core.arrays import frozen_floats
 from dvf_ig.core.space.frames import check_frame
 from dvf_ig.kernels.fixture_field import WITHOUT_RATE
 from dvf_ig.kernels.laws import GAUSSIAN, direction_certainty, signed_potential
+from dvf_ig.kernels.path import CORNER_MM
 
 from .device import COMMON_DEVICE, DeviceLimits
 from .evaluator import ForceSamples, checked_query
 from .laws import Gaussian, Law
 from .status import Status
-
-CORNER_MM = 0.5
-"""Parts of a path whose distances differ by less than about this have their directions blended."""
 
 
 @read_only_arrays
@@ -78,16 +76,34 @@ class PathTarget:
         exp(−(dᵢ − d)/CORNER_MM). Its length is 1 beside a straight part, and falls where parts of the path
         lie on opposite sides, as a gradient of distance does across a medial axis. 0 on the path itself.
         """
+        nearest, unit, weight, _ = self._segments(xyz_mm, model_phase)
+        return nearest, np.asarray(weight @ unit)
+
+    def rate(self, xyz_mm: FloatArray, model_phase: float) -> float:
+        """∂d/∂φ in mm a cycle at a fixed point (3,); the nearest point keeps its share of its segment."""
+        if self.timing is None:
+            return 0.0
+        _, unit, weight, share = self._segments(xyz_mm, model_phase)
+        first, second, _ = self.timing.bracket(model_phase)
+        width = (self.timing.fractions[second] - self.timing.fractions[first]) % 1.0
+        moved = (self.points_mm[second] - self.points_mm[first]) / width
+        drift = moved[:-1] + share[:, None] * np.diff(moved, axis=0)
+        return -float(weight @ np.einsum("ij,ij->i", unit, drift))
+
+    def _segments(
+        self, xyz_mm: FloatArray, model_phase: float
+    ) -> tuple[float, FloatArray, FloatArray, FloatArray]:
+        """Distance; of the k − 1 segments direction away, weight, and where on it the nearest point is."""
         path = self.at(model_phase)
         start, along = path[:-1], np.diff(path, axis=0)
         share = np.einsum("ij,ij->i", xyz_mm - start, along) / np.einsum("ij,ij->i", along, along)
-        apart = xyz_mm - start - np.clip(share, 0.0, 1.0)[:, None] * along
+        share = np.clip(share, 0.0, 1.0)
+        apart = xyz_mm - start - share[:, None] * along
         each = np.linalg.norm(apart, axis=1)
         nearest = float(each.min())
         weight = np.exp((nearest - each) / CORNER_MM)
-        weight /= weight.sum()
         unit = apart / np.where(each > 0.0, each, 1.0)[:, None]
-        return nearest, np.asarray(weight @ unit)
+        return nearest, unit, weight / weight.sum(), share
 
 
 class PathFixture:

@@ -5,18 +5,24 @@ iteration is an active-set solution of a non-negative least-squares problem with
 """
 
 import math
+from typing import Any
+
+import numpy as np
 
 from dvf_ig.core import FloatArray
 
 from .compiled import kernel
 
-FORBIDDEN_N = 0
-GUIDANCE_N = 3
-REJECTED_N = 6
-SATURATED = 9
-CONFLICT = 10
-COMPOSED_SIZE = 11
-"""Offsets in the output."""
+COMPOSED = np.dtype(
+    [
+        ("forbidden_n", np.float64, (3,)),
+        ("guidance_n", np.float64, (3,)),
+        ("rejected_n", np.float64, (3,)),
+        ("saturated", np.int64),
+        ("conflict", np.int64),
+    ]
+)
+"""The parts of a composition, and whether the cap shortened it or fixtures oppose each other."""
 
 CONFLICT_SHARE = 0.25
 """Rejected guidance, as a share of the cap, above which it conflicts with forbidden regions."""
@@ -194,7 +200,7 @@ def compose_forces(
     cap_n: float,
     work: FloatArray,
     order: FloatArray,
-    out: FloatArray,
+    out: Any,
 ) -> None:
     """Compose the forces of all fixtures.
 
@@ -202,36 +208,38 @@ def compose_forces(
         forces_n: (k, 3) N of the fixtures; caps_n: (k,) of their laws; forbidden: (k,) 1, or 0 for guidance.
         cap_n: largest total force.
         work: `work_size(k)`; order: (k,).
-        out: (11,) forbidden part, guidance part and rejected part in N; 1 if saturated, in conflict.
+        out: COMPOSED.
     """
     ordered(forces_n, caps_n, order)
-    out[:] = 0.0
+    pushed, guidance, rejected = out.forbidden_n, out.guidance_n, out.rejected_n
+    out.saturated = 0
+    for k in range(3):
+        pushed[k] = guidance[k] = 0.0
     sizes = 0.0
     for at in range(len(order)):
         i = int(order[at])
-        first = FORBIDDEN_N if forbidden[i] != 0.0 else GUIDANCE_N
+        part = pushed if forbidden[i] != 0.0 else guidance
         for k in range(3):
-            out[first + k] += forces_n[i, k]
+            part[k] += forces_n[i, k]
         if forbidden[i] != 0.0:
             sizes += math.sqrt(forces_n[i, 0] ** 2 + forces_n[i, 1] ** 2 + forces_n[i, 2] ** 2)
-    guidance = out[GUIDANCE_N:REJECTED_N]
     before = (guidance[0], guidance[1], guidance[2])
     if sizes > 0.0 and (before[0] != 0.0 or before[1] != 0.0 or before[2] != 0.0):
         without_inward_part(forces_n, caps_n, forbidden, order, guidance, work)
     for k in range(3):
-        out[REJECTED_N + k] = before[k] - guidance[k]
-    total = math.sqrt(out[0] ** 2 + out[1] ** 2 + out[2] ** 2)
+        rejected[k] = before[k] - guidance[k]
+    total = math.sqrt(pushed[0] ** 2 + pushed[1] ** 2 + pushed[2] ** 2)
     cancelled = sizes - total
     if total > cap_n:
-        out[SATURATED] = 1.0
+        out.saturated = 1
         for k in range(3):
-            out[FORBIDDEN_N + k] *= cap_n / total
+            pushed[k] *= cap_n / total
     rest = max(0.0, cap_n - total)
     length = math.sqrt(guidance[0] ** 2 + guidance[1] ** 2 + guidance[2] ** 2)
     if length > rest:
-        out[SATURATED] = 1.0
+        out.saturated = 1
         for k in range(3):
             guidance[k] *= rest / length
-    rejected = math.sqrt(out[REJECTED_N] ** 2 + out[REJECTED_N + 1] ** 2 + out[REJECTED_N + 2] ** 2)
+    lost = math.sqrt(rejected[0] ** 2 + rejected[1] ** 2 + rejected[2] ** 2)
     opposed = cancelled > max(OPPOSED_SHARE * sizes, NEGLIGIBLE_SHARE * cap_n)
-    out[CONFLICT] = 1.0 if rejected > CONFLICT_SHARE * cap_n or opposed else 0.0
+    out.conflict = 1 if lost > CONFLICT_SHARE * cap_n or opposed else 0

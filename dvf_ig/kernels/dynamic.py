@@ -16,6 +16,7 @@ from .compiled import inlined, kernel
 from .fixture_field import (
     BLEND,
     BLEND_DISTANCE,
+    BLEND_PATH,
     BLEND_PERIODIC,
     DEPTH,
     PER_KNOT,
@@ -123,7 +124,7 @@ def forces_on_surface(
 
     Args:
         linear, periodic: (n, cx, cy, cz) coefficients of the two kinds of blend; (0, …) of one not used.
-        packed: (k, p) fixtures; their poses are not used.
+        packed: (k, p) fixtures; their poses are not used. A path has no force here.
         q: point in the model's frame.
         phi: model phase.
         forces: (k, 3) N, model frame; complete only if the status is OK.
@@ -142,6 +143,8 @@ def forces_on_surface(
         f = packed[i]
         if int(f[BLEND]) == BLEND_PERIODIC:
             result = _periodic_at(periodic, f, q, phi)
+        elif int(f[BLEND]) == BLEND_PATH:
+            result = code.OK, (0.0, 0.0, 0.0), math.nan, (math.nan, math.nan, math.nan), math.nan
         else:
             result = output_of(_blended_force(f, a, b, mixed, alpha), mixed, rate)
         if result[0] != code.OK:

@@ -1,11 +1,12 @@
-"""Pose, model phase, their rates and uncertainty at a time, from one packed array.
+"""Pose, model phase, their rates and uncertainty at a time, from one record.
 
-Everything is a closed form of time between two events (docs/theory/fixtures.md), so the array holds until
+Everything is a closed form of time between two events (docs/theory/fixtures.md), so the record holds until
 the next pose, R peak or confirmation. Readable forms: `dvf_ig.core.PoseMotion`, `PhaseForecast`,
 `RetimingCurve`.
 """
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -15,47 +16,50 @@ from . import status as code
 from .compiled import inlined, kernel
 from .vectors import Vector, cross, dot, vector_at
 
-# Offsets in a packed pose and phase.
-POSE_UNTIL = 0
-START_S = 1
-END_S = 2
-START_POSE = 3
-END_POSE = 15
-CENTER = 27
-AXIS = 30
-ANGLE = 33
-SHIFT = 34
-PHASE_SINCE = 37
-PHASE_UNTIL = 38
-PHI = 39
-R_S = 40
-CYCLES = 41
-RR_S = 42
-SPREAD = 43
-CATCH_UP = 44
-R_TIMING_S = 45
-END_SYSTOLE = 46
-MODEL_END_SYSTOLE = 47
-SLOPE_AT_R = 48
-SLOPE_AT_END_SYSTOLE = 49
-COVARIANCE_CENTER = 50
-COVARIANCE = 53
-COVARIANCE_TURN = 89
-"""Radians a mm of the covariance's rotation."""
-PACKED_SIZE = 90
+_F = np.float64
+POSE_AND_PHASE = np.dtype(
+    [
+        ("pose_until_s", _F),
+        ("start_s", _F),
+        ("end_s", _F),
+        ("start_pose", _F, (3, 4)),
+        ("end_pose", _F, (3, 4)),
+        ("center_mm", _F, (3,)),
+        ("axis", _F, (3,)),
+        ("angle_rad", _F),
+        ("shift_mm", _F, (3,)),
+        ("phase_since_s", _F),
+        ("phase_until_s", _F),
+        ("phi", _F),
+        ("r_s", _F),
+        ("cycles", _F),
+        ("rr_s", _F),
+        ("spread", _F),
+        ("catch_up", _F),
+        ("r_timing_s", _F),
+        ("end_systole", _F),
+        ("model_end_systole", _F),
+        ("slope_at_r", _F),
+        ("slope_at_end_systole", _F),
+        ("covariance_center_mm", _F, (3,)),
+        ("covariance", _F, (6, 6)),
+        ("turn_per_mm", _F),
+    ]
+)
+"""Pose and phase as functions of time; `turn_per_mm`: radians a mm of the covariance's rotation."""
 
-# Offsets in a place.
-MODEL_FROM_TRACKER = 0
-"""(3, 4), row by row."""
-TURN_RATE = 12
-"""(3,) rad/s, model frame."""
-ORIGIN_VELOCITY = 15
-"""(3,) mm/s: v(p) = turn rate × p + this."""
-MODEL_PHASE = 18
-MODEL_PHASE_RATE = 19
-"""Cycles a second."""
-MODEL_PHASE_SIGMA = 20
-PLACE_SIZE = 21
+PLACE = np.dtype(
+    [
+        ("model_from_tracker", _F, (3, 4)),
+        ("turn_rate", _F, (3,)),
+        ("origin_velocity", _F, (3,)),
+        ("model_phase", _F),
+        ("model_phase_rate", _F),
+        ("model_phase_sigma", _F),
+    ]
+)
+"""Pose and phase at one time: turn rate in rad/s, velocity in mm/s with v(p) = turn rate × p + velocity of
+the origin, both in the model's frame; the phase's rate in cycles a second."""
 
 Columns = tuple[Vector, Vector, Vector, Vector, Vector, Vector]
 """Columns of the pose's rotation, its translation, turn rate, velocity of the tracker's origin."""
@@ -70,52 +74,41 @@ def packed_pose_and_phase(
     retiming: RetimingCurve | None,
     covariance_mm2: FloatArray | None,
     center_mm: FloatArray,
-) -> FloatArray:
-    """Pack one array for `place_tick` and `guided_tick`; arguments as in `dvf_ig.guidance.PoseAndPhase`.
+) -> Any:
+    """(1,) POSE_AND_PHASE for `place_tick` and `guided_tick`; arguments as in `dvf_ig.guidance.PoseAndPhase`.
 
     A missing pose, and a phase that is not LOCKED or cannot be retimed, get an end before their start.
     """
-    p = np.full(PACKED_SIZE, np.nan)
-    p[POSE_UNTIL] = -math.inf if pose is None else pose_until_s
+    packed = np.zeros(1, POSE_AND_PHASE)
+    packed.view(np.float64)[:] = np.nan
+    p = packed[0]
+    p["pose_until_s"] = -math.inf if pose is None else pose_until_s
     if pose is not None:
         angle = math.sqrt(pose.turn_rad @ pose.turn_rad)
-        p[START_S : END_S + 1] = pose.start_s, pose.end_s
-        for offset, end in ((START_POSE, pose.start), (END_POSE, pose.end)):
-            matrix = p[offset : offset + 12].reshape(3, 4)
-            matrix[:, :3], matrix[:, 3] = end.rotation, end.translation_mm
-        p[CENTER : CENTER + 3] = pose.center_mm
-        p[AXIS : AXIS + 3] = pose.turn_rad / angle if angle > 0.0 else 0.0
-        p[ANGLE], p[SHIFT : SHIFT + 3] = angle, pose.shift_mm
+        p["start_s"], p["end_s"] = pose.start_s, pose.end_s
+        for name, end in (("start_pose", pose.start), ("end_pose", pose.end)):
+            p[name][:, :3], p[name][:, 3] = end.rotation, end.translation_mm
+        p["center_mm"], p["shift_mm"], p["angle_rad"] = pose.center_mm, pose.shift_mm, angle
+        p["axis"] = pose.turn_rad / angle if angle > 0.0 else 0.0
     usable = phase.state == PhaseState.LOCKED and retiming is not None
-    p[PHASE_SINCE : R_TIMING_S + 1] = (
-        phase.since_s,
-        phase.until_s if usable else -math.inf,
-        phase.phi,
-        phase.r_s,
-        phase.cycles,
-        phase.rr_s,
-        phase.spread,
-        phase.catch_up,
-        phase.r_timing_s,
-    )
+    p["phase_since_s"] = phase.since_s
+    p["phase_until_s"] = phase.until_s if usable else -math.inf
+    for name in ("phi", "r_s", "cycles", "rr_s", "spread", "catch_up", "r_timing_s"):
+        p[name] = getattr(phase, name)
     if retiming is not None:
-        p[END_SYSTOLE : SLOPE_AT_END_SYSTOLE + 1] = (
-            retiming.end_systole,
-            retiming.model_end_systole,
-            retiming.slope_at_r,
-            retiming.slope_at_end_systole,
-        )
-    p[COVARIANCE_CENTER : COVARIANCE_CENTER + 3] = center_mm
+        for name in ("end_systole", "model_end_systole", "slope_at_r", "slope_at_end_systole"):
+            p[name] = getattr(retiming, name)
+    p["covariance_center_mm"] = center_mm
     if covariance_mm2 is not None:
-        p[COVARIANCE : COVARIANCE + 36] = covariance_mm2.ravel()
-    p[COVARIANCE_TURN] = 1.0 / HEART_RADIUS_MM
-    return p
+        p["covariance"] = covariance_mm2
+    p["turn_per_mm"] = 1.0 / HEART_RADIUS_MM
+    return packed
 
 
 @inlined
-def _column(p: FloatArray, at: int) -> Vector:
-    """Read a column of a (3, 4) matrix stored row by row."""
-    return p[at], p[at + 4], p[at + 8]
+def _column(matrix: FloatArray, k: int) -> Vector:
+    """Column of a (3, 4) matrix."""
+    return matrix[0, k], matrix[1, k], matrix[2, k]
 
 
 @inlined
@@ -130,22 +123,22 @@ def _turned(axis: Vector, sine: float, cosine: float, v: Vector) -> Vector:
 
 
 @inlined
-def _pose_between(p: FloatArray, t_s: float) -> Columns:
-    """Compute the pose within its motion; see `dvf_ig.core.space.pose_motion`."""
-    duration = p[END_S] - p[START_S]
-    weight = (t_s - p[START_S]) / duration
-    axis, c, s = vector_at(p, AXIS), vector_at(p, CENTER), vector_at(p, SHIFT)
-    sine, cosine = math.sin(weight * p[ANGLE]), math.cos(weight * p[ANGLE])
+def _pose_between(p: Any, t_s: float) -> Columns:
+    """Within the motion: docs of `dvf_ig.core.space.pose_motion`."""
+    duration = p.end_s - p.start_s
+    weight = (t_s - p.start_s) / duration
+    axis, c, s = vector_at(p.axis, 0), vector_at(p.center_mm, 0), vector_at(p.shift_mm, 0)
+    sine, cosine = math.sin(weight * p.angle_rad), math.cos(weight * p.angle_rad)
     moved = (c[0] + weight * s[0], c[1] + weight * s[1], c[2] + weight * s[2])
-    first = _column(p, START_POSE + 3)
+    first = _column(p.start_pose, 3)
     arm = _turned(axis, sine, cosine, (first[0] - c[0], first[1] - c[1], first[2] - c[2]))
-    speed = p[ANGLE] / duration
+    speed = p.angle_rad / duration
     turn = (speed * axis[0], speed * axis[1], speed * axis[2])
     carried = cross(turn, moved)
     return (
-        _turned(axis, sine, cosine, _column(p, START_POSE)),
-        _turned(axis, sine, cosine, _column(p, START_POSE + 1)),
-        _turned(axis, sine, cosine, _column(p, START_POSE + 2)),
+        _turned(axis, sine, cosine, _column(p.start_pose, 0)),
+        _turned(axis, sine, cosine, _column(p.start_pose, 1)),
+        _turned(axis, sine, cosine, _column(p.start_pose, 2)),
         (arm[0] + moved[0], arm[1] + moved[1], arm[2] + moved[2]),
         turn,
         (s[0] / duration - carried[0], s[1] / duration - carried[1], s[2] / duration - carried[2]),
@@ -153,25 +146,24 @@ def _pose_between(p: FloatArray, t_s: float) -> Columns:
 
 
 @inlined
-def pose_at(p: FloatArray, t_s: float) -> Columns:
-    """Compute pose and rates at a time; the pose is constant before and after its motion."""
-    if p[START_S] <= t_s and t_s < p[END_S]:
+def pose_at(p: Any, t_s: float) -> Columns:
+    """Pose and its rates at a time; before and after its motion it stands still."""
+    if p.start_s <= t_s and t_s < p.end_s:
         return _pose_between(p, t_s)
-    at, still = (END_POSE if t_s >= p[END_S] else START_POSE), (0.0, 0.0, 0.0)
-    x, y, z = _column(p, at), _column(p, at + 1), _column(p, at + 2)
-    return x, y, z, _column(p, at + 3), still, still
+    held, still = (p.end_pose if t_s >= p.end_s else p.start_pose), (0.0, 0.0, 0.0)
+    return _column(held, 0), _column(held, 1), _column(held, 2), _column(held, 3), still, still
 
 
 @inlined
-def _retimed(p: FloatArray, phi: float) -> tuple[float, float]:
-    """Compute model phase and its slope; see `dvf_ig.core.timing.retiming_curve`."""
-    early = phi <= p[END_SYSTOLE]
-    width = p[END_SYSTOLE] if early else 1.0 - p[END_SYSTOLE]
-    height = p[MODEL_END_SYSTOLE] if early else 1.0 - p[MODEL_END_SYSTOLE]
-    bottom = 0.0 if early else p[MODEL_END_SYSTOLE]
-    first = p[SLOPE_AT_R] if early else p[SLOPE_AT_END_SYSTOLE]
-    last = p[SLOPE_AT_END_SYSTOLE] if early else p[SLOPE_AT_R]
-    u = (phi if early else phi - p[END_SYSTOLE]) / width
+def _retimed(p: Any, phi: float) -> tuple[float, float]:
+    """Model phase and its slope: docs of `dvf_ig.core.timing.retiming_curve`."""
+    early = phi <= p.end_systole
+    width = p.end_systole if early else 1.0 - p.end_systole
+    height = p.model_end_systole if early else 1.0 - p.model_end_systole
+    bottom = 0.0 if early else p.model_end_systole
+    first = p.slope_at_r if early else p.slope_at_end_systole
+    last = p.slope_at_end_systole if early else p.slope_at_r
+    u = (phi if early else phi - p.end_systole) / width
     rest = 1.0 - u
     cubic = height * u * u * (3 - 2 * u) + first * width * u * rest**2 - last * width * u * u * rest
     slope = 6 * height / width * u * rest + first * rest * (1 - 3 * u) - last * u * (2 - 3 * u)
@@ -179,64 +171,60 @@ def _retimed(p: FloatArray, phi: float) -> tuple[float, float]:
 
 
 @inlined
-def phase_at(p: FloatArray, t_s: float) -> Phase:
-    """Compute model phase, its rate and standard deviation; see `dvf_ig.core.timing.phase_forecast`."""
-    rr, phi = p[RR_S], p[PHI]
-    target = p[CYCLES] + (t_s - p[R_S]) / rr
-    caught = phi + p[CATCH_UP] * (t_s - p[PHASE_SINCE]) / rr
+def phase_at(p: Any, t_s: float) -> Phase:
+    """Model phase, its rate, its standard deviation: docs of `dvf_ig.core.timing.phase_forecast`."""
+    rr, phi = p.rr_s, p.phi
+    target = p.cycles + (t_s - p.r_s) / rr
+    caught = phi + p.catch_up * (t_s - p.phase_since_s) / rr
     unwrapped = max(phi, min(target, caught))
-    rate = p[CATCH_UP] if caught < target else (1.0 if target > phi else 0.0)
-    spread, timing = p[SPREAD] * max(0.0, t_s - p[R_S]) / rr, p[R_TIMING_S] / rr
+    rate = p.catch_up if caught < target else (1.0 if target > phi else 0.0)
+    spread, timing = p.spread * max(0.0, t_s - p.r_s) / rr, p.r_timing_s / rr
     sigma = math.sqrt(spread**2 + timing**2 + (target - unwrapped) ** 2)
     model_phase, slope = _retimed(p, unwrapped - np.floor(unwrapped))
     return model_phase, slope * rate / rr, slope * sigma
 
 
 @inlined
-def status_at(p: FloatArray, t_s: float, finite: float) -> int:
-    """Choose the status: FAULT before NO_POSE before NO_PHASE.
+def status_at(p: Any, t_s: float, finite: float) -> int:
+    """FAULT before NO_POSE before NO_PHASE.
 
     Args:
         finite: a sum of all other numbers that must be finite.
     """
     if not math.isfinite(t_s + finite):
         return code.FAULT
-    if t_s >= p[POSE_UNTIL]:
+    if t_s >= p.pose_until_s:
         return code.NO_POSE
-    if not (p[PHASE_SINCE] <= t_s and t_s <= p[PHASE_UNTIL]):
+    if not (p.phase_since_s <= t_s and t_s <= p.phase_until_s):
         return code.NO_PHASE
     return code.OK
 
 
-@inlined
-def set_pose(out: FloatArray, at: int, pose: Columns) -> None:
-    """Write the (3, 4) pose row by row, from `at` on."""
-    for row in range(3):
-        for column in range(4):
-            out[at + 4 * row + column] = pose[column][row]
-
-
 @kernel
-def place_tick(packed: FloatArray, t_s: float, place: FloatArray) -> int:
-    """Compute pose, model phase and their rates at one time.
+def place_tick(packed: Any, t_s: float, place: Any) -> int:
+    """Pose, model phase and their rates at one time.
 
     Args:
-        packed: `packed_pose_and_phase`.
-        place: (21,) pose, turn rate, velocity, model phase, its rate and standard deviation, at the offsets
-            of this module; NaN if not known: the pose at NO_POSE, the phase at NO_PHASE, all at FAULT.
+        packed: POSE_AND_PHASE.
+        place: PLACE; NaN where not known: the pose at NO_POSE, the phase at NO_PHASE, all at FAULT.
     Returns:
         status code.
     """
-    place[:] = math.nan
+    place.model_phase = place.model_phase_rate = place.model_phase_sigma = math.nan
+    for k in range(3):
+        place.turn_rate[k] = place.origin_velocity[k] = math.nan
+        for column in range(4):
+            place.model_from_tracker[k, column] = math.nan
     status = status_at(packed, t_s, 0.0)
     if status == code.FAULT:
         return status
-    if t_s < packed[POSE_UNTIL]:
+    if t_s < packed.pose_until_s:
         pose = pose_at(packed, t_s)
-        set_pose(place, MODEL_FROM_TRACKER, pose)
         for k in range(3):
-            place[TURN_RATE + k], place[ORIGIN_VELOCITY + k] = pose[4][k], pose[5][k]
-    if packed[PHASE_SINCE] <= t_s and t_s <= packed[PHASE_UNTIL]:
-        phase = phase_at(packed, t_s)
-        place[MODEL_PHASE], place[MODEL_PHASE_RATE], place[MODEL_PHASE_SIGMA] = phase
+            for column in range(4):
+                place.model_from_tracker[k, column] = pose[column][k]
+            place.turn_rate[k], place.origin_velocity[k] = pose[4][k], pose[5][k]
+    if packed.phase_since_s <= t_s and t_s <= packed.phase_until_s:
+        found = phase_at(packed, t_s)
+        place.model_phase, place.model_phase_rate, place.model_phase_sigma = found
     return status

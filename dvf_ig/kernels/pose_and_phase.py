@@ -4,6 +4,7 @@
 """
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,17 +15,7 @@ from . import status as code
 from .compiled import inlined, kernel
 from .dynamic import force_tick
 from .fixture_field import POSE, WITHOUT_RATE
-from .place import (
-    COVARIANCE,
-    COVARIANCE_CENTER,
-    COVARIANCE_TURN,
-    Columns,
-    Phase,
-    phase_at,
-    pose_at,
-    set_pose,
-    status_at,
-)
+from .place import Columns, Phase, phase_at, pose_at, status_at
 from .vectors import Vector, cross, dot, vector_at
 from .worst_phase import is_wall
 
@@ -35,59 +26,66 @@ GUIDED_SIZE = 10
 
 
 @inlined
-def _distance_variance(p: FloatArray, at: Vector, g: Vector) -> float:
-    """Compute the variance of d by the pose: h Σ hᵀ with h = ((p − c) × ∇d/radius, ∇d)."""
-    c = vector_at(p, COVARIANCE_CENTER)
+def _distance_variance(p: Any, at: Vector, g: Vector) -> float:
+    """Variance of d by the pose: h Σ hᵀ with h = ((p − c) × ∇d/radius, ∇d)."""
+    c = vector_at(p.covariance_center_mm, 0)
     torque = cross((at[0] - c[0], at[1] - c[1], at[2] - c[2]), g)
-    scale = p[COVARIANCE_TURN]
+    scale = p.turn_per_mm
     h = (scale * torque[0], scale * torque[1], scale * torque[2], g[0], g[1], g[2])
     total = 0.0
     for i in range(6):
         row = 0.0
         for j in range(6):
-            row += p[COVARIANCE + 6 * i + j] * h[j]
+            row += p.covariance[i, j] * h[j]
         total += h[i] * row
     return total
 
 
 @inlined
-def _combined(pose: Columns, v: FloatArray, at: int) -> Vector:
-    """Rotate three numbers by the pose."""
+def _turned(pose: Columns, v: Vector) -> Vector:
+    """Rotation of the pose times a vector."""
     x, y, z = pose[0], pose[1], pose[2]
     return (
-        x[0] * v[at] + y[0] * v[at + 1] + z[0] * v[at + 2],
-        x[1] * v[at] + y[1] * v[at + 1] + z[1] * v[at + 2],
-        x[2] * v[at] + y[2] * v[at + 1] + z[2] * v[at + 2],
+        x[0] * v[0] + y[0] * v[1] + z[0] * v[2],
+        x[1] * v[0] + y[1] * v[1] + z[1] * v[2],
+        x[2] * v[0] + y[2] * v[1] + z[2] * v[2],
     )
 
 
 @inlined
 def distance_rate_and_sigma(
-    packed: FloatArray, pose: Columns, phase: Phase, xyz_mm: FloatArray, out: FloatArray
+    packed: Any, pose: Columns, phase: Phase, xyz_mm: FloatArray, gradient: Vector, rate_mm_per_cycle: float
 ) -> tuple[float, float]:
     """Compute ∂d/∂t at a fixed position (mm/s), by the pose's twist and the phase's rate, and σ_d (mm).
 
     Args:
-        packed: pose and phase; pose, phase: their values at the time.
-        xyz_mm: (3,) tool tip, tracker frame.
-        out: output of `force_tick`, with the distance's rate.
+        packed: pose and phase; pose, phase: of that, at the time.
+        xyz_mm: (3,) tool tip, tracker frame; gradient: of the distance there, tracker frame.
     """
-    turned, gradient = _combined(pose, xyz_mm, 0), _combined(pose, out, 4)
+    turned, in_model = _turned(pose, vector_at(xyz_mm, 0)), _turned(pose, gradient)
     shift = pose[3]
     at = (turned[0] + shift[0], turned[1] + shift[1], turned[2] + shift[2])
     swept, moved = cross(pose[4], at), pose[5]
     velocity = (swept[0] + moved[0], swept[1] + moved[1], swept[2] + moved[2])
-    by_phase = out[WITHOUT_RATE] * phase[2]
-    variance = _distance_variance(packed, at, gradient)
+    by_phase = rate_mm_per_cycle * phase[2]
+    variance = _distance_variance(packed, at, in_model)
     sigma = math.sqrt((0.0 if variance < 0.0 else variance) + by_phase**2)
-    return dot(gradient, velocity) + out[WITHOUT_RATE] * phase[1], sigma
+    return dot(in_model, velocity) + rate_mm_per_cycle * phase[1], sigma
+
+
+@inlined
+def _set_pose(fixture: FloatArray, pose: Columns) -> None:
+    """Write the (3, 4) pose of a packed fixture row by row."""
+    for row in range(3):
+        for column in range(4):
+            fixture[POSE + 4 * row + column] = pose[column][row]
 
 
 @kernel
 def guided_tick(
     coefficients: NDArray[np.float32],
     fixture: FloatArray,
-    packed: FloatArray,
+    packed: Any,
     t_s: float,
     xyz_mm: FloatArray,
     input_status: int,
@@ -98,7 +96,7 @@ def guided_tick(
     Args:
         coefficients: as in `force_tick`.
         fixture: the caller's own `packed_fixture`; its pose is overwritten.
-        packed: `dvf_ig.kernels.place.packed_pose_and_phase`.
+        packed: POSE_AND_PHASE.
         t_s: time of the tool's pose.
         xyz_mm: (3,) tool tip, tracker frame.
         input_status: status of the tool's pose; anything but OK is returned with zero force, except that a
@@ -120,10 +118,12 @@ def guided_tick(
     pose, phase = pose_at(packed, t_s), (0.0, 0.0, 0.0)
     if status == code.OK:
         phase = phase_at(packed, t_s)
-    set_pose(fixture, POSE, pose)
+    _set_pose(fixture, pose)
     status = force_tick(coefficients, fixture, xyz_mm, phase[0], status, out)
     if len(out) > DISTANCE_SIGMA:
-        out[DISTANCE_RATE], out[DISTANCE_SIGMA] = distance_rate_and_sigma(packed, pose, phase, xyz_mm, out)
+        out[DISTANCE_RATE], out[DISTANCE_SIGMA] = distance_rate_and_sigma(
+            packed, pose, phase, xyz_mm, vector_at(out, 4), out[WITHOUT_RATE]
+        )
     return status
 
 
@@ -131,7 +131,7 @@ def guided_tick(
 def guided_batch(
     coefficients: NDArray[np.float32],
     fixture: FloatArray,
-    packed: FloatArray,
+    packed: Any,
     t_s: FloatArray,
     xyz_mm: FloatArray,
     status: IntArray,

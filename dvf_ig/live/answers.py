@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from dvf_ig.core import FloatArray
-from dvf_ig.guidance import Hazard, SupervisorState
+from dvf_ig.guidance import SupervisorState
 from dvf_ig.live.igtl import Message, Status, StatusCode, Text, Transform
 from dvf_ig.session import GuidanceState
 
@@ -59,25 +59,18 @@ def force_message(force_n: FloatArray, stamp_s: float | None) -> Message:
     return Message(FORCE_NAME, stamp_s, Transform(matrix))
 
 
-def state_messages(
-    state: GuidanceState,
-    servo: SupervisorState,
-    hazards: Hazard,
-    stamp_s: float,
-    *problems: str | None,
-) -> tuple[Message, ...]:
+def state_messages(state: GuidanceState, stamp_s: float, *problems: str | None) -> tuple[Message, ...]:
     """STATUS and STRING.
 
     Args:
-        servo, hazards: state of the servo's supervisor, which has the last word on the force, and what it
-            found.
         problems: what else is wrong, a sentence each: with the session's record, with who sends the tool.
     """
-    worst = max(servo, state.supervisor)
-    numbers = state_numbers(state, servo, hazards)
+    supervisor, numbers = state.supervisor, state_numbers(state)
     numbers["reasons"] += [problem for problem in problems if problem is not None]
     text = json.dumps(numbers, allow_nan=False)
-    status = Status(_CODES[worst], int(worst), worst.name, "; ".join(numbers["reasons"])[:1000])
+    status = Status(
+        _CODES[supervisor], int(supervisor), supervisor.name, "; ".join(numbers["reasons"])[:1000]
+    )
     return Message(STATUS_NAME, stamp_s, status), Message(STATE_NAME, stamp_s, Text(text))
 
 
@@ -90,16 +83,15 @@ def last_messages(sentence: str, stamp_s: float | None) -> tuple[Message, ...]:
     return force, Message(STATUS_NAME, stamp_s, status), Message(STATE_NAME, stamp_s, Text(text))
 
 
-def state_numbers(state: GuidanceState, servo: SupervisorState, hazards: Hazard) -> dict[str, Any]:
-    """The state as JSON values; what is not known is null. Arguments as of `state_messages`."""
+def state_numbers(state: GuidanceState) -> dict[str, Any]:
+    """The state as JSON values; what is not known is null."""
     phase = state.phase
-    own = hazards & ~state.supervised.hazards
     return {
         "t_s": state.now_s,
         "supervisor": state.supervisor.name,
-        "servo": servo.name,
+        "servo": state.supervisor.name,
         "status": state.status.name,
-        "reasons": [*state.reasons, *own.sentences],
+        "reasons": list(state.reasons),
         "phase": _known(phase.phi),
         "phase_sigma": _known(phase.sigma_phi),
         "phase_state": phase.state.name,

@@ -1,10 +1,10 @@
-"""The session's own thread on one screen: what arrived in, states and the servo's inputs, answers out.
+"""The session's own thread on one screen: what arrived in, states with the servo's ticks, answers out.
 
     arrivals ─► events ─► Session.push        each with its arrival, so that clocks that run away are found
-    now      ─► Session.state ─► servo        at every tool pose, and STATE_EVERY_S without one
-    servo's newest tick ─► force, pose, state to the peers, at most ANSWERS_HZ
+    now      ─► Session.state                 at every tool pose, and STATE_EVERY_S without one
+    state    ─► force, pose, state to the peers, at most ANSWERS_HZ
 
-Nothing here waits for a peer, a registration or the servo. It begins with the first tool pose: before, no
+Nothing here waits for a peer or a registration. It begins with the first tool pose: before, no
 tool is lost. However it ends, the last that it sends is no force, and why.
 """
 
@@ -12,11 +12,10 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from math import inf
 
-from dvf_ig.core import DvfIgError, FloatArray, Rigid, read_only_arrays
-from dvf_ig.guidance import Hazard, Status, SupervisorState
-from dvf_ig.guidance.devices.tracked import TrackedTool
-from dvf_ig.guidance.servo import Servo, ServoInputs
+from dvf_ig.core import DvfIgError
+from dvf_ig.guidance.servo.inputs import VALID_FOR_S
 from dvf_ig.io import limits
 from dvf_ig.session import Event, GuidanceState, Landmark, Rearm, Session, ToolPose
 
@@ -31,36 +30,25 @@ ANSWERS_HZ = 60.0
 STATE_EVERY_S = 0.01
 STATES_SENT_EVERY_S = 0.1
 """STATUS and STRING are for people."""
-TICK_WITHIN_S = 0.005
-"""A servo that has not ticked for so long after it was told something is not waited for."""
-LOOK_S = 0.0005
-OLDEST_TICK_S = 0.05
-"""The force of an older tick is not sent: the machine, or this process, stood still."""
+OLDEST_STATE_S = 0.05
+"""The force of an older state is not sent: the machine, or this process, stood still."""
 SENTENCE_CHARACTERS = 400
 MOST_AT_ONCE = 64
 """Messages taken between two answers: a flood is worked off without keeping the answers waiting."""
-STILL = Rigid.identity("tracker", "device")
 
 
-@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class Answer:
     """One answer that was sent.
 
     Attributes:
-        state: of the session, on which it rests.
-        force_n: (3,) the servo's, frame "tracker"; t_s is the session's time of its tick.
-        servo, hazards: as of `SentForce`.
+        state: of the session, with the force.
         latency_s: from the arrival of the newest tool pose in it until it was handed to the network; NaN
             where no new one was in it.
         offset_s: the clock of the tool's peer less the session's.
     """
 
     state: GuidanceState
-    t_s: float
-    force_n: FloatArray
-    servo: SupervisorState
-    hazards: Hazard
     latency_s: float
     offset_s: float
 
@@ -70,7 +58,7 @@ class LiveLoop:
     """One live session.
 
     Attributes:
-        session, servo, device: the engine, and the servo, which runs, with the tool that it reads.
+        session: the engine.
         source: makes events of what is in the inbox.
         link: takes the answers.
         more_events: events from elsewhere than the peers, since the last call.
@@ -80,8 +68,6 @@ class LiveLoop:
     """
 
     session: Session
-    servo: Servo
-    device: TrackedTool
     source: EventSource
     inbox: Inbox
     link: Link
@@ -95,13 +81,12 @@ class LiveLoop:
     began: bool = False
     refused: int = 0
     """Events that the session did not use."""
-    _state_s: float = float("-inf")
-    _answer_s: float = float("-inf")
-    _states_sent_s: float = float("-inf")
+    _state_s: float = -inf
+    _answer_s: float = -inf
+    _states_sent_s: float = -inf
     _tool_arrived_s: float = float("nan")
-    _told_tick: int = -1
-    _told_s: float = 0.0
-    _state: GuidanceState | None = None
+    _began_s: float = float("nan")
+    _silent_s: float = 0.0
     _rearm_asked: bool = False
 
     def run(self, stop: threading.Event) -> None:
@@ -127,8 +112,7 @@ class LiveLoop:
 
     def step(self) -> None:
         """Take what has arrived, and answer where an answer is due."""
-        waiting = self._told_tick >= 0
-        arrivals = self.inbox.take(LOOK_S if waiting else STATE_EVERY_S, MOST_AT_ONCE)
+        arrivals = self.inbox.take(STATE_EVERY_S, MOST_AT_ONCE)
         tool_came = False
         for arrival in arrivals:
             for event in self.source.events(arrival):
@@ -142,8 +126,6 @@ class LiveLoop:
             self._rearm()
         if tool_came or now_s - self._state_s >= STATE_EVERY_S:
             self._advance()
-        if self._told_tick >= 0 and self._ticked():
-            self._answer()
 
     def _push(self, event: LiveEvent) -> bool:
         """Whether the event was of the tool."""
@@ -167,48 +149,44 @@ class LiveLoop:
         self.watch(event.event)
         return tool
 
+    @property
+    def running_share(self) -> float:
+        """Share of the time since the first state in which the session was not silent to its servo."""
+        whole_s = self._state_s - self._began_s
+        return 1.0 - self._silent_s / whole_s if whole_s > 0.0 else 1.0
+
     def _advance(self) -> None:
-        """A state, and what the servo is told of it."""
-        now_s = self._state_s = self.clock()
-        state = self._state = self.session.state(now_s)
-        self.record.state(state)
-        if not state.tool.hazard:
-            self.device.publish(state.tool.tip_tracker_mm, state.tool.velocity_mm_s, now_s)
-        self.servo.publish(
-            ServoInputs(
-                state.transform,
-                self.clock(),
-                STILL,
-                hazards=state.supervised.hazards,
-                tool_status=Status.STALE_TOOL if state.tool.hazard else Status.OK,
-                margin_mm=state.margin_mm,
-            )
-        )
-        if self._told_tick < 0 and now_s - self._answer_s >= 1.0 / ANSWERS_HZ - STATE_EVERY_S / 20:
-            self._told_tick, self._told_s = self.servo.ticks, now_s
-
-    def _ticked(self) -> bool:
-        """Whether the servo has run a whole tick with what it was told, or does not run."""
-        return self.servo.ticks >= self._told_tick + 2 or self.clock() - self._told_s > TICK_WITHIN_S
-
-    def _answer(self) -> None:
-        state = self._state
-        sent = self.servo.newest()
-        self._told_tick = -1
-        if state is None or sent is None:
+        """A state; its answer where one is due."""
+        state = self._next_state()
+        if state.now_s - self._answer_s < 1.0 / ANSWERS_HZ - STATE_EVERY_S / 20:
             return
+        if self.clock() - state.now_s <= OLDEST_STATE_S:
+            self._answer(state)
+
+    def _next_state(self) -> GuidanceState:
+        now_s = self.clock()
+        if self._state_s == -inf:
+            self._began_s = now_s
+        else:
+            self._silent_s += max(0.0, now_s - self._state_s - VALID_FOR_S)
+        self._state_s = now_s
+        state = self.session.state(now_s)
+        self.record.state(state)
+        return state
+
+    def _answer(self, state: GuidanceState) -> None:
         offset_s = self.source.tool_offset_s - self.session.clock_correction_s(ToolPose)
         stamp_s = max(0.0, state.now_s + offset_s)
-        messages = [*pose_message(state, stamp_s), force_message(sent.force_n, max(0.0, sent.t_s + offset_s))]
+        messages = [*pose_message(state, stamp_s), force_message(state.force_n, stamp_s)]
         if state.now_s - self._states_sent_s >= STATES_SENT_EVERY_S:
             self._states_sent_s = state.now_s
             problems = (self.source.problem(state.now_s), self.record.problem)
-            messages += state_messages(state, sent.state, sent.hazards, stamp_s, *problems)
+            messages += state_messages(state, stamp_s, *problems)
         self.link.send(messages)
         sent_s = self._answer_s = self.clock()
         latency_s, self._tool_arrived_s = sent_s - self._tool_arrived_s, float("nan")
-        self.record.answer(state, sent.t_s, sent.force_n)
-        self.observe(Answer(state, sent.t_s, sent.force_n, sent.state, sent.hazards, latency_s, offset_s))
+        self.record.answer(state)
+        self.observe(Answer(state, latency_s, offset_s))
 
     def _rearm(self) -> None:
         self._rearm_asked = False
@@ -216,7 +194,6 @@ class LiveLoop:
         self.record.event(event, None)
         self.session.push(event)
         self._advance()
-        self.servo.rearm()
 
 
 def no_more() -> list[LiveEvent]:

@@ -1,4 +1,4 @@
-"""A live session from its configuration: link, clocks, session, servo, and the threads that they need."""
+"""A live session from its configuration: link, clocks, session, and the threads that they need."""
 
 import threading
 import time
@@ -7,9 +7,6 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 
 from dvf_ig.core import InvalidInputError, Landmarks
-from dvf_ig.guidance import Fixtures
-from dvf_ig.guidance.devices.tracked import TrackedTool
-from dvf_ig.guidance.servo import Servo
 from dvf_ig.intake.live import EcgFieldConfig, LiveConfig
 from dvf_ig.session import Beside, Event, Landmark, Session, SessionHistory, SessionSetup
 
@@ -26,8 +23,6 @@ from .priority import answering_soon
 from .record import NO_RECORD, CountedWork, Record
 from .timed import LiveEvent
 
-LATE_S = 0.02
-"""No device holds the servo's force here: it is sent every 17 ms, and a servo that is later latches."""
 CUT_OFF = "the connection is ended because of a message that broke the protocol; connect again"
 EcgEvents = Callable[[], list[LiveEvent]]
 
@@ -68,24 +63,18 @@ def live_session(setup: SessionSetup, options: LiveOptions) -> Iterator[LiveLoop
         InvalidInputError: as `open_link`; names in `allow` that are no addresses.
     """
     config, inbox = options.config, Inbox()
-    fixtures = Fixtures(setup.heart.model, setup.fixtures)
-    device = TrackedTool()
     with ExitStack() as stack:
         executor = CountedWork(stack.enter_context(Beside(waits=False)), options.record)
         session = stack.enter_context(
             Session(setup, executor=executor, clock=time.perf_counter, history=options.history)
         )
         checksum(b"compiled or loaded before the first message")
-        servo = Servo(fixtures, device, limits=setup.device, watchdog=False, late_s=LATE_S)
-        stack.enter_context(servo)
         stack.enter_context(answering_soon())
         link = open_link(config, inbox)
         link.farewell = b"".join(map(encode, last_messages(CUT_OFF, None)))
         stack.enter_context(link)
         yield LiveLoop(
             session=session,
-            servo=servo,
-            device=device,
             source=EventSource(device_names(config), _ecg_of_peers(config), options.tell),
             inbox=inbox,
             link=link,

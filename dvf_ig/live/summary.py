@@ -51,9 +51,9 @@ class LiveSummary:
         """One answer that was sent."""
         self.answers += 1
         self.latency.add(answer.latency_s)
-        self.by_state[answer.servo.name] += 1
+        self.by_state[answer.state.supervisor.name] += 1
         self.by_status[answer.state.status] += 1
-        self.largest_n = max(self.largest_n, float(np.linalg.norm(answer.force_n)))
+        self.largest_n = max(self.largest_n, float(np.linalg.norm(answer.state.force_n)))
 
     def result(self, loop: LiveLoop) -> dict[str, Any]:
         """JSON values."""
@@ -75,7 +75,7 @@ class LiveSummary:
             "messages_refused": loop.source.refused + loop.refused,
             "messages_dropped_in": loop.inbox.dropped,
             "messages_dropped_out": loop.link.dropped,
-            "servo_run_share": loop.servo.deadlines.run_share,
+            "servo_run_share": loop.running_share,
         }
 
     def table(self, result: dict[str, Any]) -> list[tuple[str, ...]]:

@@ -115,7 +115,7 @@ class Landmark:
 
 @dataclass(frozen=True, slots=True)
 class Rearm:
-    """The operator asks for force again after the supervisor latched; see `Supervisor.rearm`."""
+    """The operator asks for force again after the supervisor latched; see `RearmAnswer`."""
 
     t_s: float
 

@@ -13,6 +13,7 @@ import numpy as np
 from dvf_ig.core import FloatArray
 from dvf_ig.guidance import DeviceLimits, FixtureSet, PoseAndPhase, Status
 from dvf_ig.guidance.margins import DistanceSigma, distance_sigma, isotropic, next_margin_mm
+from dvf_ig.guidance.servo import ServoTick
 from dvf_ig.guidance.supervision.supervisor import SLEW_SPEED_M_S
 
 from .pose.confirmation import AGEING_MM_PER_S
@@ -85,24 +86,21 @@ class MarginTracker:
     def update(
         self,
         now_s: float,
-        status: Status,
+        tick: ServoTick,
         transform: PoseAndPhase,
         tip_tracker_mm: FloatArray,
-        gradient_tracker: FloatArray,
-        rate_mm_per_cycle: float,
         pose_age_s: float,
     ) -> None:
         """Move towards what σ at the tip asks for; without a force the last target stays.
 
         Args:
-            status: of the fixtures; gradient_tracker: (3,) ∇d, tracker frame.
-            rate_mm_per_cycle: of the primary fixture; NaN of a path, which counts as unknown.
+            tick: of the servo now; without a rate, as for a path, σ counts as unknown.
         """
         dt_s = min(now_s - self._updated_s, 2.0 * UPDATE_S)
         self._updated_s = now_s
-        if status in (Status.OK, Status.NO_PHASE) and transform.pose is not None:
-            gradient = transform.pose.at(now_s).rotation @ gradient_tracker
-            rate = np.array([rate_mm_per_cycle])
+        if tick.status in (Status.OK, Status.NO_PHASE) and transform.pose is not None:
+            gradient = transform.pose.at(now_s).rotation @ tick.gradient
+            rate = np.array([tick.rate_mm_per_cycle])
             found = sigma_at(transform, tip_tracker_mm[None], now_s, gradient[None], rate, pose_age_s)
             self._wanted_mm = self._options.wanted_mm(float(found.total_mm[0]))
         self.margin_mm = np.array(

@@ -1,10 +1,10 @@
-"""One engine for the operating room and the replay: events in, pose and phase and a supervised force out.
+"""One engine for the operating room and the replay: events in, what the servo needs and its force out.
 
     ECG      R peaks ─► phase φ, its σ and state ─► T_d, retiming          heart_clock
     frames   gate ─► register, compare every beat ─► pose and its age      pose_tracker, ultrasound_source
     tool     newest pose ─► predicted tip                                  tool_tracker
              tip where frames should show it ─► calibrations in doubt      tip_watch
-    force    pose and phase ─► fixtures ─► supervisor                      guidance
+    force    pose, phase, hazards, margins ─► the servo's tick             guidance.servo
 
 A session is pushed events and asked for its state at moments in order. It knows no file, no network and no
 wall clock. An event counts from its stamp on: a state depends on nothing that is stamped later, so the same
@@ -19,14 +19,10 @@ from math import inf, nan
 from operator import attrgetter
 from types import TracebackType
 
-import numpy as np
-
 from dvf_ig.cardiac import retiming_curve
-from dvf_ig.core import FloatArray, InvalidInputError, PhaseState
-from dvf_ig.guidance import Fixtures, Hazard, PoseAndPhase, RearmAnswer, Status, Supervisor, hazard_of
-from dvf_ig.guidance.fixtures import CONFLICT, DISTANCE, FORCE, GRADIENT, RATE, TICK_OUTPUT
-from dvf_ig.guidance.phase_loss import FixturesOverTime
-from dvf_ig.kernels.place import MODEL_PHASE, PLACE_SIZE, TURN_RATE, place_tick
+from dvf_ig.core import InvalidInputError, PhaseState
+from dvf_ig.guidance import Fixtures, Hazard, PoseAndPhase, RearmAnswer, Status
+from dvf_ig.guidance.servo import TrackedServo
 from dvf_ig.registration import SliceThreads
 
 from .events import EcgSamples, Event, Landmark, Rearm, ToolPose, TrackedFrame, Trigger
@@ -39,18 +35,13 @@ from .pose.registration_monitor import RegistrationMonitor
 from .setup import SessionSetup
 from .source_clock import SourceClocks
 from .state import GuidanceState
-from .tool_tracker import ToolReading, ToolTracker
+from .tool_tracker import ToolTracker
 from .ultrasound.frame_buffer import FrameBuffer
 from .ultrasound.tip_watch import TipWatch
 from .ultrasound.ultrasound_source import ArrivedUltrasound, UltrasoundSource
 
 REMEMBERED = 200
 """Registrations, beats and updates that a session remembers unless it is given a history of its own."""
-
-_FOUND_BY_FIXTURES = (Status.OUT_OF_VOLUME, Status.FAULT)
-"""What only the fixtures know; any other status has its hazard already."""
-_UNPOSED = np.zeros((3, 4))
-"""The pose of a tick that gives no force."""
 
 
 def _no_clock() -> float:
@@ -93,15 +84,9 @@ class Session:
         self._sources = SourceClocks(setup.beat_source)
         self._tool = ToolTracker(setup.calibrations.tip)
         self._tip = TipWatch(self._frames, setup.calibrations, setup.fan)
-        fixtures = Fixtures(setup.heart.model, setup.fixtures)
-        self._fixtures = FixturesOverTime(fixtures)
+        self._servo = TrackedServo(Fixtures(setup.heart.model, setup.fixtures), limits=setup.device)
         self._margins = MarginTracker(setup.fixtures, setup.device)
-        self._fixtures.widen(self._margins.margin_mm)
-        self._supervisor = Supervisor(setup.device, walls=fixtures.walls)
         self._actions: list[Landmark | Rearm] = []
-        self._place = np.empty(PLACE_SIZE)
-        self._model_from_tracker = self._place[:TURN_RATE].reshape(3, 4)
-        self._point = np.empty(3)
         self._known: tuple[object, object, object] = (None, None, None)
         self._rearmed: RearmAnswer | None = None
         self._now_s = -inf
@@ -152,7 +137,7 @@ class Session:
         return self._sources.correction_s(kind)
 
     def state(self, now_s: float) -> GuidanceState:
-        """What is known at `now_s`, and the force to send then; the supervisor takes a step.
+        """What is known at `now_s`, and the force to send then; the servo ticks until then.
 
         Raises:
             InvalidInputError: `now_s` lies before an earlier one or is not finite.
@@ -169,19 +154,16 @@ class Session:
         self._clock.order.advance(now_s)
         self._update_transform(now_s)
         tool = self._tool.at(now_s)
-        hazards = self._hazards(now_s, tool.hazard)
-        status, out = self._evaluate(now_s, tool)
-        if status in _FOUND_BY_FIXTURES:
-            hazards |= hazard_of(status)
-        wanted_n = out[FORCE]
-        supervised = self._supervisor.step(now_s, wanted_n, hazards)
+        # a tool that is not known has no place in a pose; without a pose that is said first
+        posed = self._transform.pose is not None and now_s < self._transform.pose_until_s
+        tool_status = Status.STALE_TOOL if posed and tool.hazard else Status.OK
+        hazards, margin_mm = self._hazards(now_s, tool.hazard), self._margins.margin_mm
+        tip = None if tool.hazard else (tool.tip_tracker_mm, tool.velocity_mm_s)
+        tick = self._servo.step(now_s, self._transform, hazards, tool_status, margin_mm, tip)
         confirmation = self._pose.confirmation
         age_s = inf if confirmation is None else now_s - confirmation.confirmed_s
-        margin_mm = self._margins.margin_mm
         if self._margins.due(now_s):
-            tip_mm, rate = tool.tip_tracker_mm, out.item(RATE)
-            self._margins.update(now_s, status, self._transform, tip_mm, out[GRADIENT], rate, age_s)
-            self._fixtures.widen(self._margins.margin_mm)
+            self._margins.update(now_s, tick, self._transform, tool.tip_tracker_mm, age_s)
         return GuidanceState(
             now_s=now_s,
             transform=self._transform,
@@ -191,17 +173,13 @@ class Session:
             doubt=self._pose.monitor.doubt,
             tip_seen=self._tip.seen,
             registration=self.history.attempts[-1] if self.history.attempts else None,
-            model_phase=self._place.item(MODEL_PHASE),
+            model_phase=self._servo.model_phase,
             tool=tool,
             calibrations=self.setup.calibrations,
-            status=status,
-            wanted_n=wanted_n,
-            distance_mm=out.item(DISTANCE),
-            gradient=out[GRADIENT],
-            rate_mm_per_cycle=out.item(RATE),
-            conflict=out.item(CONFLICT) != 0.0,
+            hazards=hazards,
+            tool_status=tool_status,
             margin_mm=margin_mm,
-            supervised=supervised,
+            tick=tick,
             rearmed=self._rearmed,
         )
 
@@ -223,7 +201,7 @@ class Session:
         if isinstance(action, Landmark):
             self._pose.add_landmark(action)
         else:
-            self._rearmed = self._supervisor.rearm(max(action.t_s, stepped_s))
+            self._rearmed = self._servo.rearm(max(action.t_s, stepped_s))
 
     def _take_peak(self, stepped_s: float) -> None:
         """A peak whose samples came late is known from now on: nothing begins in the past."""
@@ -256,7 +234,6 @@ class Session:
             center_mm=heart.center_mm,
             pose_until_s=-inf if confirmation is None else confirmation.until_s,
         )
-        self._packed = self._transform.packed.copy()
 
     def _hazards(self, now_s: float, tool: Hazard) -> Hazard:
         """What is wrong with pose, phase, tracking and time at this moment."""
@@ -292,16 +269,3 @@ class Session:
             self._threads,
             executor,
         )
-
-    def _evaluate(self, now_s: float, tool: ToolReading) -> tuple[Status, FloatArray]:
-        """Fill the place with pose and phase; the fixtures' output there, read-only."""
-        status, out = place_tick(self._packed, now_s, self._place), np.empty(TICK_OUTPUT)
-        posed = status in (Status.OK, Status.NO_PHASE)
-        if posed and tool.hazard:
-            status, posed = Status.STALE_TOOL, False
-        pose = self._model_from_tracker if posed else _UNPOSED
-        self._point[:] = tool.tip_tracker_mm
-        phase = self._place.item(MODEL_PHASE)
-        found = self._fixtures.tick(now_s, pose, self._point, phase, int(status), out)
-        out.setflags(write=False)
-        return Status(found), out

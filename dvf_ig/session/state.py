@@ -1,18 +1,21 @@
-"""What a session knows at one moment, and the force that follows from it."""
+"""What a session knows at one moment, and the tick of the servo that follows from it."""
 
 from dataclasses import dataclass
-from math import nan
 
-import numpy as np
-
-from dvf_ig.core import FloatArray, PhaseReading, read_only_arrays
-from dvf_ig.guidance import PoseAndPhase, RearmAnswer, Status, SupervisedForce, SupervisorState
+from dvf_ig.core import FloatArray, PhaseReading, Rigid, read_only_arrays
+from dvf_ig.guidance import Hazard, PoseAndPhase, RearmAnswer, Status, SupervisedForce, SupervisorState
+from dvf_ig.guidance.servo import ServoInputs, ServoTick
 from dvf_ig.registration import PoseEstimate, TipSighting
 
 from .calibrations import CalibrationsInUse
 from .refusal import Doubt
 from .tool_tracker import ToolReading
 from .ultrasound.frame_registration import RegistrationRecord
+
+OF_TRACKER = (
+    Hazard.STALE_TOOL | Hazard.TOOL_LOST | Hazard.TOOL_FROZEN | Hazard.LATENCY_JUMP | Hazard.TOOL_CONTRADICTED
+)
+"""Hazards of a tool that a tracker sees; a haptic device's own encoders do not have them."""
 
 
 @read_only_arrays
@@ -31,16 +34,8 @@ class GuidanceState:
         model_phase: place in the model's cycle; NaN where the phase is not locked.
         tool: the tool's tip, or why it is not known.
         calibrations: that are in use.
-        status: of the fixtures; anything but OK goes with no wanted force, but for the worst-phase walls of
-            NO_PHASE.
-        wanted_n: (3,) force of the fixtures, frame "tracker".
-        distance_mm: signed distance of the primary fixture, positive inside; at NO_PHASE of the first wall at
-            its worst phase; else NaN unless OK.
-        gradient: (3,) of that distance, frame "tracker".
-        rate_mm_per_cycle: its change with the model's phase; zero at NO_PHASE, NaN of a path.
-        conflict: fixtures oppose each other.
-        margin_mm: (k,) by which each fixture is widened; what a servo is told (`ServoInputs.margin_mm`).
-        supervised: the force to send, and the supervisor's state with what it found.
+        hazards, tool_status, margin_mm: that the session publishes to its servo now (`ServoInputs`).
+        tick: of the session's servo at this moment.
         rearmed: answer to the operator's last re-arm; None before any.
     """
 
@@ -55,14 +50,10 @@ class GuidanceState:
     model_phase: float
     tool: ToolReading
     calibrations: CalibrationsInUse
-    status: Status
-    wanted_n: FloatArray
-    distance_mm: float
-    gradient: FloatArray
-    rate_mm_per_cycle: float
-    conflict: bool
+    hazards: Hazard
+    tool_status: Status
     margin_mm: FloatArray
-    supervised: SupervisedForce
+    tick: ServoTick
     rearmed: RearmAnswer | None
 
     @property
@@ -70,23 +61,61 @@ class GuidanceState:
         """Phase of the beat, its standard deviation, predicted RR and state."""
         return self.transform.phase.at(self.now_s)
 
+    def inputs(self, tracker_from_device: Rigid) -> ServoInputs:
+        """What a servo of its own is published for a haptic device, whose encoders say where the tool is."""
+        own = self.hazards & ~OF_TRACKER
+        return ServoInputs(
+            self.transform, self.now_s, tracker_from_device, hazards=own, margin_mm=self.margin_mm
+        )
+
+    @property
+    def status(self) -> Status:
+        """Of the fixtures; anything but OK goes with no wanted force, but for the walls of NO_PHASE."""
+        return self.tick.status
+
+    @property
+    def wanted_n(self) -> FloatArray:
+        """(3,) N, frame "tracker": what fixtures and passivity controller ask for, before the supervisor."""
+        return self.tick.wanted_n
+
+    @property
+    def distance_mm(self) -> float:
+        """Signed distance of the primary fixture, positive inside (`ServoTick`)."""
+        return self.tick.distance_mm
+
+    @property
+    def gradient(self) -> FloatArray:
+        """(3,) of the distance, frame "tracker"."""
+        return self.tick.gradient
+
     @property
     def distance_sigma_mm(self) -> float:
-        """Standard deviation of the distance by those of pose and phase; NaN where either is not known."""
-        place = self.transform.at(self.tool.tip_tracker_mm[None], self.now_s)
-        if self.transform.pose is None:
-            return nan
-        gradient_mr = self.transform.pose.at(self.now_s).rotation @ self.gradient
-        return float(place.distance_sigma_mm(gradient_mr[None], np.array([self.rate_mm_per_cycle]))[0])
+        """Standard deviation of the distance by those of pose and phase; NaN if either is not known."""
+        return self.tick.sigma_mm
+
+    @property
+    def rate_mm_per_cycle(self) -> float:
+        """Change of the distance with the model's phase; zero at NO_PHASE, NaN of a path."""
+        return self.tick.rate_mm_per_cycle
+
+    @property
+    def conflict(self) -> bool:
+        """Whether fixtures oppose each other."""
+        return self.tick.conflict
+
+    @property
+    def supervised(self) -> SupervisedForce:
+        """The force to send, and the supervisor's state with what it met."""
+        return self.tick.supervised
 
     @property
     def force_n(self) -> FloatArray:
         """(3,) N, frame "tracker": the force to send."""
-        return self.supervised.force_n
+        return self.tick.sent_n
 
     @property
     def supervisor(self) -> SupervisorState:
-        return self.supervised.state
+        return self.tick.state
 
     @property
     def reasons(self) -> tuple[str, ...]:

@@ -39,7 +39,7 @@ from dvf_ig.live.serve import LiveOptions, SessionThread, live_session
 from dvf_ig.live.summary import LiveSummary
 from dvf_ig.replay import Replay, run_replay
 from dvf_ig.replay.events import events_of
-from dvf_ig.replay.operator import REARM_AFTER_S, SimulatedOperator
+from dvf_ig.replay.operator import SimulatedOperator
 from dvf_ig.replay.result.score import pose_errors_mm
 from dvf_ig.session import EcgSource, RegistrationRecord, Session, SessionHistory, SessionSetup
 from dvf_ig.study.driver import Driver, Result, Rows, Study, option
@@ -137,12 +137,12 @@ def _taken(
     config: LiveConfig, setup: SessionSetup, landmarks: tuple[Landmarks, Landmarks] | None, child: Connection
 ) -> LiveRun:
     answers: list[Answer] = []
-    history, summary, operator = SessionHistory(), LiveSummary(), _Operator()
+    history, summary, operator = SessionHistory(), LiveSummary(), SimulatedOperator()
 
     def observe(answer: Answer) -> None:
         answers.append(answer)
         summary.add(answer)
-        if operator.rearms(answer):
+        if operator.action(answer.state) is not None:
             loop.ask_rearm()
 
     options = LiveOptions(config, landmarks=landmarks, observe=observe, history=history)
@@ -160,28 +160,6 @@ def _taken(
 
 def _offset_s(loop: LiveLoop) -> float:
     return loop.source.tool_offset_s - ORIGIN_S
-
-
-class _Operator:
-    """The operator of a replay, who re-arms the servo as well as the session."""
-
-    def __init__(self) -> None:
-        self._session = SimulatedOperator()
-        self._latched_s: float | None = None
-
-    def rearms(self, answer: Answer) -> bool:
-        if self._session.action(answer.state) is not None:
-            return True
-        latched = answer.servo is SupervisorState.LATCHED
-        if not latched or answer.state.supervisor > SupervisorState.DEGRADED:
-            self._latched_s = None
-            return False
-        if self._latched_s is None:
-            self._latched_s = answer.t_s
-        if answer.t_s - self._latched_s < REARM_AFTER_S:
-            return False
-        self._latched_s = answer.t_s
-        return True
 
 
 @read_only_arrays
@@ -266,10 +244,10 @@ def samples_of(run: LiveRun) -> LiveSamples:
             poses[i] = transform.pose.matrices(np.array([now_s]))[0]
     return LiveSamples(
         state_s=np.array([a.state.now_s for a in answers]) + run.offset_s,
-        servo_s=np.array([a.t_s for a in answers]) + run.offset_s,
-        force_n=np.array([a.force_n for a in answers]),
+        servo_s=np.array([a.state.now_s for a in answers]) + run.offset_s,
+        force_n=np.array([a.state.force_n for a in answers]),
         session_n=np.array([a.state.force_n for a in answers]),
-        servo=np.array([int(a.servo) for a in answers]),
+        servo=np.array([int(a.state.supervisor) for a in answers]),
         supervisor=np.array([int(a.state.supervisor) for a in answers]),
         status=np.array([int(a.state.status) for a in answers]),
         mr_from_tracker=poses,

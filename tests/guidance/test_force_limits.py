@@ -32,7 +32,6 @@ from dvf_ig.guidance.servo.loop_arrays import LoopArrays
 from dvf_ig.kernels.dynamic import force_batch, force_tick
 from dvf_ig.kernels.fixture_field import LAW
 from dvf_ig.kernels.laws import LARGEST_FORCE_N
-from dvf_ig.kernels.servo import supervision
 from dvf_ig.kernels.servo import tick as kernel
 from dvf_ig.study.passivity import steady_transform
 
@@ -150,11 +149,10 @@ def test_the_servo_sends_no_more_than_the_ceiling_whatever_its_numbers_say(ball,
     servo = SimulatedServo(fixtures, inside, options=ServoOptions(residual_limit_mj=1e12))
     loop: LoopArrays = servo._loop
     bound = loop.bound
-    bound[2][:, LAW + 3] = spoilt  # the packed law's cap
-    bound[3][0] = spoilt  # the cap of composition
-    bound[4][kernel.CAP_N] = spoilt
-    bound[4][kernel.FRICTION_N] = spoilt
-    bound[5][supervision.SLEW] = bound[5][supervision.SLOW_SLEW] = 1e9
+    bound.packed[:, LAW + 3] = spoilt  # the packed law's cap
+    settings = bound.settings
+    settings["fixtures"]["cap_n"] = settings["cap_n"] = settings["friction_n"] = spoilt
+    settings["limits"]["slew_n_per_s"] = settings["limits"]["slow_slew_n_per_s"] = 1e9
     servo.run(
         ServoInputs(steady_transform(ball), 0.0, Rigid.identity("tracker", "device"), valid_for_s=9.0), 3000
     )

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from readable_walls import worst_phase_forces
 
 from dvf_ig.cardiac import retiming_curve
 from dvf_ig.core import (
@@ -20,7 +21,6 @@ from dvf_ig.core import (
     Rigid,
 )
 from dvf_ig.guidance import Evaluator, Gaussian, PoseAndPhase, Sigmoid, Status
-from dvf_ig.guidance.margins import worst_phase_forces
 from dvf_ig.registration import PoseChart
 
 vectors = st.tuples(*[st.floats(-3.0, 3.0)] * 3)

@@ -31,32 +31,32 @@ def test_place_is_its_readable_twin(turn, shift, phi, cycles, knots):
     )
     curve = RetimingCurve(*knots)
     packed = kernels.packed_pose_and_phase(motion, math.inf, phase, curve, None, np.zeros(3))
-    place = np.empty(kernels.PLACE_SIZE)
+    place = np.zeros(1, kernels.PLACE)
     t = np.concatenate([np.linspace(9.9, 12.0, 23), [10.0, motion.end_s]])
     readings, poses = phase.at_many(t), motion.matrices(t)
     for k, t_s in enumerate(t.tolist()):
         inside = 9.9 <= t_s <= 12.0
-        assert kernels.place_tick(packed, t_s, place) == (code.OK if inside else code.NO_PHASE)
-        np.testing.assert_allclose(place[:12].reshape(3, 4), poses[k], atol=1e-12, rtol=1e-12)
-        velocity = np.cross(place[12:15], CENTER_MM + 30.0) + place[15:18]
+        assert kernels.place_tick(packed[0], t_s, place[0]) == (code.OK if inside else code.NO_PHASE)
+        np.testing.assert_allclose(place["model_from_tracker"][0], poses[k], atol=1e-12, rtol=1e-12)
+        velocity = np.cross(place["turn_rate"][0], CENTER_MM + 30.0) + place["origin_velocity"][0]
         expected = motion.velocity_mm_s((CENTER_MM + 30.0)[None], t[k : k + 1])[0]
         np.testing.assert_allclose(velocity, expected, atol=1e-9)
         if inside:
             slope = float(curve.slope(readings.phi[k]))
             rate, sigma = slope * readings.rate_hz[k], slope * readings.sigma_phi[k]
-            np.testing.assert_allclose(
-                place[18:], [curve.at(readings.phi[k]), rate, sigma], atol=1e-12, rtol=1e-12
-            )
+            found = [place[f"model_phase{what}"][0] for what in ("", "_rate", "_sigma")]
+            expected = [curve.at(readings.phi[k]), rate, sigma]
+            np.testing.assert_allclose(found, expected, atol=1e-12, rtol=1e-12)
 
 
 def test_what_is_not_known_is_not_a_number():
     phase = PhaseForecast(9.9, 12.0, PhaseState.LOCKED, PhaseState.LOST, 0.1, 9.8, 0.0, 0.7, 0.06, 3.0, 0.005)
-    curve, place = RetimingCurve.uniform(), np.zeros(kernels.PLACE_SIZE)
+    curve, place = RetimingCurve.uniform(), np.zeros(1, kernels.PLACE)
 
     def status_and_known(pose, until_s, t_s):
         packed = kernels.packed_pose_and_phase(pose, until_s, phase, curve, None, np.zeros(3))
-        found = kernels.place_tick(packed, t_s, place)
-        return found, bool(np.isfinite(place[:18]).all()), bool(np.isfinite(place[18:]).all())
+        found, numbers = kernels.place_tick(packed[0], t_s, place[0]), place.view(np.float64)
+        return found, bool(np.isfinite(numbers[:18]).all()), bool(np.isfinite(numbers[18:]).all())
 
     still = PoseMotion.still(START)
     assert status_and_known(still, math.inf, 10.0) == (code.OK, True, True)

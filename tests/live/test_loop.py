@@ -13,6 +13,7 @@ from live_toy import LATENCY_S, ORIGIN_S, LiveToy, arrival, arrivals_of
 from toy_session import GUIDED_S, HOME, run, toy_setup, toy_streams
 
 from dvf_ig.guidance import Hazard, Status, SupervisorState
+from dvf_ig.guidance.servo.inputs import VALID_FOR_S
 from dvf_ig.live.igtl import (
     Message,
     StatusCode,
@@ -54,15 +55,12 @@ def without(arrivals: list[Arrival], device: str, from_s: float, until_s: float)
 
 
 def loop_of(toy: LiveToy) -> Any:
-    """The loop with the counts of a link and a servo that run."""
-    link = SimpleNamespace(connections=1, turned_away=0, dropped=0)
-    servo = SimpleNamespace(deadlines=SimpleNamespace(run_share=1.0))
-    return replace(toy.loop, link=link, servo=servo)
+    """The loop with the counts of a link that runs."""
+    return replace(toy.loop, link=SimpleNamespace(connections=1, turned_away=0, dropped=0))
 
 
 def states(toy: LiveToy, from_s: float, until_s: float) -> list[SupervisorState]:
-    """Of the servo's supervisor, which has the last word."""
-    return [a.servo for a in toy.answers if from_s < a.state.now_s < until_s]
+    return [a.state.supervisor for a in toy.answers if from_s < a.state.now_s < until_s]
 
 
 @pytest.mark.usefixtures("known_images")
@@ -82,13 +80,6 @@ def test_live_session_says_what_a_session_that_is_pushed_says(clean):
     assert clean.told == []
 
 
-def test_servo_gives_the_force_of_the_session(clean):
-    steady = [a for a in clean.answers if a.state.now_s > UNTIL_S - 1.0]
-    assert {a.servo for a in steady} == {SupervisorState.OK}
-    apart = [np.linalg.norm(a.force_n - a.state.force_n) for a in steady]
-    assert np.median(apart) < 0.02 < np.median([np.linalg.norm(a.force_n) for a in steady])
-
-
 def test_answers_are_what_slicer_and_plus_expect(clean):
     """The pose takes the tracker's coordinates as they came to RAS; the force lies along its axes."""
     pose, force = clean.sent.named("MrFromTracker")[-1], clean.sent.named("ToolForce")[-1]
@@ -96,7 +87,7 @@ def test_answers_are_what_slicer_and_plus_expect(clean):
     assert isinstance(force.content, Transform)
     np.testing.assert_allclose(pose.content.matrix, RAS_FROM_LPS @ HOME.matrix, atol=0.2)
     answer = clean.answers[-1]
-    np.testing.assert_array_equal(force.content.matrix[:3, 3], answer.force_n)
+    np.testing.assert_array_equal(force.content.matrix[:3, 3], answer.state.force_n)
     np.testing.assert_array_equal(force.content.matrix[:3, :3], np.eye(3))
     assert force.stamp_s is not None
     assert abs(force.stamp_s - ORIGIN_S - UNTIL_S) < 0.05
@@ -132,9 +123,9 @@ def test_lost_tool_fades_and_comes_back(toy):
     assert SupervisorState.OK in states(toy, 13.3, 13.5)
     assert states(toy, 13.65, 13.9)[0] is SupervisorState.FADE
     gone = [a for a in toy.answers if 13.85 < a.state.now_s < 13.9]
-    assert all(np.linalg.norm(a.force_n) == 0.0 for a in gone)
+    assert all(np.linalg.norm(a.state.force_n) == 0.0 for a in gone)
     assert states(toy, 15.0, 15.5)[-1] is SupervisorState.OK
-    assert np.linalg.norm(toy.answers[-1].force_n) > 0.02
+    assert np.linalg.norm(toy.answers[-1].state.force_n) > 0.02
 
 
 def test_tool_that_was_long_gone_needs_the_operator(toy):
@@ -163,19 +154,24 @@ def test_tool_pose_that_is_not_finite_latches(toy):
     assert "not finite" in toy.told[0]
 
 
-def test_a_latch_that_the_servo_found_keeps_its_reason_until_it_is_rearmed(toy):
+@pytest.mark.parametrize(("stopped_s", "latched"), [(0.06, False), (0.4, False), (1.3, True)])
+def test_a_session_that_was_stopped_sends_no_old_force(toy, stopped_s, latched):
+    """What was sent before fades from 0.1 s of silence on, and is latched after a second of it."""
     arrivals = streams_of(15.5)
     toy.run(arrivals, 13.5)
-    assert toy.answers[-1].servo is SupervisorState.OK
-    toy.servo.late_s = 0.0021
+    before = toy.answers[-1]
+    assert before.state.supervisor is SupervisorState.OK
+    toy.now_s = round(toy.now_s + stopped_s, 9)
     toy.run(arrivals, 15.5)
-    latched = [a for a in toy.answers if a.servo is SupervisorState.LATCHED]
-    assert len(latched) > 90
-    assert all(a.hazards & Hazard.MISSED_DEADLINES for a in latched)
-    status = toy.sent.named("DvfIg")[-1].content
-    assert isinstance(status, StatusMessage)
-    assert status.code == StatusCode.DISABLED
-    assert "late" in status.text
+    first = toy.answers[toy.answers.index(before) + 1].state
+    size_n, old_n = np.linalg.norm(first.force_n), np.linalg.norm(before.state.force_n)
+    silent = stopped_s > VALID_FOR_S
+    assert size_n < 0.5 * old_n if silent else size_n > 0.5 * old_n
+    last = toy.answers[-1].state
+    assert (last.supervisor is SupervisorState.LATCHED) == latched
+    assert last.force_n.any() != latched
+    assert any("session" in reason for reason in last.reasons) == latched
+    assert (toy.loop.running_share < 1.0) == silent
 
 
 def test_lost_ecg_loses_the_phase_and_finds_it_again(toy):
@@ -190,7 +186,7 @@ def test_pose_that_ultrasound_confirms_no_more_is_withheld(toy):
     arrivals = without(streams_of(20.0), "Image_Tracker", 13.0, 99.0)
     toy.run(arrivals, 20.0)
     assert toy.answers[-1].state.supervised.hazards & Hazard.POSE_UNCONFIRMED
-    assert np.linalg.norm(toy.answers[-1].force_n) == 0.0
+    assert np.linalg.norm(toy.answers[-1].state.force_n) == 0.0
     last = toy.sent.named("MrFromTracker")[-1].stamp_s
     assert last is not None
     assert last - ORIGIN_S < 19.0
@@ -274,7 +270,7 @@ def test_a_peer_whose_clock_restarts_comes_back_when_the_operator_re_arms(toy):
     toy.run(arrivals, 20.0)
     gone = [a for a in toy.answers if 13.5 < a.state.now_s < 14.5]
     assert all(a.state.supervised.hazards & Hazard.CLOCK_BACKWARDS for a in gone)
-    assert not np.any([a.force_n for a in gone])
+    assert not np.any([a.state.force_n for a in gone])
     assert states(toy, 18.0, 20.0)[-1] is SupervisorState.LATCHED
     assert not toy.answers[-1].state.supervised.hazards & (Hazard.CLOCK_BACKWARDS | Hazard.STALE_TOOL)
     assert toy.loop.refused > 300
@@ -291,7 +287,7 @@ def test_one_stamp_ten_seconds_ahead_disables_nothing(toy, device):
         (arrivals[at],) = restamped([arrivals[at]], 10.0, 0.0)
     toy.run(arrivals, 16.0)
     assert states(toy, 15.0, 16.0)[-1] is SupervisorState.OK
-    assert np.linalg.norm(toy.answers[-1].force_n) > 0.02
+    assert np.linalg.norm(toy.answers[-1].state.force_n) > 0.02
 
 
 def test_two_programs_that_send_the_tool_fade_and_latch(toy):
@@ -300,7 +296,7 @@ def test_two_programs_that_send_the_tool_fade_and_latch(toy):
     other = [a._replace(peer="other", arrived_s=a.arrived_s + 0.003) for a in tools if a.arrived_s > 12.0]
     toy.run(sorted(arrivals + other, key=lambda a: a.arrived_s), 16.0)
     assert SupervisorState.OK in states(toy, 12.5, 13.0)
-    assert np.linalg.norm(toy.answers[-1].force_n) == 0.0
+    assert np.linalg.norm(toy.answers[-1].state.force_n) == 0.0
     assert states(toy, 15.0, 16.0)[-1] is SupervisorState.LATCHED
     assert "other and plus both send the tool" in toy.sent.named("DvfIg")[-1].content.text
 

@@ -31,9 +31,7 @@ from dvf_ig.guidance import (
     FixtureOptions,
     FixtureSet,
     Gaussian,
-    Hazard,
     PathTarget,
-    SupervisorState,
 )
 from dvf_ig.guidance.margins import MarginOptions
 from dvf_ig.intake.live import EcgFieldConfig, LiveConfig
@@ -258,7 +256,7 @@ def test_full_disk_ends_the_record_and_is_told_but_the_session_goes_on() -> None
     assert told == [record.problem]
     assert "No space left" in told[0]
     assert "session goes on" in told[0]
-    status, text = state_messages(state, SupervisorState.OK, Hazard.NONE, 1.0, record.problem)
+    status, text = state_messages(state, 1.0, record.problem)
     assert isinstance(status.content, Status)
     assert "No space left" in status.content.text
     assert record.problem in json.loads(text.content.text)["reasons"]  # type: ignore[union-attr]

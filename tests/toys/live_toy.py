@@ -1,4 +1,4 @@
-"""A live loop in simulated time: the toy's streams as messages with a latency, a servo run step by step."""
+"""A live loop in simulated time: the toy's streams as messages with a latency."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
@@ -6,13 +6,9 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from toy_session import ECG_HZ, Streams, toy_setup
+from toy_session import ECG_HZ, Streams
 
 from dvf_ig.core import FloatArray
-from dvf_ig.guidance import Fixtures
-from dvf_ig.guidance.devices.tracked import TrackedTool
-from dvf_ig.guidance.servo import SentForce, ServoInputs, ServoRecord, SimulatedServo
-from dvf_ig.guidance.servo.simulated_time import START_NS
 from dvf_ig.live.devices import DeviceNames
 from dvf_ig.live.ecg.field import EcgField
 from dvf_ig.live.events import EventSource
@@ -34,44 +30,6 @@ class ReadyInbox(Inbox):
 
     def take(self, wait_s: float, most: int = MOST) -> list[Arrival]:
         return super().take(0.0, most)
-
-
-class _Tip(TrackedTool):
-    """By the simulated servo's clock."""
-
-    def publish(self, tip_mm: FloatArray, velocity_mm_s: FloatArray, clock_s: float) -> None:
-        super().publish(tip_mm, velocity_mm_s, clock_s + START_NS * 1e-9)
-
-
-class SteppedServo:
-    """The servo's own ticks, run up to a time."""
-
-    def __init__(self, device: TrackedTool) -> None:
-        setup = toy_setup()
-        fixtures = Fixtures(setup.heart.model, setup.fixtures)
-        self._servo = SimulatedServo(fixtures, device, limits=setup.device)
-        self._inputs: ServoInputs | None = None
-        self._record = ServoRecord(np.zeros((0, 0)))
-        self.ticks = 0
-        self.late_s = 0.0
-        """By which the first three ticks of the next run wake late."""
-
-    def publish(self, inputs: ServoInputs) -> None:
-        self._inputs = inputs
-
-    def run_until(self, now_s: float) -> None:
-        count = round((now_s - self._servo.now_s) * 1000)
-        if self._inputs is not None and count > 0:
-            late_s = np.zeros(count)
-            late_s[:3], self.late_s = self.late_s, 0.0
-            self._record = self._servo.run(self._inputs, count, late_s)
-            self.ticks += count
-
-    def newest(self) -> SentForce | None:
-        return self._record.newest()
-
-    def rearm(self) -> None:
-        self._servo.ask_rearm()
 
 
 @dataclass
@@ -96,14 +54,10 @@ class LiveToy:
         self.now_s, self.sent = 0.0, Sent()
         self.told: list[str] = []
         self.answers: list[Answer] = []
-        device, self.inbox = _Tip(), ReadyInbox()
-        self.servo = SteppedServo(device)
+        self.inbox = ReadyInbox()
         link: Any = self.sent
-        servo: Any = self.servo
         self.loop = LiveLoop(
             session=session,
-            servo=servo,
-            device=device,
             source=EventSource(NAMES, EcgField("EcgData", ECG_HZ), self.told.append),
             inbox=self.inbox,
             link=link,
@@ -121,9 +75,6 @@ class LiveToy:
             while waiting and waiting[0].arrived_s <= self.now_s:
                 self.inbox.put(waiting.pop(0))
             self.loop.step()
-            self.servo.run_until(self.now_s + 0.003)
-            self.loop.step()
-            self.servo.run_until(self.now_s + STEP_S)
 
 
 def arrivals_of(streams: Streams, *, latency_s: float = LATENCY_S) -> list[Arrival]:

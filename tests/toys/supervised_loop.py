@@ -1,8 +1,9 @@
 """A supervisor stepped once a millisecond, and the forces that tests ask of it."""
 
 import numpy as np
+from readable_supervisor import Supervisor
 
-from dvf_ig.guidance import Hazard, Supervisor, SupervisorState
+from dvf_ig.guidance import Hazard, SupervisorState
 
 TICK_S = 0.001
 CAP = 0.6

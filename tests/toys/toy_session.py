@@ -189,7 +189,7 @@ def bits(state: GuidanceState) -> tuple[object, ...]:
         *state.wanted_n,
         *state.gradient,
         *state.tool.tip_tracker_mm,
-        *state.transform.packed,
+        *state.transform.packed.view(np.float64),
     ]
     estimate, last = state.estimate, state.registration
     return (

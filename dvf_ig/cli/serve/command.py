@@ -225,8 +225,6 @@ def _run_session(
 def _tell_where(live: "LiveConfig", loop: "LiveLoop") -> None:
     where = f"{live.host}:{loop.link.port or live.port}"
     typer.echo(f"listening at {where}" if live.role == "server" else f"connecting to {where}", err=True)
-    if not loop.servo.realtime:
-        warn("this machine gives the servo no real-time priority; under load it may latch for being late")
 
 
 def _run(loop: "LiveLoop", seconds: float | None) -> None:

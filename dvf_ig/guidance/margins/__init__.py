@@ -1,8 +1,7 @@
-"""Uncertainty-aware margins: σ of the distance by cause, widened laws, walls without a phase."""
+"""Uncertainty-aware margins: σ of the distance by cause, widened laws."""
 
 from .distance_sigma import DistanceSigma, distance_sigma, isotropic
 from .margin import MarginMode, MarginOptions, next_margin_mm, widened
-from .worst_phase import worst_phase_forces
 
 __all__ = [
     "DistanceSigma",
@@ -12,5 +11,4 @@ __all__ = [
     "isotropic",
     "next_margin_mm",
     "widened",
-    "worst_phase_forces",
 ]

@@ -5,6 +5,8 @@ from .inputs import ServoInputs as ServoInputs
 from .options import ServoOptions as ServoOptions
 from .record import SentForce as SentForce
 from .record import ServoRecord as ServoRecord
+from .record import ServoTick as ServoTick
 from .servo import Servo as Servo
 from .simulated_time import SimulatedServo as SimulatedServo
 from .simulated_time import simulate as simulate
+from .tracked import TrackedServo as TrackedServo

@@ -1,4 +1,4 @@
-"""A patient's model, fixtures and a device in the arrays of the servo's kernels."""
+"""A patient's model, fixtures and a device as arguments of the servo's kernels."""
 
 import math
 from typing import Any, NamedTuple
@@ -32,11 +32,10 @@ from dvf_ig.guidance.supervision.supervisor import (
     SLOW_SLEW_N_PER_S,
     RearmAnswer,
 )
-from dvf_ig.kernels.fixture_field import DEPTH, LAW
+from dvf_ig.guidance.targets import PathFixture
+from dvf_ig.kernels.fixture_field import BLEND_PATH, DEPTH, LAW, packed_fixture
 from dvf_ig.kernels.servo import supervision
-from dvf_ig.kernels.servo import tick as kernel
-from dvf_ig.kernels.servo.fixtures import FIXTURE_SIZE
-from dvf_ig.kernels.servo.published import MAX_FIXTURES
+from dvf_ig.kernels.servo.layout import MAX_FIXTURES, SETTINGS, Bound
 
 from .options import ServoOptions
 
@@ -49,20 +48,8 @@ REARM_ANSWERS = {
 }
 
 
-class Bound(NamedTuple):
-    """Leading arguments of `servo_tick`."""
-
-    linear: Any
-    periodic: Any
-    packed: FloatArray
-    fixtures: FloatArray
-    constants: FloatArray
-    limits: FloatArray
-    codes: Any
-
-
 class TickConstants(NamedTuple):
-    """Constants of a tick, in the order of `dvf_ig.kernels.servo.tick`; damping in N·s/mm."""
+    """Constants of a tick, as in `SETTINGS`; damping in N·s/mm."""
 
     period_s: float
     cap_n: float
@@ -77,78 +64,74 @@ class TickConstants(NamedTuple):
     delay_ticks: int
 
 
-class Scratch(NamedTuple):
-    """Trailing arguments of `servo_tick` but for the record and the force."""
-
-    memory: FloatArray
-    first: FloatArray
-    forces: FloatArray
-    work: FloatArray
-    order: FloatArray
-    composed: FloatArray
-    other: FloatArray
-    vectors: FloatArray
-
-
 def bind_fixtures(fixtures: Fixtures, device: DeviceLimits, options: ServoOptions, latency_s: float) -> Bound:
     """Everything that stays the same while a servo runs.
 
     Args:
-        fixtures: on the patient's surface.
+        fixtures: on the patient's surface, or to a path.
         device: its limits; the stiffness gives the slew limit, and no fixture exceeds its continuous force.
         options: of the servo.
         latency_s: of the device (`HapticDevice.latency_s`).
     Raises:
-        InvalidInputError: a path among the fixtures, too many of them, or a larger force than the device's.
+        InvalidInputError: too many fixtures, or a larger force than the device's.
     """
     device.require_force("the largest force of the fixtures", fixtures.options.joint_cap_n)
-    parts = [part for part in fixtures.parts if isinstance(part, Evaluator)]
-    if len(parts) < len(fixtures.parts):
-        raise InvalidInputError(
-            "the servo renders fixtures on the model's surface; one of these guides to a path: leave it out"
-        )
+    parts = fixtures.parts
     if len(parts) > MAX_FIXTURES:
         raise InvalidInputError(f"{len(parts)} fixtures given; the servo renders up to {MAX_FIXTURES}")
-    rows = [_packed(part) for part in parts]
+    rows = [_packed(part, fixtures) for part in parts]
     packed = np.zeros((len(rows), max(len(row) for row in rows)))
     for i, row in enumerate(rows):
         packed[i, : len(row)] = row
     nothing = np.zeros((0, 4, 4, 4), dtype=np.float32)
-    linear = [part.coefficients for part in parts if part.blend != "periodic"]
-    periodic = [part.coefficients for part in parts if part.blend == "periodic"]
-    constants = np.zeros((FIXTURE_SIZE, len(rows)))
-    for i, part in enumerate(parts):
-        guiding, confining = isinstance(part.law, Gaussian), isinstance(part.law, Confinement)
-        constants[:, i] = (
-            part.law.cap_n,
-            0.0 if guiding else 1.0,
-            packed[i, LAW + 1],
-            packed[i, DEPTH],
-            1.0 if guiding else 0.0,
-            0.0 if guiding else (1.0 if confining else -1.0),
-        )
+    surfaces = [part for part in parts if isinstance(part, Evaluator)]
+    linear = [part.coefficients for part in surfaces if part.blend != "periodic"]
+    periodic = [part.coefficients for part in surfaces if part.blend == "periodic"]
+    settings = np.zeros(1, SETTINGS)
+    for name, value in tick_constants(fixtures, options, latency_s)._asdict().items():
+        settings[name] = value
+    set_limits(settings["limits"], device)
+    set_hazards(settings["hazards"], fixtures.walls)
+    points, times = _set_fixtures(settings["fixtures"][0], packed, fixtures)
     return Bound(
         linear[0] if linear else nothing,
         periodic[0] if periodic else nothing,
         packed,
-        constants,
-        np.array(tick_constants(fixtures, options, latency_s), dtype=np.float64),
-        supervisor_limits(device),
-        hazard_codes(fixtures.walls),
+        points,
+        times,
+        settings,
     )
 
 
-def new_scratch(fixtures: int) -> Scratch:
-    """Memory before the first tick, and scratch arrays, for so many fixtures."""
-    sizes = kernel.scratch_sizes(fixtures)
-    memory = np.zeros(kernel.MEMORY_SIZE)
-    supervision.start_supervision(memory[kernel.SUPERVISION : kernel.TOOL])
-    return Scratch(memory, *(np.zeros(sizes[name]) for name in Scratch._fields[1:]))
+def _set_fixtures(of: Any, packed: FloatArray, fixtures: Fixtures) -> tuple[FloatArray, FloatArray]:
+    """Fill FIXTURES; all paths' points (m, 3) and phase times."""
+    points, times = np.zeros((0, 3)), np.zeros(0)
+    of["walls"] = fixtures.walls
+    for i, part in enumerate(fixtures.parts):
+        guiding, confining = isinstance(part.law, Gaussian), isinstance(part.law, Confinement)
+        of["cap_n"][i], of["forbidden"][i] = part.law.cap_n, not guiding
+        of["base_width"][i], of["base_depth_mm"][i] = packed[i, LAW + 1], packed[i, DEPTH]
+        if isinstance(part, PathFixture):
+            target = part.target
+            of["paths"] += 1
+            of["path_phases"][i], of["path_points"][i] = target.points_mm.shape[:2]
+            of["path_first_point"][i], of["path_first_time"][i] = len(points), len(times)
+            points = np.concatenate([points, target.points_mm.reshape(-1, 3)])
+            times = np.append(times, 0.0 if target.timing is None else target.timing.fractions)
+            continue
+        of["widen_width"][i] = 1.0 if guiding else 0.0
+        of["widen_depth"][i] = 0.0 if guiding else (1.0 if confining else -1.0)
+    return points, times
 
 
-def _packed(part: Evaluator) -> FloatArray:
-    frame = part.model.frame
-    return part.kernel_arguments(Rigid.identity(frame, frame))[1]
+def _packed(part: Evaluator | PathFixture, fixtures: Fixtures) -> FloatArray:
+    model = fixtures.model
+    still = Rigid.identity(model.frame, model.frame)
+    if isinstance(part, Evaluator):
+        return part.kernel_arguments(still)[1]
+    origin_mm, knot_mm, fractions = model.origin_mm, model.knot_spacing_mm, model.timing.fractions
+    powers, matrix = np.zeros((0, 4, 4)), still.matrix[:3]
+    return packed_fixture(origin_mm, knot_mm, fractions, powers, part.law.parameters, BLEND_PATH, matrix)
 
 
 def tick_constants(fixtures: Fixtures, options: ServoOptions, latency_s: float) -> TickConstants:
@@ -170,38 +153,36 @@ def tick_constants(fixtures: Fixtures, options: ServoOptions, latency_s: float) 
     )
 
 
-def supervisor_limits(device: DeviceLimits) -> FloatArray:
-    """(LIMITS_SIZE,) constants of the supervisor, at the offsets of `dvf_ig.kernels.servo.supervision`."""
-    limits = np.zeros(supervision.LIMITS_SIZE)
-    limits[supervision.FADE_S], limits[supervision.FAST_FADE_S] = FADE_S, FAST_FADE_S
-    limits[supervision.SLEW] = device.stiffness_n_per_m * SLEW_SPEED_M_S
-    limits[supervision.SLOW_SLEW] = SLOW_SLEW_N_PER_S
-    limits[supervision.LATCH_AFTER_S] = LATCH_AFTER_S
-    limits[supervision.CLAMPS_WITHIN_S] = CLAMPS_WITHIN_S
-    limits[supervision.REARM_BELOW_N], limits[supervision.REARM_RISE_S] = REARM_BELOW_N, REARM_RISE_S
-    limits[supervision.REARM_AGE_S] = REARM_AGE_S
-    return limits
+def set_limits(limits: Any, device: DeviceLimits) -> None:
+    """Fill (1,) LIMITS of the supervisor."""
+    limits["fade_s"], limits["fast_fade_s"] = FADE_S, FAST_FADE_S
+    limits["slew_n_per_s"] = device.stiffness_n_per_m * SLEW_SPEED_M_S
+    limits["slow_slew_n_per_s"] = SLOW_SLEW_N_PER_S
+    limits["latch_after_s"], limits["clamps_within_s"] = LATCH_AFTER_S, CLAMPS_WITHIN_S
+    limits["rearm_below_n"], limits["rearm_rise_s"] = REARM_BELOW_N, REARM_RISE_S
+    limits["rearm_age_s"] = REARM_AGE_S
 
 
-def hazard_codes(walls: bool) -> Any:
-    """The hazards' bits as the kernels need them.
+def set_hazards(hazards: Any, walls: bool) -> None:
+    """Fill (1,) HAZARDS.
 
     Args:
         walls: a forbidden region is among the fixtures (`withholding`).
     """
-    codes = np.zeros(kernel.CODES_SIZE, dtype=np.int64)
-    codes[supervision.FADING] = withholding(walls)
-    codes[supervision.FAST] = hazards_with(Response.FAST_FADE)
-    codes[supervision.AT_ONCE] = hazards_with(Response.NO_FORCE)
-    codes[supervision.SLOWING] = hazards_with(Response.SLOW)
-    codes[supervision.LATCH_LATE] = hazards_that_latch(Latch.AFTER_1_S)
-    codes[supervision.LATCH_AT_ONCE] = hazards_that_latch(Latch.AT_ONCE)
-    codes[supervision.NOT_FINITE] = Hazard.NOT_FINITE
-    codes[supervision.FORCE_CLAMPED] = Hazard.FORCE_CLAMPED
-    for status in Status:
-        codes[kernel.OF_STATUS + status] = hazard_of(status)
-    codes[kernel.SESSION_SILENT] = Hazard.SESSION_SILENT
-    codes[kernel.DEVICE_LOST] = Hazard.DEVICE_LOST
-    codes[kernel.ENERGY] = Hazard.ENERGY
-    codes[kernel.MISSED_DEADLINES] = Hazard.MISSED_DEADLINES
-    return codes
+    hazards["fading"] = withholding(walls)
+    hazards["fast"] = hazards_with(Response.FAST_FADE)
+    hazards["at_once"] = hazards_with(Response.NO_FORCE)
+    hazards["slowing"] = hazards_with(Response.SLOW)
+    hazards["latch_late"] = hazards_that_latch(Latch.AFTER_1_S)
+    hazards["latch_at_once"] = hazards_that_latch(Latch.AT_ONCE)
+    hazards["of_status"][0, list(Status)] = [hazard_of(status) for status in Status]
+    for one in (
+        Hazard.NOT_FINITE,
+        Hazard.FORCE_CLAMPED,
+        Hazard.NO_PHASE,
+        Hazard.SESSION_SILENT,
+        Hazard.DEVICE_LOST,
+        Hazard.ENERGY,
+        Hazard.MISSED_DEADLINES,
+    ):
+        hazards[str(one.name).lower()] = one

@@ -1,6 +1,7 @@
-"""What a session tells the servo: pose and phase, hazards, margins, until when it holds."""
+"""What a session publishes to the servo: pose and phase, hazards, margins, until when they hold."""
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -9,16 +10,16 @@ from dvf_ig.core.arrays import frozen_floats
 from dvf_ig.guidance.pose_and_phase import PoseAndPhase
 from dvf_ig.guidance.status import Status
 from dvf_ig.guidance.supervision.hazards import Hazard
-from dvf_ig.kernels.servo import published as kernel
+from dvf_ig.kernels.servo import layout as kernel
 
 VALID_FOR_S = 0.1
-"""A session speaks 30 times a second: three missed words are silence."""
+"""A session publishes 30 times a second or more: three missing publications are silence."""
 
 
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class ServoInputs:
-    """One word of the session to the servo; it holds until the next, or until it is out of date.
+    """One publication of the session to the servo; it holds until the next, or until it is out of date.
 
     Attributes:
         transform: pose and phase as functions of time.
@@ -50,19 +51,17 @@ class ServoInputs:
                 f"most {kernel.MAX_FIXTURES}, none negative"
             )
 
-    def packed(self, clock_s: float) -> FloatArray:
-        """One array for the kernels.
+    def packed(self, clock_s: float) -> Any:
+        """(1,) INPUTS for the kernels.
 
         Args:
             clock_s: the servo's clock at `now_s`.
         """
-        values = np.zeros(kernel.INPUT_SIZE)
-        values[kernel.VALID_UNTIL_S] = clock_s + self.valid_for_s
-        values[kernel.HAZARDS] = float(self.hazards)
-        values[kernel.TOOL_STATUS] = float(self.tool_status)
-        values[kernel.CLOCK_OFFSET_S] = clock_s - self.now_s
-        pose = values[kernel.TRACKER_FROM_DEVICE : kernel.MARGIN_MM].reshape(3, 4)
-        pose[...] = self.tracker_from_device.matrix[:3]
-        values[kernel.MARGIN_MM : kernel.MARGIN_MM + len(self.margin_mm)] = self.margin_mm
-        values[kernel.POSE_AND_PHASE :] = self.transform.packed
-        return values
+        packed = np.zeros(1, kernel.INPUTS)
+        values = packed[0]
+        values["valid_until_s"], values["clock_offset_s"] = clock_s + self.valid_for_s, clock_s - self.now_s
+        values["hazards"], values["tool_status"] = self.hazards, self.tool_status
+        values["tracker_from_device"] = self.tracker_from_device.matrix[:3]
+        values["margin_mm"][: len(self.margin_mm)] = self.margin_mm
+        values["pose_and_phase"] = self.transform.packed[0]
+        return packed

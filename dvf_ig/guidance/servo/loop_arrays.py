@@ -5,15 +5,14 @@ from typing import Any
 
 import numpy as np
 
-from dvf_ig.core import FloatArray
 from dvf_ig.guidance.device import DeviceLimits
 from dvf_ig.guidance.devices.protocol import HapticDevice
 from dvf_ig.guidance.fixtures import Fixtures
-from dvf_ig.kernels.place import POSE_UNTIL
 from dvf_ig.kernels.servo import loop as kernel
-from dvf_ig.kernels.servo import published, shared
+from dvf_ig.kernels.servo import shared
+from dvf_ig.kernels.servo.layout import INPUTS, Bound, Scratch, new_scratch, row_words, words
 
-from .bound import bind_fixtures, new_scratch
+from .bound import bind_fixtures
 from .deadlines import BINS
 from .inputs import ServoInputs
 from .options import ServoOptions
@@ -27,18 +26,18 @@ class LoopArrays:
     """What `dvf_ig.kernels.servo.loop.run_servo` reads and writes from its first tick to its last.
 
     Attributes:
-        bound: fixtures, constants and limits (`bind_fixtures`).
+        bound: fixtures and settings (`bind_fixtures`).
         functions: (2,) int64 addresses of the device's read and write; `context`: the device's own.
-        counter, published: what the session published, under a sequence lock.
+        counter, published: (1,) INPUTS, what the session published, under a sequence lock.
         numbers: (NUMBERS,) int64 flags and counts; `histogram`: (BINS,) int64 of lateness.
         period_ns: of a tick.
     """
 
-    bound: tuple[Any, ...]
+    bound: Bound
     functions: Any
     context: Any
     counter: Any
-    published: FloatArray
+    published: Any
     numbers: Any
     histogram: Any
     period_ns: int
@@ -63,14 +62,13 @@ class LoopArrays:
         Raises:
             InvalidInputError: as `bind_fixtures`.
         """
-        inputs = np.zeros(published.INPUT_SIZE)
-        inputs[published.VALID_UNTIL_S] = np.inf
-        inputs[published.POSE_AND_PHASE + POSE_UNTIL] = -np.inf
+        inputs = np.zeros(1, INPUTS)
+        inputs["valid_until_s"], inputs["pose_and_phase"]["pose_until_s"] = np.inf, -np.inf
         numbers = np.zeros(kernel.NUMBERS, dtype=np.int64)
         numbers[kernel.LATE_NS], numbers[kernel.SILENT_NS] = late_ns, SILENT_TIMES_LATE * late_ns
         numbers[kernel.WATCHED] = watched
         return cls(
-            tuple(bind_fixtures(fixtures, limits, options, device.latency_s)),
+            bind_fixtures(fixtures, limits, options, device.latency_s),
             np.array(device.functions, dtype=np.int64),
             device.context,
             shared.new_counter(),
@@ -93,22 +91,22 @@ class LoopArrays:
             histogram=np.zeros_like(self.histogram),
         )
 
-    def new_scratch(self) -> tuple[Any, ...]:
-        """Memory before the first tick, and scratch arrays."""
-        return tuple(new_scratch(len(self.bound[2])))
+    def new_scratch(self) -> Scratch:
+        """Memory before the first tick, and working space."""
+        return new_scratch(len(self.bound.packed))
 
     def publish(self, inputs: ServoInputs, clock_s: float) -> None:
-        """Tell the loop what the session knows at `clock_s` of the loop's clock; never waits."""
-        shared.publish(self.counter, self.published, inputs.packed(clock_s))
+        """Hand the loop what the session knows at `clock_s` of the loop's clock; never waits."""
+        shared.publish(self.counter, words(self.published), words(inputs.packed(clock_s)))
 
     def arguments(
-        self, scratch: tuple[Any, ...], rows: FloatArray, start_ns: int = 0, late_ns: Any = None
+        self, scratch: Scratch, rows: Any, start_ns: int = 0, late_ns: Any = None
     ) -> tuple[Any, ...]:
         """Arguments of `run_servo`.
 
         Args:
             scratch: of `new_scratch`.
-            rows: (n, ROW) ring buffer of the record.
+            rows: (n,) ROW, ring buffer of the record.
             start_ns, late_ns: in simulated time, deadline of the first tick and (m,) int64 lateness of each.
         """
         simulated_late_ns = np.zeros(0, dtype=np.int64) if late_ns is None else late_ns
@@ -118,9 +116,9 @@ class LoopArrays:
             self.functions,
             self.context,
             self.counter,
-            self.published,
+            words(self.published),
             self.numbers,
-            rows,
+            row_words(rows),
             self.histogram,
             self.period_ns,
             start_ns,

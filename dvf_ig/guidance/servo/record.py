@@ -1,13 +1,15 @@
 """What a servo did, tick by tick."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from dvf_ig.core import FloatArray, IntArray, read_only_arrays
+from dvf_ig.guidance.status import Status
 from dvf_ig.guidance.supervision.hazards import Hazard
-from dvf_ig.guidance.supervision.supervisor import SupervisorState
-from dvf_ig.kernels.servo import record as kernel
+from dvf_ig.guidance.supervision.supervisor import SupervisedForce, SupervisorState
+from dvf_ig.kernels.servo.layout import ROW
 
 
 @read_only_arrays
@@ -28,72 +30,156 @@ class SentForce:
     hazards: Hazard
 
 
+class ServoTick:
+    """One tick: the fixtures at the tool, and the force that the supervisor let through; frame "tracker".
+
+    Args:
+        row: (1,) ROW, which is copied.
+    """
+
+    __slots__ = ("_row",)
+
+    def __init__(self, row: Any) -> None:
+        self._row: Any = np.frombuffer(row.tobytes(), ROW)[0]
+
+    @property
+    def status(self) -> Status:
+        """Of the fixtures; anything but OK goes with no wanted force, but for the walls of NO_PHASE."""
+        return Status(int(self._row["status"]))
+
+    @property
+    def wanted_n(self) -> FloatArray:
+        """(3,) of fixtures, damping and passivity controller, before the supervisor."""
+        return np.asarray(self._row["wanted_n"])
+
+    @property
+    def sent_n(self) -> FloatArray:
+        """(3,) what the supervisor let through."""
+        return np.asarray(self._row["sent_n"])
+
+    @property
+    def distance_mm(self) -> float:
+        """Of the primary fixture, positive inside; at NO_PHASE of the first wall; else NaN unless OK."""
+        return float(self._row["distance_mm"])
+
+    @property
+    def gradient(self) -> FloatArray:
+        """(3,) of the distance."""
+        return np.asarray(self._row["gradient"])
+
+    @property
+    def rate_mm_per_cycle(self) -> float:
+        """Change of the distance with the model's phase; zero at NO_PHASE, NaN of a path."""
+        return float(self._row["rate_mm_per_cycle"])
+
+    @property
+    def sigma_mm(self) -> float:
+        """Standard deviation of the distance by those of pose and phase."""
+        return float(self._row["sigma_mm"])
+
+    @property
+    def conflict(self) -> bool:
+        """Whether fixtures oppose each other."""
+        return bool(self._row["conflict"])
+
+    @property
+    def state(self) -> SupervisorState:
+        """Of the supervisor."""
+        return SupervisorState(int(self._row["state"]))
+
+    @property
+    def hazards(self) -> Hazard:
+        """Active in this tick: published ones and those that the servo met."""
+        return Hazard(int(self._row["hazards"]))
+
+    @property
+    def supervised(self) -> SupervisedForce:
+        """The force sent, and the supervisor's state with what it met."""
+        row = self._row
+        return SupervisedForce(
+            self.sent_n,
+            self.state,
+            self.hazards,
+            Hazard(int(row["cause"])),
+            float(row["scale"]),
+            bool(row["clamped"]),
+        )
+
+
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class ServoRecord:
-    """Rows of the servo's ring buffer, one a tick; columns at the offsets of `dvf_ig.kernels.servo.record`.
+    """Rows of the servo's ring buffer, one a tick.
 
     Attributes:
-        rows: (n, ROW).
+        rows: (n,) ROW of `dvf_ig.kernels.servo.layout`.
     """
 
-    rows: FloatArray
+    rows: Any
 
     def __len__(self) -> int:
         return len(self.rows)
 
-    def _column(self, at: int) -> FloatArray:
-        return np.asarray(self.rows[:, at])
+    def _numbers(self, name: str) -> FloatArray:
+        return np.asarray(self.rows[name], dtype=np.float64)
+
+    def _codes(self, name: str) -> IntArray:
+        return np.asarray(self.rows[name], dtype=np.int64)
 
     @property
     def t_s(self) -> FloatArray:
         """(n,) the session's time at which each position was read."""
-        return self._column(kernel.T_S)
+        return self._numbers("t_s")
 
     @property
     def xyz_mm(self) -> FloatArray:
         """(n, 3) measured tool, tracker frame."""
-        return np.asarray(self.rows[:, kernel.XYZ_MM : kernel.XYZ_MM + 3])
+        return self._numbers("xyz_mm")
 
     @property
     def field_n(self) -> FloatArray:
         """(n, 3) composed force of the fixtures, tracker frame."""
-        return np.asarray(self.rows[:, kernel.FIELD_N : kernel.FIELD_N + 3])
+        return self._numbers("field_n")
 
     @property
     def wanted_n(self) -> FloatArray:
         """(n, 3) with damping and the passivity controller's force, within the cap."""
-        return np.asarray(self.rows[:, kernel.WANTED_N : kernel.WANTED_N + 3])
+        return self._numbers("wanted_n")
 
     @property
     def sent_n(self) -> FloatArray:
         """(n, 3) what the supervisor let through."""
-        return np.asarray(self.rows[:, kernel.SENT_N : kernel.SENT_N + 3])
+        return self._numbers("sent_n")
 
     @property
     def distance_mm(self) -> FloatArray:
         """(n,) of the primary fixture; at NO_PHASE of the first wall at its worst phase; else NaN."""
-        return self._column(kernel.DISTANCE_MM)
+        return self._numbers("distance_mm")
 
     @property
     def status(self) -> IntArray:
         """(n,) `Status`."""
-        return self._column(kernel.STATUS).astype(np.int64)
+        return self._codes("status")
+
+    @property
+    def clamped(self) -> IntArray:
+        """(n,) 1 where the slew limit cut the tick's step."""
+        return self._codes("clamped")
 
     @property
     def state(self) -> IntArray:
         """(n,) `SupervisorState`."""
-        return self._column(kernel.STATE).astype(np.int64)
+        return self._codes("state")
 
     @property
     def hazards(self) -> IntArray:
         """(n,) bits of `Hazard`."""
-        return self._column(kernel.ACTIVE_HAZARDS).astype(np.int64)
+        return self._codes("hazards")
 
     @property
     def cause(self) -> IntArray:
         """(n,) bits of `Hazard`: what began the running fade or latch, or joined the fade."""
-        return self._column(kernel.CAUSE).astype(np.int64)
+        return self._codes("cause")
 
     def newest(self) -> SentForce | None:
         """The last tick's force; its reason while it is latched, however long ago that was found."""
@@ -107,24 +193,24 @@ class ServoRecord:
     @property
     def residual_mj(self) -> FloatArray:
         """(n,) energy of the passivity observer not yet taken back."""
-        return self._column(kernel.RESIDUAL_MJ)
+        return self._numbers("residual_mj")
 
     @property
     def given_mj(self) -> FloatArray:
         """(n,) work done on the hand since the start."""
-        return self._column(kernel.GIVEN_MJ)
+        return self._numbers("given_mj")
 
     @property
     def by_surface_mj(self) -> FloatArray:
         """(n,) the part of that done by the surface's motion."""
-        return self._column(kernel.BY_SURFACE_MJ)
+        return self._numbers("by_surface_mj")
 
     @property
     def lateness_us(self) -> FloatArray:
         """(n,) time of waking after the deadline."""
-        return self._column(kernel.LATENESS_NS) / 1e3
+        return self._numbers("lateness_ns") / 1e3
 
     @property
     def work_us(self) -> FloatArray:
         """(n,) from waking to the force having been sent."""
-        return self._column(kernel.WORK_NS) / 1e3
+        return self._numbers("work_ns") / 1e3

@@ -19,8 +19,8 @@ from dvf_ig.guidance.sideways import check_sideways
 from dvf_ig.guidance.supervision.hazards import Hazard
 from dvf_ig.guidance.supervision.supervisor import RearmAnswer, SupervisorState
 from dvf_ig.kernels.servo import loop as kernel
-from dvf_ig.kernels.servo import published, shared
-from dvf_ig.kernels.servo.record import ROW, T_S
+from dvf_ig.kernels.servo import shared
+from dvf_ig.kernels.servo.layout import ROW, row_words, words
 
 from .bound import REARM_ANSWERS
 from .deadlines import Deadlines
@@ -78,7 +78,7 @@ class Servo:
         for part in fixtures.parts:
             if isinstance(part, Evaluator):
                 check_sideways(part, limits)
-        self._ring = np.zeros((max(1024, round(KEPT_S * options.rate_hz)), ROW))
+        self._ring = np.zeros(max(1024, round(KEPT_S * options.rate_hz)), ROW)
         self._watchdog = watchdog
         self._threads: list[threading.Thread] = []
         self.realtime = False
@@ -128,10 +128,10 @@ class Servo:
         """The ticks since the last call, or as many of them as the ring buffer still holds."""
         head = shared.load_number(self._loop.numbers, kernel.HEAD)
         begin = max(self._read_to, head - len(self._ring) + 64)
-        rows = np.empty((head - begin, ROW))
-        kernel.copy_rows(self._ring, self._loop.numbers, begin, rows)
+        rows = np.empty(head - begin, ROW)
+        kernel.copy_rows(row_words(self._ring), self._loop.numbers, begin, row_words(rows))
         self._read_to = head
-        return ServoRecord(rows[np.isfinite(rows[:, T_S])])
+        return ServoRecord(rows[np.isfinite(rows["t_s"])])
 
     def newest(self) -> SentForce | None:
         """The force sent last, with what was met since the last call; None without a tick since then.
@@ -167,7 +167,7 @@ class Servo:
 
     def _now_s(self) -> float:
         """Time of the session that published last."""
-        return time.monotonic_ns() * 1e-9 - float(self._loop.published[published.CLOCK_OFFSET_S])
+        return time.monotonic_ns() * 1e-9 - float(self._loop.published["clock_offset_s"][0])
 
     def _begin(self, name: str, function: Callable[..., Any], *arguments: Any) -> None:
         thread, realtime = real_time_thread(name, function, *arguments)
@@ -176,14 +176,15 @@ class Servo:
 
     def _warm_up(self) -> None:
         """Compile or load every kernel, and touch the coefficients, before the first tick."""
-        for coefficients in self._loop.bound[:2]:
+        for coefficients in (self._loop.bound.linear, self._loop.bound.periodic):
             float(np.sum(coefficients))
-        shared.publish(self._loop.counter, self._loop.published, self._loop.published.copy())
+        published = words(self._loop.published)
+        shared.publish(self._loop.counter, published, published.copy())
         nobody = RecordedDevice(np.zeros((WARM_UP_TICKS, 3)), self.options.rate_hz)
-        loop, ring = self._loop.on_device(nobody), np.zeros((WARM_UP_TICKS, ROW))
+        loop, ring = self._loop.on_device(nobody), np.zeros(WARM_UP_TICKS, ROW)
         on_time = np.zeros(WARM_UP_TICKS, dtype=np.int64)
         kernel.run_servo(*loop.arguments(loop.new_scratch(), ring, start_ns=1, late_ns=on_time))
-        kernel.copy_rows(ring, loop.numbers, 0, np.empty((1, ROW)))
+        kernel.copy_rows(row_words(ring), loop.numbers, 0, row_words(np.empty(1, ROW)))
         loop.numbers[kernel.STOP] = 1
         kernel.watch(loop.functions, loop.context, loop.numbers, CHECK_NS)
         kernel.silent_too_long(loop.numbers, _elapsed_ns())

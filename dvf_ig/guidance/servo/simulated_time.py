@@ -9,7 +9,7 @@ from dvf_ig.guidance.devices.protocol import HapticDevice
 from dvf_ig.guidance.fixtures import Fixtures
 from dvf_ig.guidance.supervision.supervisor import RearmAnswer
 from dvf_ig.kernels.servo import loop as kernel
-from dvf_ig.kernels.servo.record import ROW
+from dvf_ig.kernels.servo.layout import ROW
 
 from .bound import REARM_ANSWERS
 from .inputs import ServoInputs
@@ -59,7 +59,7 @@ class SimulatedServo:
             raise InvalidInputError(f"{ticks} ticks asked for; needed at least 1")
         late = np.zeros(ticks) if late_s is None else late_s
         check_shape(late, "lateness of the ticks", (ticks,))
-        rows = np.zeros((ticks, ROW))
+        rows = np.zeros(ticks, ROW)
         skipped = self._loop.numbers[kernel.SKIPPED]
         self._loop.numbers[kernel.HEAD] = 0
         self._loop.publish(inputs, START_NS * 1e-9 + inputs.now_s)

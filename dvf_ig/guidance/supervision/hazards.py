@@ -130,7 +130,7 @@ HAZARD_RULES: Mapping[Hazard, HazardRule] = MappingProxyType(
         Hazard.MISSED_DEADLINES: HazardRule(
             Response.NO_FORCE,
             Latch.AT_ONCE,
-            "the servo was late by 2 ms in 3 of 100 ticks or silent for 10 ms (tenfold without a device)",
+            "the servo was late by 2 ms in 3 of 100 ticks or silent for 10 ms",
         ),
         Hazard.TOOL_CONTRADICTED: HazardRule(
             Response.FADE,
@@ -144,7 +144,7 @@ HAZARD_RULES: Mapping[Hazard, HazardRule] = MappingProxyType(
 - The supervisor sees one composed force, so a latency that asks for guidance alone to fade fades all of it.
 - NO_PHASE withholds nothing where there is a forbidden region: what composes the force crosses within 250 ms
   from all fixtures at the last known phase to the forbidden regions at their worst phase, and back when the
-  phase is locked again (`dvf_ig.guidance.phase_loss`). Without a forbidden region nothing would be left of
+  phase is locked again (`dvf_ig.kernels.servo.fixtures`). Without a forbidden region nothing would be left of
   the force, and it fades. The pose still ages: beats without a phase confirm nothing, and after 5 s at most
   POSE_UNCONFIRMED fades the walls, too.
 - Pose and phase never latch: what ends them is evidence of its own (a registration that passes its checks,

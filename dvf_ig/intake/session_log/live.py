@@ -184,10 +184,10 @@ def work_message(t_s: float, number: int, refused: int) -> Timed:
     return t_s, WORK, ros.ARRAY, ros.array(row, ("number of the work, how often it was requested before",))
 
 
-def answer_messages(state: GuidanceState, t_s: float, force_n: FloatArray) -> Iterator[Timed]:
-    """Messages of an answer, for ROS tools: the force of the servo at its tick, and the state behind it."""
+def answer_messages(state: GuidanceState) -> Iterator[Timed]:
+    """What was sent, for ROS tools."""
     now_s, phase, pose = state.now_s, state.phase, state.transform.pose
-    yield t_s, "/tool/force", ros.WRENCH, ros.wrench(t_s, "tracker", force_n)
+    yield now_s, "/tool/force", ros.WRENCH, ros.wrench(now_s, "tracker", state.force_n)
     numbers = np.array([phase.phi, state.model_phase, phase.rr_s, state.distance_mm, state.pose_age_s])
     yield now_s, "/guidance", ros.ARRAY, ros.array(numbers, (", ".join(GUIDANCE),))
     if pose is not None and now_s < state.transform.pose_until_s:

@@ -1,43 +1,32 @@
-"""All fixtures of a servo at one place and time, in the tracker's frame."""
+"""All fixtures of a servo at one place and time, in the tracker's frame, with or without a cardiac phase.
+
+When the phase is lost, guidance fades and walls become those of the worst phase; for 250 ms the composed
+force is (1 − c) of the fixtures at the last known phase plus c of the walls at their worst phase, c a raised
+cosine of the share that has passed; so it is when the phase is known again. Both are evaluated where the tool
+is now. A wall at its worst phase pushes no less than at any other, so no wall gives way.
+"""
 
 import math
 from typing import Any
 
-from numpy.typing import NDArray
-
 from dvf_ig.core import FloatArray
 from dvf_ig.kernels import status as code
-from dvf_ig.kernels.compiled import inlined
+from dvf_ig.kernels.compiled import inlined, kernel
 from dvf_ig.kernels.composition import compose_forces
 from dvf_ig.kernels.dynamic import forces_on_surface
-from dvf_ig.kernels.fixture_field import DEPTH, LAW
+from dvf_ig.kernels.fixture_field import BLEND, BLEND_PERIODIC, DEPTH, LAW, Output
+from dvf_ig.kernels.path import path_force
 from dvf_ig.kernels.place import Columns, phase_at, pose_at, status_at
-from dvf_ig.kernels.pose_and_phase import DISTANCE_RATE, DISTANCE_SIGMA, distance_rate_and_sigma
+from dvf_ig.kernels.pose_and_phase import distance_rate_and_sigma
 from dvf_ig.kernels.vectors import Vector, dot
+from dvf_ig.kernels.worst_phase import worst_phase_force
 
-from .published import MARGIN_MM, POSE_AND_PHASE
-
-# Rows of the fixtures' constants.
-FIXTURE_CAP_N = 0
-FORBIDDEN = 1
-BASE_WIDTH = 2
-BASE_DEPTH = 3
-WIDEN_WIDTH = 4
-"""Share of the margin by which a law's width grows: 1 of a guidance, which it softens."""
-WIDEN_DEPTH = 5
-"""−1 of a forbidden region, +1 of a confinement, in the kernel's sign of depth: both widen the region."""
-FIXTURE_SIZE = 6
-
-# Offsets in what is remembered of the phase, `loss`.
-WORST_SHARE = 0
-"""Progress from the fixtures of a known phase, 0, to the walls of the worst one, 1."""
-HELD_PHASE = 1
-PHASE_KNOWN = 2
-LOSS_SIZE = 3
+NO_RATE = (0.0, 0.0, 0.0)
+"""Phase, its rate and its standard deviation where a wall at its worst phase does not depend on them."""
 
 
 @inlined
-def in_model(pose: Columns, p: FloatArray) -> Vector:
+def _in_model(pose: Columns, p: FloatArray) -> Vector:
     """A point (3,) of the tracker's frame in the model's."""
     x, y, z, t = pose[0], pose[1], pose[2], pose[3]
     return (
@@ -48,75 +37,194 @@ def in_model(pose: Columns, p: FloatArray) -> Vector:
 
 
 @inlined
-def to_tracker(pose: Columns, v: Vector) -> Vector:
+def _to_tracker(pose: Columns, v: Vector) -> Vector:
     """A free vector of the model's frame in the tracker's."""
     return dot(pose[0], v), dot(pose[1], v), dot(pose[2], v)
 
 
 @inlined
-def widen(packed: FloatArray, fixtures: FloatArray, inputs: FloatArray) -> None:
+def _widen(packed: FloatArray, fixtures: Any, margin_mm: FloatArray) -> None:
     """Set the laws to those with the published margins."""
     for i in range(len(packed)):
-        margin = inputs[MARGIN_MM + i]
-        packed[i, LAW + 1] = fixtures[BASE_WIDTH, i] + fixtures[WIDEN_WIDTH, i] * margin
-        packed[i, DEPTH] = fixtures[BASE_DEPTH, i] + fixtures[WIDEN_DEPTH, i] * margin
+        margin = margin_mm[i]
+        packed[i, LAW + 1] = fixtures.base_width[i] + fixtures.widen_width[i] * margin
+        packed[i, DEPTH] = fixtures.base_depth_mm[i] + fixtures.widen_depth[i] * margin
 
 
 @inlined
-def turn_forces(pose: Columns, forces: FloatArray) -> None:
+def _turn_forces(pose: Columns, forces: FloatArray) -> None:
     """(k, 3) forces of the model's frame, in place, in the tracker's."""
     for i in range(len(forces)):
-        forces[i, 0], forces[i, 1], forces[i, 2] = to_tracker(
+        forces[i, 0], forces[i, 1], forces[i, 2] = _to_tracker(
             pose, (forces[i, 0], forces[i, 1], forces[i, 2])
         )
 
 
-@inlined
-def fixtures_force(
-    linear: NDArray[Any],
-    periodic: NDArray[Any],
-    packed: FloatArray,
-    fixtures: FloatArray,
-    cap_n: float,
-    inputs: FloatArray,
-    t_s: float,
-    xyz: FloatArray,
-    input_status: int,
-    loss: FloatArray,
-    first: FloatArray,
-    forces: FloatArray,
-    work: FloatArray,
-    order: FloatArray,
-    composed: FloatArray,
-) -> int:
-    """All fixtures' force at one place and time: `composed`; distance, gradient, rates, σ in `first`.
+@kernel
+def _add_paths(bound: Any, place: Vector, phi: float, forces: FloatArray, first: Output) -> Output:
+    """Put the paths' forces into `forces`; output of the first fixture. Not inlined: paths are rare."""
+    of = bound.settings[0].fixtures
+    for i in range(len(bound.packed)):
+        if of.path_points[i] == 0:
+            continue
+        found = path_force(
+            bound.path_points,
+            bound.path_times,
+            of.path_first_point[i],
+            of.path_points[i],
+            of.path_first_time[i],
+            of.path_phases[i],
+            bound.packed[i],
+            place,
+            phi,
+        )
+        if found[0] != code.OK:
+            return found
+        forces[i, 0], forces[i, 1], forces[i, 2] = found[1]
+        first = found if i == 0 else first
+    return first
 
-    The phase is remembered in `loss` (`dvf_ig.kernels.servo.phase_loss`); where it is not known there is no
-    force from here.
+
+@inlined
+def _forces(bound: Any, place: Vector, phi: float, forces: FloatArray) -> Output:
+    """Forces of all fixtures at a known phase, model frame; output of the first, or of what has none."""
+    found = forces_on_surface(bound.linear, bound.periodic, bound.packed, place, phi, forces)
+    if found[0] == code.OK and bound.settings[0].fixtures.paths != 0:
+        found = _add_paths(bound, place, phi, forces, found)
+    return found
+
+
+@inlined
+def _compose(bound: Any, scratch: Any, out: Any) -> None:
+    of, cap_n = bound.settings[0].fixtures, bound.settings[0].cap_n
+    compose_forces(scratch.forces, of.cap_n, of.forbidden, cap_n, scratch.work, scratch.order, out)
+
+
+@inlined
+def fixtures_force(bound: Any, scratch: Any, inputs: Any, t_s: float, xyz: FloatArray, status: int) -> int:
+    """All fixtures' force at one place and time into `composed`; distance, gradient, rates, σ into `sample`.
+
+    The phase is remembered for `cross_to_walls`; where it is not known there is no force from here.
+
+    Args:
+        bound, scratch, inputs: of `servo_tick`.
+        t_s: by the session's clock; xyz: (3,) mm, tracker frame.
+        status: of the inputs.
+    Returns:
+        status code; unless OK there is no force.
     """
-    pose_phase = inputs[POSE_AND_PHASE:]
-    status = input_status
+    m, sample, composed = scratch.memory[0], scratch.sample[0], scratch.composed[0]
     if status == code.OK:
-        status = status_at(pose_phase, t_s, xyz[0] + xyz[1] + xyz[2])
-    composed[:] = 0.0
-    first[:] = math.nan
+        status = status_at(inputs.pose_and_phase, t_s, xyz[0] + xyz[1] + xyz[2])
+    for k in range(3):
+        composed.forbidden_n[k] = composed.guidance_n[k] = 0.0
+        sample.gradient[k] = math.nan
+    composed.conflict = 0
+    sample.distance_mm = sample.rate_mm_per_cycle = math.nan
+    sample.distance_rate_mm_s = sample.sigma_mm = math.nan
     if status != code.OK:
         return status
-    pose, phase = pose_at(pose_phase, t_s), phase_at(pose_phase, t_s)
-    loss[HELD_PHASE], loss[PHASE_KNOWN] = phase[0], 1.0
-    widen(packed, fixtures, inputs)
-    found = forces_on_surface(linear, periodic, packed, in_model(pose, xyz), phase[0], forces)
+    pose, phase = pose_at(inputs.pose_and_phase, t_s), phase_at(inputs.pose_and_phase, t_s)
+    m.last_phase, m.phase_known = phase[0], 1
+    _widen(bound.packed, bound.settings[0].fixtures, inputs.margin_mm)
+    found = _forces(bound, _in_model(pose, xyz), phase[0], scratch.forces)
     if found[0] != code.OK:
         return found[0]
-    turn_forces(pose, forces)
-    gradient = to_tracker(pose, found[3])
-    first[3], first[4], first[5], first[6], first[7] = (
-        found[2],
-        gradient[0],
-        gradient[1],
-        gradient[2],
-        found[4],
+    _turn_forces(pose, scratch.forces)
+    gradient = _to_tracker(pose, found[3])
+    sample.distance_mm = found[2]
+    sample.rate_mm_per_cycle = found[4] if bound.settings[0].fixtures.path_points[0] == 0 else math.nan
+    sample.gradient[0], sample.gradient[1], sample.gradient[2] = gradient
+    _compose(bound, scratch, composed)
+    sample.distance_rate_mm_s, sample.sigma_mm = distance_rate_and_sigma(
+        inputs.pose_and_phase, pose, phase, xyz, gradient, found[4]
     )
-    compose_forces(forces, fixtures[FIXTURE_CAP_N], fixtures[FORBIDDEN], cap_n, work, order, composed)
-    first[DISTANCE_RATE], first[DISTANCE_SIGMA] = distance_rate_and_sigma(pose_phase, pose, phase, xyz, first)
     return code.OK
+
+
+@kernel
+def _step_share(m: Any, status: int, step: float) -> float:
+    """c after one more tick; without force there is nothing to cross from."""
+    if status != code.OK and status != code.NO_PHASE:
+        m.worst_share, m.phase_known = 0.0, 0
+        return 0.0
+    target = 1.0 if status == code.NO_PHASE else 0.0
+    if m.phase_known == 0:
+        m.worst_share = target
+    m.worst_share += min(max(target - m.worst_share, -step), step)
+    return 0.5 * (1.0 - math.cos(math.pi * m.worst_share))
+
+
+@kernel
+def cross_to_walls(
+    bound: Any, scratch: Any, inputs: Any, t_s: float, xyz: FloatArray, status: int, dt_s: float
+) -> int:
+    """Mix what `fixtures_force` gave, at OK, or nothing, at NO_PHASE, with the other case.
+
+    Not inlined: it runs where the phase is not known, or has just become known, alone. At NO_PHASE `sample`
+    gets distance, gradient, rate by the pose and σ of the first wall.
+
+    Args:
+        bound, scratch, inputs, t_s, xyz: of `fixtures_force`; status: its answer.
+        dt_s: since the last tick.
+    Returns:
+        the status; unless OK or NO_PHASE there is no force.
+    """
+    of, m, sample = bound.settings[0].fixtures, scratch.memory[0], scratch.sample[0]
+    composed, other, forces = scratch.composed[0], scratch.other[0], scratch.forces
+    if of.walls == 0:
+        return status
+    pose_phase = inputs.pose_and_phase
+    if status == code.NO_PHASE:
+        found = status_at(pose_phase, t_s, xyz[0] + xyz[1] + xyz[2])
+        status = status if found == code.OK else found
+    share = _step_share(m, status, dt_s / bound.settings[0].limits.fade_s)
+    if status != code.OK and status != code.NO_PHASE:
+        return status
+    pose = pose_at(pose_phase, t_s)
+    place = _in_model(pose, xyz)
+    _widen(bound.packed, of, inputs.margin_mm)
+    crossing = status == code.NO_PHASE and share < 1.0
+    if crossing and _forces(bound, place, m.last_phase, forces)[0] == code.OK:
+        _turn_forces(pose, forces)
+        _compose(bound, scratch, composed)
+    if status == code.OK and share <= 0.0:
+        return status
+    begun = False
+    for i in range(len(bound.packed)):
+        forces[i, 0] = forces[i, 1] = forces[i, 2] = 0.0
+        if of.forbidden[i] == 0.0:
+            continue
+        of_model = bound.periodic if int(bound.packed[i, BLEND]) == BLEND_PERIODIC else bound.linear
+        worst = worst_phase_force(of_model, bound.packed[i], place)
+        if worst[0] != code.OK:
+            _forget_force(m, sample, composed)
+            return worst[0]
+        forces[i, 0], forces[i, 1], forces[i, 2] = worst[1]
+        if status == code.NO_PHASE and not begun:
+            begun = True
+            gradient = _to_tracker(pose, worst[3])
+            sample.distance_mm, sample.rate_mm_per_cycle = worst[2], 0.0
+            sample.gradient[0], sample.gradient[1], sample.gradient[2] = gradient
+            sample.distance_rate_mm_s, sample.sigma_mm = distance_rate_and_sigma(
+                pose_phase, pose, NO_RATE, xyz, gradient, 0.0
+            )
+    _turn_forces(pose, forces)
+    _compose(bound, scratch, other)
+    for k in range(3):
+        composed.forbidden_n[k] += share * (other.forbidden_n[k] - composed.forbidden_n[k])
+        composed.guidance_n[k] += share * (other.guidance_n[k] - composed.guidance_n[k])
+    if status == code.NO_PHASE:
+        composed.conflict = other.conflict
+    return status
+
+
+@kernel
+def _forget_force(m: Any, sample: Any, composed: Any) -> None:
+    """A wall could not be evaluated: no force, and nothing to cross from."""
+    m.worst_share, m.phase_known, composed.conflict = 0.0, 0, 0
+    sample.distance_mm = sample.rate_mm_per_cycle = math.nan
+    sample.distance_rate_mm_s = sample.sigma_mm = math.nan
+    for k in range(3):
+        composed.forbidden_n[k] = composed.guidance_n[k] = 0.0
+        sample.gradient[k] = math.nan

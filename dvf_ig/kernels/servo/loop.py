@@ -10,7 +10,7 @@ from dvf_ig.kernels.compiled import kernel
 from .borrowed import borrowed
 from .clock import elapsed_ns, monotonic_ns, sleep_until, wake_exactly
 from .device_call import call_device
-from .record import LATENESS_NS, ROW, TICK, WORK_NS
+from .layout import ROW_WORDS
 from .shared import (
     fence_acquire,
     load_ordered,
@@ -21,7 +21,7 @@ from .shared import (
     store_release,
 )
 from .supervision import rearm
-from .tick import MISSED_DEADLINES, SUPERVISION, TOOL, unpacked_tick, withhold
+from .tick import servo_tick, withhold
 
 # Places in the shared numbers: each alone in its cache line.
 STOP = 0
@@ -48,26 +48,30 @@ LATE_WITHIN = 100
 """So many ticks that woke late, or came after one that ended late, within so many: no force, latched."""
 SETTLE_NS = 20_000_000
 """The first tick comes so long after the start: the thread has its priority then."""
+LOST = -1
+"""In every word of a row that was overwritten; as a number with a point it is NaN."""
 BIN_NS = 1000
 """Width of a bin of the lateness histogram; the last bin holds all that is later."""
 
 
 @kernel
-def record_row(ring: FloatArray, numbers: Any, row: FloatArray) -> None:
-    """Add a row to the ring; HEAD counts the rows that are whole."""
+def record_row(ring: Any, numbers: Any, row: Any) -> None:
+    """Add a row, as words, to the ring (n, ROW_WORDS); HEAD counts the rows that are whole."""
     head = load_ordered(numbers, HEAD)
-    begin = (head % len(ring)) * ROW
-    for k in range(ROW):
+    begin = (head % len(ring)) * ROW_WORDS
+    for k in range(ROW_WORDS):
         store_relaxed(ring, begin + k, row[k])
     store_release(numbers, HEAD, head + 1)
 
 
 @kernel
-def _answer_rearm(numbers: Any, supervisor: FloatArray, limits: FloatArray, codes: Any, t_s: float) -> None:
+def _answer_rearm(numbers: Any, bound: Any, scratch: Any, t_s: float) -> None:
     asked = load_ordered(numbers, REARM_ASKED)
     if asked == load_ordered(numbers, REARM_ANSWERED):
         return
-    store_ordered(numbers, REARM_ANSWER, rearm(supervisor, limits, codes, t_s))
+    settings = bound.settings[0]
+    answer = rearm(scratch.memory[0].supervision, settings.limits, settings.hazards, t_s)
+    store_ordered(numbers, REARM_ANSWER, answer)
     store_ordered(numbers, REARM_ANSWERED, asked)
 
 
@@ -134,9 +138,9 @@ def run_servo(
     device: Any,
     context: Any,
     counter: Any,
-    shared: FloatArray,
+    shared: Any,
     numbers: Any,
-    ring: FloatArray,
+    ring: Any,
     histogram: Any,
     period_ns: int,
     start_ns: int,
@@ -145,11 +149,11 @@ def run_servo(
     """Tick once a period until STOP, then send no force; or a number of ticks in simulated time.
 
     Args:
-        bound, scratch: of `servo_tick`.
+        bound, scratch: `Bound` and `Scratch` of `layout`.
         device: (2,) int64 addresses of read and write; context: the device's own.
-        counter, shared: what the session publishes, under a sequence lock.
+        counter, shared: what the session publishes, as words, under a sequence lock.
         numbers: (NUMBERS,) int64 shared with Python and the watchdog.
-        ring: (n, ROW) record; histogram: (b,) int64 counts of lateness in µs.
+        ring: (n, ROW_WORDS) record; histogram: (b,) int64 counts of lateness in µs.
         start_ns: deadline of the first tick in simulated time, in which a tick takes none.
         simulated_late_ns: (n,) int64 lateness of each tick in simulated time; (0,) in real time.
     Returns:
@@ -157,16 +161,14 @@ def run_servo(
     """
     timespec, late_ticks = np.zeros(2, dtype=np.int64), np.zeros(LATE_TICKS, dtype=np.int64)
     late_ticks[:] = -LATE_WITHIN
-    inputs, read_work = np.zeros(len(shared)), np.zeros(len(shared))
-    xyz, force, zero, row = np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(ROW)
+    xyz, force, zero = np.zeros(3), np.zeros(3), np.zeros(3)
     bound, scratch = borrowed(bound), borrowed(scratch)
     device, context, numbers = borrowed(device), borrowed(context), borrowed(numbers)
     counter, shared, ring = borrowed(counter), borrowed(shared), borrowed(ring)
-    memory, limits, codes = scratch[0], bound[5], bound[6]
-    supervisor = memory[SUPERVISION:TOOL]
-    missed = codes[MISSED_DEADLINES]
+    inputs, row = scratch.inputs[0], scratch.row[0]
+    missed = bound.settings[0].hazards.missed_deadlines
     wake_exactly()
-    seen = read_shared(counter, shared, -1, inputs, read_work)
+    seen = read_shared(counter, shared, -1, scratch.input_words, scratch.read_words)
     ticks, overran, done = 0, False, 0
     simulated_ticks = len(simulated_late_ns)
     simulated, limit_ns = simulated_ticks > 0, load_ordered(numbers, LATE_NS)
@@ -193,17 +195,17 @@ def run_servo(
             found |= missed
         if load_ordered(numbers, TRIPPED) != 0:
             found |= missed
-        seen = read_shared(counter, shared, seen, inputs, read_work)
-        _answer_rearm(numbers, supervisor, limits, codes, now * 1e-9)
+        seen = read_shared(counter, shared, seen, scratch.input_words, scratch.read_words)
+        _answer_rearm(numbers, bound, scratch, now * 1e-9)
         device_status = call_device(device[0], context, now, xyz)
-        unpacked_tick(*bound, inputs, xyz, device_status, now * 1e-9, found, *scratch, row, force)
+        servo_tick(bound, scratch, inputs, xyz, device_status, now * 1e-9, found, force)
         sent = _send(device, context, numbers, now, force, zero, timespec, simulated)
         if not sent and found & missed == 0:
-            withhold(memory, limits, codes, now * 1e-9, row)
+            withhold(bound, scratch, now * 1e-9)
         # a clock less to read: the two differ by a suspension alone, and then the force was not sent
         done = now + load_relaxed(numbers, SENT_NS) - elapsed if sent or simulated else monotonic_ns(timespec)
-        row[LATENESS_NS], row[WORK_NS], row[TICK] = late, done - now, ticks
-        record_row(ring, numbers, row)
+        row.lateness_ns, row.work_ns, row.tick = late, done - now, ticks
+        record_row(ring, numbers, scratch.row_words)
         ticks += 1
         target += period_ns
         overran = done - target > limit_ns
@@ -248,23 +250,24 @@ def measure_floor(numbers: Any, histogram: Any, period_ns: int) -> int:
 
 
 @kernel
-def copy_rows(ring: FloatArray, numbers: Any, begin: int, out: FloatArray) -> int:
-    """Rows from number `begin` on into `out`.
+def copy_rows(ring: Any, numbers: Any, begin: int, out: Any) -> int:
+    """Rows from number `begin` on into `out`, as words.
 
     Returns:
         the number after the last whole row; where that is more than `begin + len(out)` rows were left, and
-        rows that had been overwritten are NaN.
+        rows that had been overwritten are LOST throughout.
     """
     head = load_ordered(numbers, HEAD)
     count = min(head - begin, len(out))
     for i in range(count):
-        at = ((begin + i) % len(ring)) * ROW
-        for k in range(ROW):
+        at = ((begin + i) % len(ring)) * ROW_WORDS
+        for k in range(ROW_WORDS):
             out[i, k] = load_relaxed(ring, at + k)
     fence_acquire()
     # the row after the newest whole one is being written now
     oldest = load_ordered(numbers, HEAD) + 1 - len(ring)
     for i in range(min(count, max(oldest - begin, 0))):
-        out[i, :] = np.nan
+        for k in range(ROW_WORDS):
+            out[i, k] = LOST
     end: int = begin + count
     return end

@@ -16,61 +16,50 @@ Source: Hannaford and Ryu 2002 (observer and controller in the time domain); Ryu
 reference energy); surface motion and the trapezoid as the reference are this project's.
 """
 
+from typing import Any
+
 from dvf_ig.core import FloatArray
 from dvf_ig.kernels.compiled import kernel
 
-# Offsets in the observer's memory.
-LAST_XYZ = 0
-LAST_FIELD = 3
-SURFACE_SPEED = 6
-RESIDUAL = 9
-GIVEN = 10
-BY_SURFACE = 11
-STARTED = 13
-DAMPING = 14
-SENT_COUNT = 15
-SENT = 16
-SENT_KEPT = 32
-"""Ticks of sent force that are remembered: the longest latency that can be accounted for, plus one."""
-MEMORY_SIZE = SENT + 3 * SENT_KEPT
+from .layout import SENT_KEPT
 
 
 @kernel
 def observe(
-    p: FloatArray, xyz: FloatArray, field: FloatArray, dt_s: float, delay_ticks: int, following: bool
+    p: Any, xyz: FloatArray, field: FloatArray, dt_s: float, delay_ticks: int, following: bool
 ) -> None:
-    """Account for the period that has just passed; fills GIVEN, BY_SURFACE and RESIDUAL, in mJ.
+    """Account for the period that has just passed; fills the energies of the memory.
 
     Args:
-        p: memory; all zero before the first tick.
+        p: PASSIVITY; all zero before the first tick.
         xyz: (3,) measured position, mm.
         field: (3,) N, the fixtures' force there, before damping and supervision.
         dt_s: since the last tick.
         delay_ticks: ticks between sending a force and feeling it, beyond the period in which it is sent.
         following: the supervisor sends what is wanted; while it fades or limits, the residual is kept.
     """
-    if p[STARTED] != 0.0:
-        back = int(p[SENT_COUNT]) - 1 - min(delay_ticks, SENT_KEPT - 1)
+    if p.started != 0:
+        back = p.sent_count - 1 - min(delay_ticks, SENT_KEPT - 1)
         given = by_surface = made = 0.0
         for k in range(3):
-            sent = p[SENT + 3 * (back % SENT_KEPT) + k] if back >= 0 else 0.0
-            moved = xyz[k] - p[LAST_XYZ + k]
-            surface = p[SURFACE_SPEED + k] * dt_s
+            sent = p.sent_n[back % SENT_KEPT, k] if back >= 0 else 0.0
+            moved = xyz[k] - p.last_xyz_mm[k]
+            surface = p.surface_mm_s[k] * dt_s
             given += sent * moved
             by_surface += sent * surface
-            made += (sent - 0.5 * (field[k] + p[LAST_FIELD + k])) * (moved - surface)
-        p[GIVEN] += given
-        p[BY_SURFACE] += by_surface
+            made += (sent - 0.5 * (field[k] + p.last_field_n[k])) * (moved - surface)
+        p.given_mj += given
+        p.by_surface_mj += by_surface
         if following:
-            p[RESIDUAL] = max(0.0, p[RESIDUAL] + made)
-    p[STARTED] = 1.0
+            p.residual_mj = max(0.0, p.residual_mj + made)
+    p.started = 1
     for k in range(3):
-        p[LAST_XYZ + k], p[LAST_FIELD + k] = xyz[k], field[k]
+        p.last_xyz_mm[k], p.last_field_n[k] = xyz[k], field[k]
 
 
 @kernel
 def control(
-    p: FloatArray, speed: FloatArray, surface_speed: FloatArray, dt_s: float, largest: float, out: FloatArray
+    p: Any, speed: FloatArray, surface_speed: FloatArray, dt_s: float, largest: float, out: FloatArray
 ) -> None:
     """Add the controller's damping force to `out` (3,) N, and remember the surface's speed for `observe`.
 
@@ -81,21 +70,21 @@ def control(
     """
     square = 0.0
     for k in range(3):
-        p[SURFACE_SPEED + k] = surface_speed[k]
+        p.surface_mm_s[k] = surface_speed[k]
         square += (speed[k] - surface_speed[k]) ** 2
-    p[DAMPING] = 0.0
-    if largest <= 0.0 or p[RESIDUAL] <= 0.0 or square <= 0.0:
+    p.damping = 0.0
+    if largest <= 0.0 or p.residual_mj <= 0.0 or square <= 0.0:
         return
-    damping = min(largest, p[RESIDUAL] / (square * dt_s))
-    p[DAMPING] = damping
+    damping = min(largest, p.residual_mj / (square * dt_s))
+    p.damping = damping
     for k in range(3):
         out[k] -= damping * (speed[k] - surface_speed[k])
 
 
 @kernel
-def note_sent(p: FloatArray, sent: FloatArray) -> None:
+def note_sent(p: Any, sent: FloatArray) -> None:
     """Remember a force that was sent, (3,) N."""
-    at = int(p[SENT_COUNT]) % SENT_KEPT
+    at = p.sent_count % SENT_KEPT
     for k in range(3):
-        p[SENT + 3 * at + k] = sent[k]
-    p[SENT_COUNT] += 1.0
+        p.sent_n[at, k] = sent[k]
+    p.sent_count += 1

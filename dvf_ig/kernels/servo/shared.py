@@ -21,7 +21,6 @@ from llvmlite import ir
 from numba import core
 from numba.extending import intrinsic
 
-from dvf_ig.core import FloatArray
 from dvf_ig.kernels.compiled import kernel
 
 types: Any = core.types
@@ -119,12 +118,12 @@ def _fence(ordering: str) -> Any:
 
 
 @kernel
-def publish(counter: Any, shared: FloatArray, values: FloatArray) -> None:
+def publish(counter: Any, shared: Any, values: Any) -> None:
     """Write `values` into the shared array; from one thread at a time.
 
     Args:
         counter: (n,) int64, of which the first is the lock's count.
-        shared, values: (m,) float64.
+        shared, values: (m,) of one type of 8 bytes.
     """
     count = load_relaxed(counter, 0)
     store_relaxed(counter, 0, count + 1)
@@ -135,7 +134,7 @@ def publish(counter: Any, shared: FloatArray, values: FloatArray) -> None:
 
 
 @kernel
-def read_shared(counter: Any, shared: FloatArray, seen: int, out: FloatArray, work: FloatArray) -> int:
+def read_shared(counter: Any, shared: Any, seen: int, out: Any, work: Any) -> int:
     """Read the shared array into `out`; `out` stays as it is where nothing is new or every read was torn.
 
     Args:

@@ -1,7 +1,6 @@
 """The supervisor of the force as a kernel: fades, slew limit, latch, re-arm.
 
-`dvf_ig.guidance.supervision.supervisor.Supervisor` is its readable form; tests hold one to the other step by
-step.
+`tests/oracles/readable_supervisor.py` is its readable form; tests hold one to the other step by step.
 """
 
 import math
@@ -10,55 +9,12 @@ from typing import Any
 from dvf_ig.core import FloatArray
 from dvf_ig.kernels.compiled import kernel
 
+from .layout import CLAMPS
+
 OK = 0
 DEGRADED = 1
 FADE = 2
 LATCHED = 3
-
-# Offsets in the supervisor's memory.
-STATE = 0
-SENT = 1
-LAST_S = 4
-WANTED_N = 5
-HAZARDS = 6
-CAUSE = 7
-SLOW = 8
-LATCH_DUE = 9
-UNSAFE_SINCE_S = 10
-FADE_FROM = 11
-FADE_START_S = 14
-FADE_END_S = 15
-RISE_S = 16
-RISE_START_S = 17
-SCALE = 18
-CLAMPED = 19
-CLAMP_COUNT = 20
-CLAMPS_S = 21
-CLAMPS = 10
-MEMORY_SIZE = CLAMPS_S + CLAMPS
-
-# Offsets in its limits.
-FADE_S = 0
-FAST_FADE_S = 1
-SLEW = 2
-SLOW_SLEW = 3
-LATCH_AFTER_S = 4
-CLAMPS_WITHIN_S = 5
-REARM_BELOW_N = 6
-REARM_RISE_S = 7
-REARM_AGE_S = 8
-LIMITS_SIZE = 9
-
-# Offsets in the hazards' masks, each a sum of hazard bits.
-FADING = 0
-FAST = 1
-AT_ONCE = 2
-SLOWING = 3
-LATCH_LATE = 4
-LATCH_AT_ONCE = 5
-NOT_FINITE = 6
-FORCE_CLAMPED = 7
-MASKS_SIZE = 8
 
 REARMED = 1
 NOT_LATCHED = 2
@@ -69,140 +25,127 @@ FORCE_WANTED = 5
 
 
 @kernel
-def start_supervision(s: FloatArray) -> None:
-    """Memory before the first step."""
-    s[:] = 0.0
-    s[STATE], s[SLOW] = DEGRADED, 1.0
-    s[LAST_S] = s[UNSAFE_SINCE_S] = math.nan
-    s[WANTED_N] = math.inf
+def _begin_rise(s: Any, t_s: float) -> None:
+    s.state, s.cause, s.latch_due, s.slow, s.rise_start_s = DEGRADED, 0, 0, 1, t_s
 
 
 @kernel
-def _begin_rise(s: FloatArray, t_s: float) -> None:
-    s[STATE], s[CAUSE], s[LATCH_DUE], s[SLOW], s[RISE_START_S] = DEGRADED, 0.0, 0.0, 1.0, t_s
-
-
-@kernel
-def _begin_fade(s: FloatArray, masks: Any, t_s: float, duration_s: float) -> None:
-    if s[STATE] != FADE or t_s + duration_s < s[FADE_END_S]:
+def _begin_fade(s: Any, hazards: Any, t_s: float, duration_s: float) -> None:
+    if s.state != FADE or t_s + duration_s < s.fade_end_s:
         for k in range(3):
-            s[FADE_FROM + k] = s[SENT + k]
-        s[FADE_START_S] = t_s
-        sending = s[SENT] != 0.0 or s[SENT + 1] != 0.0 or s[SENT + 2] != 0.0
-        s[FADE_END_S] = t_s + duration_s if sending else t_s
-        s[STATE] = FADE
-    s[CAUSE] = float(int(s[CAUSE]) | (int(s[HAZARDS]) & masks[FADING]))
+            s.fade_from_n[k] = s.sent_n[k]
+        s.fade_start_s = t_s
+        sending = s.sent_n[0] != 0.0 or s.sent_n[1] != 0.0 or s.sent_n[2] != 0.0
+        s.fade_end_s = t_s + duration_s if sending else t_s
+        s.state = FADE
+    s.cause = s.cause | (s.hazards & hazards.fading)
 
 
 @kernel
-def _release(s: FloatArray, masks: Any, t_s: float) -> None:
-    if t_s < s[FADE_END_S]:
-        gone = (t_s - s[FADE_START_S]) / (s[FADE_END_S] - s[FADE_START_S])
-        s[SCALE] = 0.5 * (1.0 + math.cos(math.pi * gone))
+def _release(s: Any, hazards: Any, t_s: float) -> None:
+    if t_s < s.fade_end_s:
+        gone = (t_s - s.fade_start_s) / (s.fade_end_s - s.fade_start_s)
+        s.scale = 0.5 * (1.0 + math.cos(math.pi * gone))
         for k in range(3):
-            s[SENT + k] = s[SCALE] * s[FADE_FROM + k]
+            s.sent_n[k] = s.scale * s.fade_from_n[k]
         return
     for k in range(3):
-        s[SENT + k] = 0.0
-    if s[LATCH_DUE] != 0.0:
-        s[STATE], s[CLAMP_COUNT] = LATCHED, 0.0
-    elif not int(s[HAZARDS]) & masks[FADING]:
+        s.sent_n[k] = 0.0
+    if s.latch_due != 0:
+        s.state, s.clamp_count = LATCHED, 0
+    elif not s.hazards & hazards.fading:
         _begin_rise(s, t_s)
 
 
 @kernel
-def _follow(
-    s: FloatArray, limits: FloatArray, masks: Any, t_s: float, dt_s: float, wanted: FloatArray
-) -> None:
-    bits = int(s[HAZARDS])
-    risen = (t_s - s[RISE_START_S]) / s[RISE_S] if s[RISE_S] > 0.0 else 1.0
+def _follow(s: Any, limits: Any, hazards: Any, t_s: float, dt_s: float, wanted: FloatArray) -> None:
+    risen = (t_s - s.rise_start_s) / s.rise_s if s.rise_s > 0.0 else 1.0
     scale = 0.5 * (1.0 - math.cos(math.pi * min(max(risen, 0.0), 1.0))) if risen < 1.0 else 1.0
-    slow = s[SLOW] != 0.0 or (bits & masks[SLOWING]) != 0
-    largest = dt_s * (min(limits[SLOW_SLEW], limits[SLEW]) if slow else limits[SLEW])
-    x, y, z = scale * wanted[0] - s[SENT], scale * wanted[1] - s[SENT + 1], scale * wanted[2] - s[SENT + 2]
+    slow = s.slow != 0 or (s.hazards & hazards.slowing) != 0
+    slew = min(limits.slow_slew_n_per_s, limits.slew_n_per_s) if slow else limits.slew_n_per_s
+    largest = dt_s * slew
+    x = scale * wanted[0] - s.sent_n[0]
+    y = scale * wanted[1] - s.sent_n[1]
+    z = scale * wanted[2] - s.sent_n[2]
     size = math.sqrt(x * x + y * y + z * z)
     cut = size > largest
     if cut:
         share = largest / size
-        s[SENT] += share * x
-        s[SENT + 1] += share * y
-        s[SENT + 2] += share * z
+        s.sent_n[0] += share * x
+        s.sent_n[1] += share * y
+        s.sent_n[2] += share * z
     else:
         for k in range(3):
-            s[SENT + k] = scale * wanted[k]
+            s.sent_n[k] = scale * wanted[k]
     still_slow = slow and (cut or risen < 1.0)
-    s[SLOW] = 1.0 if still_slow else 0.0
+    s.slow = 1 if still_slow else 0
     if not still_slow:
-        s[RISE_S] = 0.0
-    s[STATE] = DEGRADED if bits != 0 or still_slow else OK
-    s[SCALE] = scale
-    s[CLAMPED] = 1.0 if cut and not slow and dt_s > 0.0 else 0.0
+        s.rise_s = 0.0
+    s.state = DEGRADED if s.hazards != 0 or still_slow else OK
+    s.scale = scale
+    s.clamped = 1 if cut and not slow and dt_s > 0.0 else 0
 
 
 @kernel
-def _too_many_clamps(s: FloatArray, limits: FloatArray, t_s: float) -> bool:
-    count = int(s[CLAMP_COUNT])
-    s[CLAMPS_S + count % CLAMPS] = t_s
-    s[CLAMP_COUNT] = count + 1.0
+def _too_many_clamps(s: Any, limits: Any, t_s: float) -> bool:
+    count = s.clamp_count
+    s.clamps_s[count % CLAMPS] = t_s
+    s.clamp_count = count + 1
     if count + 1 < CLAMPS:
         return False
-    first = s[CLAMPS_S + (count + 1) % CLAMPS]
-    return bool(t_s - first <= limits[CLAMPS_WITHIN_S])
+    return bool(t_s - s.clamps_s[(count + 1) % CLAMPS] <= limits.clamps_within_s)
 
 
 @kernel
-def supervise(
-    s: FloatArray, limits: FloatArray, masks: Any, t_s: float, wanted: FloatArray, hazards: int
-) -> None:
-    """One step: fills SENT, STATE, HAZARDS, CAUSE, SCALE and CLAMPED of the memory.
+def supervise(s: Any, limits: Any, hazards: Any, t_s: float, wanted: FloatArray, active: int) -> None:
+    """One step: fills sent force, state, hazards, cause, scale and clamped of the memory.
 
     Args:
-        s: memory (`start_supervision`).
-        limits, masks: constants at the offsets of this module; masks int64.
+        s: SUPERVISION; limits: LIMITS; hazards: HAZARDS.
         t_s: not before the last step's.
         wanted: (3,) N.
-        hazards: bits that are active now.
+        active: bits of the hazards that are active now.
     """
-    dt_s = t_s - s[LAST_S] if math.isfinite(s[LAST_S]) else 0.0
-    s[LAST_S] = t_s
-    s[WANTED_N] = math.sqrt(wanted[0] ** 2 + wanted[1] ** 2 + wanted[2] ** 2)
-    if not math.isfinite(s[WANTED_N]):
-        hazards |= masks[NOT_FINITE]
-    s[HAZARDS] = float(hazards)
-    if hazards & masks[LATCH_LATE]:
-        if math.isnan(s[UNSAFE_SINCE_S]):
-            s[UNSAFE_SINCE_S] = t_s
-        elif t_s - s[UNSAFE_SINCE_S] >= limits[LATCH_AFTER_S]:
-            s[LATCH_DUE] = 1.0
+    dt_s = t_s - s.last_s if math.isfinite(s.last_s) else 0.0
+    s.last_s = t_s
+    s.wanted_n = math.sqrt(wanted[0] ** 2 + wanted[1] ** 2 + wanted[2] ** 2)
+    if not math.isfinite(s.wanted_n):
+        active |= hazards.not_finite
+    s.hazards = active
+    if active & hazards.latch_late:
+        if math.isnan(s.unsafe_since_s):
+            s.unsafe_since_s = t_s
+        elif t_s - s.unsafe_since_s >= limits.latch_after_s:
+            s.latch_due = 1
     else:
-        s[UNSAFE_SINCE_S] = math.nan
-    if hazards & masks[LATCH_AT_ONCE]:
-        s[LATCH_DUE] = 1.0
-    s[SCALE] = s[CLAMPED] = 0.0
-    if hazards & masks[FADING] and s[STATE] != LATCHED:
-        fast = limits[FAST_FADE_S] if hazards & masks[FAST] else limits[FADE_S]
-        _begin_fade(s, masks, t_s, 0.0 if hazards & masks[AT_ONCE] else fast)
-    if s[STATE] == FADE:
-        _release(s, masks, t_s)
-    elif s[STATE] != LATCHED:
-        _follow(s, limits, masks, t_s, dt_s, wanted)
-        if s[CLAMPED] != 0.0 and _too_many_clamps(s, limits, t_s):
-            s[HAZARDS] = float(int(s[HAZARDS]) | masks[FORCE_CLAMPED])
-            s[LATCH_DUE] = 1.0
-            _begin_fade(s, masks, t_s, limits[FADE_S])
+        s.unsafe_since_s = math.nan
+    if active & hazards.latch_at_once:
+        s.latch_due = 1
+    s.scale, s.clamped = 0.0, 0
+    if active & hazards.fading and s.state != LATCHED:
+        duration_s = limits.fast_fade_s if active & hazards.fast else limits.fade_s
+        _begin_fade(s, hazards, t_s, 0.0 if active & hazards.at_once else duration_s)
+    if s.state == FADE:
+        _release(s, hazards, t_s)
+    elif s.state != LATCHED:
+        _follow(s, limits, hazards, t_s, dt_s, wanted)
+        if s.clamped != 0 and _too_many_clamps(s, limits, t_s):
+            s.hazards = s.hazards | hazards.force_clamped
+            s.latch_due = 1
+            _begin_fade(s, hazards, t_s, limits.fade_s)
 
 
 @kernel
-def rearm(s: FloatArray, limits: FloatArray, masks: Any, t_s: float) -> int:
+def rearm(s: Any, limits: Any, hazards: Any, t_s: float) -> int:
     """An operator's request to leave LATCHED, judged by what the last step saw; the answer."""
-    if s[STATE] != LATCHED:
+    if s.state != LATCHED:
         return NOT_LATCHED
-    if not t_s - s[LAST_S] <= limits[REARM_AGE_S]:
+    if not t_s - s.last_s <= limits.rearm_age_s:
         return NO_RECENT_STEP
-    if int(s[HAZARDS]) & masks[FADING]:
+    if s.hazards & hazards.fading:
         return HAZARD_ACTIVE
-    if not s[WANTED_N] < limits[REARM_BELOW_N]:
+    if not s.wanted_n < limits.rearm_below_n:
         return FORCE_WANTED
-    s[RISE_S] = limits[REARM_RISE_S]
+    s.rise_s = limits.rearm_rise_s
     _begin_rise(s, t_s)
     return REARMED

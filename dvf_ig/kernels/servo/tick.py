@@ -3,132 +3,58 @@
     validate → pose and phase at the moment at which the force is felt → fixtures → compose → relative damping
     → passivity → saturate → supervise (fade, slew, latch) → ceiling of any force → output
 
-`dvf_ig.guidance.servo.twin` is the readable form.
+`tests/oracles/readable_tick.py` is the readable form.
 """
 
 import math
 from typing import Any
 
-from numpy.typing import NDArray
-
 from dvf_ig.core import FloatArray
 from dvf_ig.kernels import status as code
 from dvf_ig.kernels.compiled import inlined, kernel
-from dvf_ig.kernels.composition import COMPOSED_SIZE, CONFLICT, work_size
 from dvf_ig.kernels.laws import LARGEST_FORCE_N, direction_certainty
-from dvf_ig.kernels.pose_and_phase import DISTANCE_RATE, DISTANCE_SIGMA, GUIDED_SIZE
 
-from . import passivity, supervision
-from .fixtures import LOSS_SIZE, WORST_SHARE, fixtures_force
+from . import supervision
+from .fixtures import cross_to_walls, fixtures_force
 from .passivity import control, note_sent, observe
-from .phase_loss import cross_to_walls
-from .published import CLOCK_OFFSET_S, HAZARDS, TOOL_STATUS, TRACKER_FROM_DEVICE, VALID_UNTIL_S
-from .record import (
-    DISTANCE_MM,
-    FIELD_N,
-    IN_CONFLICT,
-    SENT_N,
-    SIGMA_MM,
-    STATUS,
-    SURFACE_MM_S,
-    T_S,
-    WANTED_N,
-    XYZ_MM,
-    record_energy,
-    record_supervision,
-)
 from .supervision import supervise
-
-# Offsets in the constants of a servo.
-PERIOD_S = 0
-CAP_N = 1
-LEAD_S = 2
-PREDICT_TOOL = 3
-SPEED_SHARE = 4
-RELATIVE_DAMPING = 5
-FRICTION_N = 6
-SLOW_MM_S = 7
-LARGEST_DAMPING = 8
-RESIDUAL_LIMIT_MJ = 9
-DELAY_TICKS = 10
-CONSTANTS_SIZE = 11
-
-# Offsets in the hazard codes, after the supervisor's masks.
-OF_STATUS = supervision.MASKS_SIZE
-SESSION_SILENT = OF_STATUS + 6
-DEVICE_LOST = SESSION_SILENT + 1
-ENERGY = DEVICE_LOST + 1
-MISSED_DEADLINES = ENERGY + 1
-CODES_SIZE = MISSED_DEADLINES + 1
-
-# Offsets in a tick's memory.
-SUPERVISION = passivity.MEMORY_SIZE
-TOOL = SUPERVISION + supervision.MEMORY_SIZE
-TOOL_XYZ = TOOL
-TOOL_SPEED = TOOL + 3
-TOOL_KNOWN = TOOL + 6
-LAST_TICK_S = TOOL + 7
-PHASE_LOSS = TOOL + 8
-MEMORY_SIZE = PHASE_LOSS + LOSS_SIZE
-
-
-def scratch_sizes(fixtures: int) -> dict[str, Any]:
-    """Shapes of a tick's scratch arrays for so many fixtures."""
-    return {
-        "forces": (fixtures, 3),
-        "first": (GUIDED_SIZE,),
-        "work": work_size(fixtures),
-        "order": (fixtures,),
-        "composed": (COMPOSED_SIZE,),
-        "other": (COMPOSED_SIZE,),
-        "vectors": (5, 3),
-    }
 
 
 @inlined
-def _place_in_tracker(
-    m: FloatArray, c: FloatArray, inputs: FloatArray, xyz_device: FloatArray, dt_s: float
-) -> bool:
+def _place_in_tracker(m: Any, settings: Any, inputs: Any, xyz_device: FloatArray, dt_s: float) -> bool:
     """Tool in the tracker frame and its filtered speed, into the memory; whether it is finite."""
-    t = TRACKER_FROM_DEVICE
+    pose = inputs.tracker_from_device
     finite = True
     for k in range(3):
-        x = (
-            inputs[t + 4 * k] * xyz_device[0]
-            + inputs[t + 4 * k + 1] * xyz_device[1]
-            + inputs[t + 4 * k + 2] * xyz_device[2]
-            + inputs[t + 4 * k + 3]
-        )
+        x = pose[k, 0] * xyz_device[0] + pose[k, 1] * xyz_device[1] + pose[k, 2] * xyz_device[2] + pose[k, 3]
         finite = finite and math.isfinite(x)
-        if m[TOOL_KNOWN] != 0.0 and dt_s > 0.0:
-            now = (x - m[TOOL_XYZ + k]) / dt_s
-            m[TOOL_SPEED + k] += c[SPEED_SHARE] * (now - m[TOOL_SPEED + k])
-        m[TOOL_XYZ + k] = x
-    m[TOOL_KNOWN] = 1.0 if finite else 0.0
+        if m.tool_known != 0 and dt_s > 0.0:
+            now = (x - m.tool_mm[k]) / dt_s
+            m.tool_mm_s[k] += settings.speed_share * (now - m.tool_mm_s[k])
+        m.tool_mm[k] = x
+    m.tool_known = 1 if finite else 0
     if not finite:
         for k in range(3):
-            m[TOOL_SPEED + k] = 0.0
+            m.tool_mm_s[k] = 0.0
     return finite
 
 
 @inlined
-def _relative_damping(
-    c: FloatArray, m: FloatArray, first: FloatArray, surface: FloatArray, out: FloatArray
-) -> float:
+def _relative_damping(settings: Any, m: Any, sample: Any, surface: FloatArray, out: FloatArray) -> float:
     """Surface velocity (3,) along the normal; `dvf_ig.guidance.FeedForward` added to `out`; its speed."""
-    gx, gy, gz = first[4], first[5], first[6]
+    gx, gy, gz = sample.gradient[0], sample.gradient[1], sample.gradient[2]
     norm = math.sqrt(gx * gx + gy * gy + gz * gz)
     certainty = direction_certainty(norm)
     if not certainty > 0.0:
         return math.nan
     nx, ny, nz = gx / norm, gy / norm, gz / norm
-    speed: float = -first[DISTANCE_RATE] / norm
+    speed: float = -sample.distance_rate_mm_s / norm
     surface[0], surface[1], surface[2] = speed * nx, speed * ny, speed * nz
     push = 0.0
-    if c[FRICTION_N] > 0.0:
-        push = c[FRICTION_N] * math.tanh(speed / c[SLOW_MM_S])
-    along = m[TOOL_SPEED] * nx + m[TOOL_SPEED + 1] * ny + m[TOOL_SPEED + 2] * nz
-    push = certainty * (push - c[RELATIVE_DAMPING] * (along - speed))
+    if settings.friction_n > 0.0:
+        push = settings.friction_n * math.tanh(speed / settings.slow_mm_s)
+    along = m.tool_mm_s[0] * nx + m.tool_mm_s[1] * ny + m.tool_mm_s[2] * nz
+    push = certainty * (push - settings.relative_damping * (along - speed))
     out[0] += push * nx
     out[1] += push * ny
     out[2] += push * nz
@@ -153,171 +79,119 @@ def _within_ceiling(force: FloatArray) -> None:
 
 
 @inlined
-def _to_device(inputs: FloatArray, sent: FloatArray, force_device: FloatArray) -> None:
-    """A force of the tracker's frame in the device's."""
-    for k in range(3):
-        force_device[k] = (
-            inputs[TRACKER_FROM_DEVICE + k] * sent[0]
-            + inputs[TRACKER_FROM_DEVICE + 4 + k] * sent[1]
-            + inputs[TRACKER_FROM_DEVICE + 8 + k] * sent[2]
-        )
-
-
-@inlined
 def servo_tick(
-    linear: NDArray[Any],
-    periodic: NDArray[Any],
-    packed: FloatArray,
-    fixtures: FloatArray,
-    c: FloatArray,
-    limits: FloatArray,
-    codes: Any,
-    inputs: FloatArray,
+    bound: Any,
+    scratch: Any,
+    inputs: Any,
     xyz_device: FloatArray,
     device_status: int,
     clock_s: float,
-    found: int,
-    m: FloatArray,
-    first: FloatArray,
-    forces: FloatArray,
-    work: FloatArray,
-    order: FloatArray,
-    composed: FloatArray,
-    other: FloatArray,
-    vectors: FloatArray,
-    row: FloatArray,
+    active: int,
     force_device: FloatArray,
 ) -> None:
-    """One tick.
+    """One tick; its record is `scratch.row`.
 
     Args:
-        linear, periodic: (n, cx, cy, cz) coefficients of the two kinds of blend; (0, …) of one not used.
-        packed: (k, p) fixtures (`packed_fixture`), written to.
-        fixtures: (6, k) their constants; c: constants of the servo; limits, codes: of the supervisor.
-        inputs: what the session published; writable.
+        bound: `Bound`; scratch: `Scratch`; inputs: INPUTS, what the session published.
         xyz_device: (3,) mm, device frame; device_status: not 0 where the device did not answer.
         clock_s: monotonic clock at which the position was read.
-        found: hazard bits that the loop found.
-        m: memory; first, forces, work, order, composed, other, vectors: scratch (`scratch_sizes`).
-        row: (30,) the record of this tick.
+        active: bits of the hazards that the loop met.
         force_device: (3,) N to send, device frame.
     """
-    t_s, loss = clock_s - inputs[CLOCK_OFFSET_S], m[PHASE_LOSS:]
-    dt_s = clock_s - m[LAST_TICK_S] if m[LAST_TICK_S] != 0.0 else c[PERIOD_S]
-    m[LAST_TICK_S] = clock_s
-    hazards = found | int(inputs[HAZARDS])
+    settings, m, sample = bound.settings[0], scratch.memory[0], scratch.sample[0]
+    composed, row, hazards = scratch.composed[0], scratch.row[0], bound.settings[0].hazards
+    vectors = scratch.vectors
     xyz, field, wanted, surface, speed = vectors[0], vectors[1], vectors[2], vectors[3], vectors[4]
-    status = int(inputs[TOOL_STATUS])
+    t_s = clock_s - inputs.clock_offset_s
+    dt_s = clock_s - m.last_tick_s if math.isfinite(m.last_tick_s) else settings.period_s
+    m.last_tick_s = clock_s
+    active |= inputs.hazards
+    status = inputs.tool_status
     if device_status != 0:
-        hazards |= codes[DEVICE_LOST]
+        active |= hazards.device_lost
         status = code.STALE_TOOL
-        m[TOOL_KNOWN] = 0.0
-    elif not _place_in_tracker(m, c, inputs, xyz_device, dt_s):
+        m.tool_known = 0
+    elif not _place_in_tracker(m, settings, inputs, xyz_device, dt_s):
         status = code.FAULT
-    if not clock_s <= inputs[VALID_UNTIL_S]:
-        hazards |= codes[SESSION_SILENT]
+    if not clock_s <= inputs.valid_until_s:
+        active |= hazards.session_silent
         status = code.NO_POSE if status == code.OK else status
-    if status == code.OK and hazards & codes[OF_STATUS + code.NO_PHASE]:
+    if status == code.OK and active & hazards.no_phase:
         status = code.NO_PHASE
     for k in range(3):
-        speed[k] = m[TOOL_SPEED + k]
-        xyz[k] = m[TOOL_XYZ + k] + c[PREDICT_TOOL] * c[LEAD_S] * speed[k]
+        speed[k] = m.tool_mm_s[k]
+        xyz[k] = m.tool_mm[k] + settings.predict_tool * settings.lead_s * speed[k]
         surface[k] = 0.0
-    status = fixtures_force(
-        linear,
-        periodic,
-        packed,
-        fixtures,
-        c[CAP_N],
-        inputs,
-        t_s + c[LEAD_S],
-        xyz,
-        status,
-        loss,
-        first,
-        forces,
-        work,
-        order,
-        composed,
-    )
-    if status != code.OK or loss[WORST_SHARE] > 0.0:
-        status = cross_to_walls(
-            linear,
-            periodic,
-            packed,
-            fixtures,
-            c[CAP_N],
-            inputs,
-            t_s + c[LEAD_S],
-            xyz,
-            status,
-            dt_s / limits[supervision.FADE_S],
-            loss,
-            first,
-            forces,
-            work,
-            order,
-            composed,
-            other,
-        )
-    evaluated = math.isfinite(first[3])
+    felt_s = t_s + settings.lead_s
+    status = fixtures_force(bound, scratch, inputs, felt_s, xyz, status)
+    if status != code.OK or m.worst_share > 0.0:
+        status = cross_to_walls(bound, scratch, inputs, felt_s, xyz, status, dt_s)
+    evaluated = math.isfinite(sample.distance_mm)
     surface_speed = math.nan
     for k in range(3):
-        xyz[k] = m[TOOL_XYZ + k]
-        field[k] = composed[k] + composed[3 + k]
+        xyz[k] = m.tool_mm[k]
+        field[k] = composed.forbidden_n[k] + composed.guidance_n[k]
         wanted[k] = field[k]
     if evaluated:
-        surface_speed = _relative_damping(c, m, first, surface, wanted)
-    hazards |= codes[OF_STATUS + status]
-    supervisor = m[SUPERVISION:TOOL]
-    if device_status == 0 and m[TOOL_KNOWN] != 0.0:
-        following = (
-            supervisor[supervision.STATE] <= supervision.DEGRADED and supervisor[supervision.SLOW] == 0.0
-        )
-        observe(m, xyz, field, dt_s, int(c[DELAY_TICKS]), following)
+        surface_speed = _relative_damping(settings, m, sample, surface, wanted)
+    met = status == code.FAULT or status == code.OUT_OF_VOLUME
+    if met or not active & hazards.fading:
+        # otherwise who published why no force is given has said it
+        active |= hazards.of_status[status]
+    s, p = m.supervision, m.passivity
+    if device_status == 0 and m.tool_known != 0:
+        following = s.state <= supervision.DEGRADED and s.slow == 0
+        observe(p, xyz, field, dt_s, settings.delay_ticks, following)
         if evaluated:
-            control(m, speed, surface, c[PERIOD_S], c[LARGEST_DAMPING], wanted)
+            control(p, speed, surface, settings.period_s, settings.largest_damping, wanted)
     else:
-        m[passivity.STARTED] = 0.0
-    if m[passivity.RESIDUAL] > c[RESIDUAL_LIMIT_MJ]:
-        hazards |= codes[ENERGY]
-    _saturate(wanted, c[CAP_N])
-    supervise(supervisor, limits, codes, clock_s, wanted, hazards)
-    if supervisor[supervision.STATE] == supervision.LATCHED:
-        m[passivity.RESIDUAL] = 0.0
-    sent = supervisor[supervision.SENT : supervision.SENT + 3]
-    if not math.isfinite(sent[0] + sent[1] + sent[2]):
-        sent[0] = sent[1] = sent[2] = 0.0
-    note_sent(m, sent)
-    _to_device(inputs, sent, force_device)
+        p.started = 0
+    if p.residual_mj > settings.residual_limit_mj:
+        active |= hazards.energy
+    _saturate(wanted, settings.cap_n)
+    supervise(s, settings.limits, hazards, clock_s, wanted, active)
+    if s.state == supervision.LATCHED:
+        p.residual_mj = 0.0
+    if not math.isfinite(s.sent_n[0] + s.sent_n[1] + s.sent_n[2]):
+        s.sent_n[0] = s.sent_n[1] = s.sent_n[2] = 0.0
+    note_sent(p, s.sent_n)
+    turn = inputs.tracker_from_device
+    for k in range(3):
+        force_device[k] = turn[0, k] * s.sent_n[0] + turn[1, k] * s.sent_n[1] + turn[2, k] * s.sent_n[2]
     _within_ceiling(force_device)
     for k in range(3):
-        row[XYZ_MM + k], row[FIELD_N + k], row[WANTED_N + k] = xyz[k], field[k], wanted[k]
-        row[SENT_N + k] = sent[k]
-    row[T_S], row[STATUS], row[IN_CONFLICT] = t_s, status, composed[CONFLICT]
-    row[DISTANCE_MM], row[SIGMA_MM], row[SURFACE_MM_S] = first[3], first[DISTANCE_SIGMA], surface_speed
-    record_supervision(row, supervisor)
-    record_energy(row, m)
+        row.xyz_mm[k], row.field_n[k], row.wanted_n[k] = xyz[k], field[k], wanted[k]
+        row.gradient[k] = sample.gradient[k]
+    row.t_s, row.status, row.conflict = t_s, status, composed.conflict
+    row.distance_mm, row.rate_mm_per_cycle = sample.distance_mm, sample.rate_mm_per_cycle
+    row.sigma_mm, row.surface_mm_s = sample.sigma_mm, surface_speed
+    _record_memory(row, s, p)
+
+
+@inlined
+def _record_memory(row: Any, s: Any, p: Any) -> None:
+    """What supervisor and passivity observer know after the tick."""
+    for k in range(3):
+        row.sent_n[k] = s.sent_n[k]
+    row.state, row.scale, row.hazards, row.cause, row.clamped = (
+        s.state,
+        s.scale,
+        s.hazards,
+        s.cause,
+        s.clamped,
+    )
+    row.residual_mj, row.given_mj = p.residual_mj, p.given_mj
+    row.by_surface_mj, row.controller_damping = p.by_surface_mj, p.damping
 
 
 @kernel
-def withhold(m: FloatArray, limits: FloatArray, codes: Any, clock_s: float, row: FloatArray) -> None:
-    """Latch, in memory and record, after a tick whose force was not sent or was followed by zero.
-
-    Args:
-        m, limits, codes, clock_s, row: of the tick.
-    """
-    supervisor = m[SUPERVISION:TOOL]
-    hazards = int(supervisor[supervision.HAZARDS]) | codes[MISSED_DEADLINES]
-    supervise(supervisor, limits, codes, clock_s, row[WANTED_N : WANTED_N + 3], hazards)
-    m[passivity.RESIDUAL] = 0.0
-    m[passivity.SENT_COUNT] -= 1.0
-    note_sent(m, supervisor[supervision.SENT : supervision.SENT + 3])
-    for k in range(3):
-        row[SENT_N + k] = supervisor[supervision.SENT + k]
-    record_supervision(row, supervisor)
-    record_energy(row, m)
-
-
-unpacked_tick: Any = servo_tick
-"""The same, for callers that unpack two tuples into its arguments, which type checkers do not follow."""
+def withhold(bound: Any, scratch: Any, clock_s: float) -> None:
+    """Latch, in memory and record, after a tick whose force was not sent or was followed by zero."""
+    settings, row = bound.settings[0], scratch.row[0]
+    s, p = scratch.memory[0].supervision, scratch.memory[0].passivity
+    active = s.hazards | settings.hazards.missed_deadlines
+    supervise(s, settings.limits, settings.hazards, clock_s, row.wanted_n, active)
+    p.residual_mj = 0.0
+    p.sent_count -= 1
+    note_sent(p, s.sent_n)
+    _record_memory(row, s, p)

@@ -1,31 +1,17 @@
-"""A tool that a tracker sees behind the two functions of `device_call`: its tip moves on between two poses.
-
-A session publishes tip and velocity under a sequence lock; the servo's thread reads them and takes the tip to
-now. Forces go nowhere from here: they are in the servo's record.
-"""
+"""The servo's ticks in a session's own time, for a tracked tool whose tip moves on between two poses."""
 
 import math
 from typing import Any
 
 import numpy as np
-from numba import carray
 
 from dvf_ig.core import FloatArray
+from dvf_ig.kernels.compiled import inlined, kernel
+from dvf_ig.kernels.place import phase_at
 
-from .device_call import device_function
-from .shared import publish, read_shared
+from .layout import INPUT_WORDS
+from .tick import servo_tick
 
-# Offsets in its context: the lock, what it guards, and what the servo's thread has read.
-LOCK = 0
-TIP = 8
-"""(3,) mm, (3,) mm/s, and by the machine's monotonic clock the time of both, s."""
-TIP_SIZE = 7
-SEEN = 16
-READ = 24
-WORK = 32
-LEFT = 40
-"""(3,) mm by which the position lies off the newest prediction, (3,) the one given last, and its time."""
-CONTEXT_SIZE = 48
 SMOOTHED_S = 0.005
 """Where a new pose lies off the old one's prediction, the position goes over to it with this time constant: a
 step of 0.3 mm would be one of 0.1 N, as much as the slew limit lets through in a tick."""
@@ -33,45 +19,94 @@ FARTHEST_MM = 3.0
 """A tip that is further off is where the new pose says."""
 LONGEST_S = 0.05
 """A tip is predicted no further than this beyond its time; the session tells in time that it is lost."""
+MOST_TICKS = 2000
+"""Ticks between two publications: by then a silent session's force has faded and is latched."""
+
+TRACKED = np.dtype(
+    [
+        ("tip_mm", np.float64, (3,)),
+        ("velocity_mm_s", np.float64, (3,)),
+        ("tip_s", np.float64),
+        ("fresh", np.int64),
+        ("off_mm", np.float64, (3,)),
+        ("last_mm", np.float64, (3,)),
+        ("last_s", np.float64),
+        ("model_phase", np.float64),
+    ]
+)
+"""Tip and velocity at a time, as published; by how much the position lies off their prediction; the position
+that was given last. `model_phase` is that of the last tick's time, NaN if it is not known."""
 
 
-@device_function
-def read_tracked(context: Any, now_ns: int, out: Any) -> int:
-    """The tip now; the origin before the first one, when no session has spoken and no force is given."""
-    c, n = carray(context, CONTEXT_SIZE, np.int64), carray(context, CONTEXT_SIZE, np.float64)
-    position = carray(out, 3)
-    read, left = n[READ : READ + TIP_SIZE], n[LEFT : LEFT + 7]
-    before, now_s = c[SEEN], now_ns * 1e-9
-    c[SEEN] = read_shared(
-        c[LOCK : LOCK + 1], n[TIP : TIP + TIP_SIZE], c[SEEN], read, n[WORK : WORK + TIP_SIZE]
-    )
-    ahead_s = min(max(now_s - read[6], 0.0), LONGEST_S)
+@inlined
+def publish_tip(tool: Any, tip_mm: FloatArray, velocity_mm_s: FloatArray, t_s: float) -> None:
+    """Take a new tip (3,) and its velocity at a time."""
+    for k in range(3):
+        tool.tip_mm[k], tool.velocity_mm_s[k] = tip_mm[k], velocity_mm_s[k]
+    tool.tip_s, tool.fresh = t_s, 1
+
+
+@inlined
+def tip_at(tool: Any, t_s: float, out: FloatArray) -> bool:
+    """The tip (3,) at a time not before the last, the origin before the first; whether it jumped there."""
+    ahead_s = min(max(t_s - tool.tip_s, 0.0), LONGEST_S)
     size = 0.0
     for k in range(3):
-        position[k] = read[k] + ahead_s * read[3 + k]
-        if c[SEEN] != before:
-            left[k] = left[3 + k] + (now_s - left[6]) * read[3 + k] - position[k]
-        size += left[k] * left[k]
-    share = math.exp(-(now_s - left[6]) / SMOOTHED_S) if size <= FARTHEST_MM * FARTHEST_MM else 0.0
+        out[k] = tool.tip_mm[k] + ahead_s * tool.velocity_mm_s[k]
+        if tool.fresh != 0:
+            tool.off_mm[k] = tool.last_mm[k] + (t_s - tool.last_s) * tool.velocity_mm_s[k] - out[k]
+        size += tool.off_mm[k] * tool.off_mm[k]
+    jumped = size > FARTHEST_MM * FARTHEST_MM
+    share = 0.0 if jumped else math.exp(-(t_s - tool.last_s) / SMOOTHED_S)
     for k in range(3):
-        left[k] *= share
-        position[k] += left[k]
-        left[3 + k] = position[k]
-    left[6] = now_s
-    return 0
+        tool.off_mm[k] *= share
+        out[k] += tool.off_mm[k]
+        tool.last_mm[k] = out[k]
+    tool.fresh, tool.last_s = 0, t_s
+    return jumped
 
 
-@device_function
-def write_tracked(context: Any, now_ns: int, force_n: Any) -> int:
-    """Nothing renders the force here."""
-    return 0
+@kernel
+def tick_until(
+    bound: Any,
+    scratch: Any,
+    tool: Any,
+    published: Any,
+    tip_mm: FloatArray,
+    velocity_mm_s: FloatArray,
+    known: bool,
+    now_s: float,
+) -> None:
+    """Ticks a period apart with what was published before, and one at `now_s` with what is published now.
 
-
-def publish_tip(context: Any, tip: FloatArray) -> None:
-    """Tell the servo's thread where the tip is.
+    So a force at any time rests on all that is known then, and the forces between two publications on nothing
+    that came later. The servo's clock is the session's.
 
     Args:
-        context: (CONTEXT_SIZE,) int64.
-        tip: (TIP_SIZE,).
+        bound, scratch: `Bound` and `Scratch` of `layout`; the record of the last tick is in `scratch.row`.
+        tool: TRACKED.
+        published: (INPUT_WORDS,) INPUTS of now, as words.
+        tip_mm, velocity_mm_s: (3,) of the tool now, if `known`.
     """
-    publish(context[LOCK : LOCK + 1], context.view(np.float64)[TIP : TIP + TIP_SIZE], tip)
+    period_s, inputs, m = bound.settings[0].period_s, scratch.inputs[0], scratch.memory[0]
+    xyz, force = scratch.vectors[5], scratch.vectors[6]
+    at_s, ticks, done = m.last_tick_s + period_s, 0, False
+    while not done:
+        # also at the first tick, whose last is NaN
+        done = not at_s < now_s - 0.5 * period_s or ticks == MOST_TICKS
+        if done:
+            at_s = now_s
+            for k in range(INPUT_WORDS):
+                scratch.input_words[k] = published[k]
+            if known:
+                publish_tip(tool, tip_mm, velocity_mm_s, now_s)
+        if tip_at(tool, at_s, xyz):
+            # no motion of the tool: no speed, and no work on the hand
+            m.tool_known = m.passivity.started = 0
+            m.tool_mm_s[0] = m.tool_mm_s[1] = m.tool_mm_s[2] = 0.0
+        servo_tick(bound, scratch, inputs, xyz, 0, at_s, 0, force)
+        at_s += period_s
+        ticks += 1
+    of = inputs.pose_and_phase
+    known_phase = of.phase_since_s <= now_s and now_s <= of.phase_until_s
+    tool.model_phase = phase_at(of, now_s)[0] if known_phase else math.nan

@@ -7,7 +7,6 @@ runs: JSON of a whole heart holds the interpreter for longer than a session may 
 
 import json
 from collections import deque
-from dataclasses import replace
 from typing import Any, TypeVar
 
 import numpy as np
@@ -123,7 +122,7 @@ class PageFeed:
             return None
         self._told_s = answer.state.now_s
         batches, peaks, marks = _taken(self._ecg), _taken(self._peaks), _taken(self._marks)
-        state = _as_sent(answer)
+        state = answer.state
         event = state_event(state)
         if batches:
             event["ecg"] = self._thinned(batches)
@@ -177,15 +176,3 @@ class PageFeed:
 def _taken(waiting: deque[T]) -> list[T]:
     """Remove the entries that the session's thread has stored."""
     return [waiting.popleft() for _ in range(len(waiting))]
-
-
-def _as_sent(answer: Answer) -> GuidanceState:
-    """Combine the session's state with the servo's force and findings."""
-    supervised = answer.state.supervised
-    sent = replace(
-        supervised,
-        force_n=answer.force_n,
-        state=max(answer.servo, supervised.state),
-        hazards=supervised.hazards | answer.hazards,
-    )
-    return replace(answer.state, supervised=sent)

@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, NamedTuple, Protocol
 
-from dvf_ig.core import FloatArray, OutputError
+from dvf_ig.core import OutputError
 from dvf_ig.intake.session_log.live import (
     LOST,
     Timed,
@@ -53,7 +53,7 @@ class Record(Protocol):
         """One that the session was asked for."""
         ...
 
-    def answer(self, state: GuidanceState, t_s: float, force_n: FloatArray) -> None:
+    def answer(self, state: GuidanceState) -> None:
         """What was sent."""
         ...
 
@@ -71,7 +71,7 @@ class _NoRecord:
     def state(self, state: GuidanceState) -> None:
         pass
 
-    def answer(self, state: GuidanceState, t_s: float, force_n: FloatArray) -> None:
+    def answer(self, state: GuidanceState) -> None:
         pass
 
     def work(self, number: int, refused: int) -> None:
@@ -126,8 +126,8 @@ class SessionRecord:
         lost, self._now_s = self.lost, state.now_s
         self._put(lambda: (state_message(state, lost),), SMALL_BYTES)
 
-    def answer(self, state: GuidanceState, t_s: float, force_n: FloatArray) -> None:
-        self._put(lambda: answer_messages(state, t_s, force_n), SMALL_BYTES)
+    def answer(self, state: GuidanceState) -> None:
+        self._put(lambda: answer_messages(state), SMALL_BYTES)
 
     def work(self, number: int, refused: int) -> None:
         now_s = self._now_s

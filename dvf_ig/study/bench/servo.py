@@ -28,23 +28,22 @@ from dvf_ig.guidance import (
     Fixtures,
     FixtureSet,
     Gaussian,
+    Hazard,
     PoseAndPhase,
     Sigmoid,
     Status,
-    Supervisor,
 )
 from dvf_ig.guidance.device import COMMON_DEVICE
 from dvf_ig.guidance.devices.recorded import RecordedDevice
-from dvf_ig.guidance.fixtures import FORCE, TICK_OUTPUT
-from dvf_ig.guidance.servo import Deadlines, Servo, ServoInputs, ServoOptions
-from dvf_ig.guidance.servo.bound import bind_fixtures, new_scratch
+from dvf_ig.guidance.servo import Deadlines, Servo, ServoInputs, ServoOptions, TrackedServo
+from dvf_ig.guidance.servo.bound import bind_fixtures
 from dvf_ig.guidance.servo.deadlines import BINS, deadlines_of
 from dvf_ig.guidance.servo.threads import real_time_thread
 from dvf_ig.kernels.compiled import kernel
 from dvf_ig.kernels.servo import loop, shared
 from dvf_ig.kernels.servo.borrowed import borrowed
-from dvf_ig.kernels.servo.record import ROW
-from dvf_ig.kernels.servo.tick import unpacked_tick
+from dvf_ig.kernels.servo.layout import new_scratch
+from dvf_ig.kernels.servo.tick import servo_tick
 from dvf_ig.study.bench.calls import POSE, batch_of, steady
 from dvf_ig.study.bench.timing import CYCLE_S, RATE_HZ, Row, hand_path, random_points, row
 
@@ -220,11 +219,11 @@ def _floor(seconds: float, rate_hz: float) -> Deadlines:
 def _python_thread(fixtures: Fixtures, mesh: Mesh, seconds: float, seed: int) -> Deadlines:
     """Step the fixtures and the supervisor from a Python thread of the same priority."""
     path = hand_path(mesh, round(seconds * 1000.0) + 1000, np.random.default_rng(seed))
-    pose = np.eye(3, 4)
     late: list[float] = []
     skipped = 0
     stop = threading.Event()
-    supervisor, out = Supervisor(), np.empty(TICK_OUTPUT)
+    servo, transform = TrackedServo(fixtures), _steady_transform(fixtures.model)
+    still, nothing = np.zeros(3), np.zeros(0)
 
     def ticks() -> None:
         nonlocal skipped
@@ -237,8 +236,7 @@ def _python_thread(fixtures: Fixtures, mesh: Mesh, seconds: float, seed: int) ->
                 time.sleep(due * 1e-3 - now)
                 now = time.monotonic() - begin
             late.append(1e6 * (now - due * 1e-3))
-            fixtures.tick(pose, path[due % len(path)], now / CYCLE_S % 1.0, int(Status.OK), out)
-            supervisor.step(now, out[FORCE].copy())
+            servo.step(now, transform, Hazard.NONE, Status.OK, nothing, (path[due % len(path)], still))
             passed = int((time.monotonic() - begin) / 1e-3) - due
             if passed > 0:
                 skipped += passed
@@ -350,15 +348,15 @@ def _ticks(model: DvfModel, tip: FloatArray) -> Pass:
     stay = tip[: round(2.0 * RATE_HZ)]
     tip = np.ascontiguousarray(np.tile(np.concatenate([stay, stay[::-1]]), (3, 1))[: len(tip)])
     numbers = np.zeros(1)
-    bound = tuple(bind_fixtures(Fixtures(model, TWO_FIXTURES), COMMON_DEVICE, ServoOptions(), 0.0))
-    scratch = tuple(new_scratch(len(TWO_FIXTURES.fixtures)))
+    bound = bind_fixtures(Fixtures(model, TWO_FIXTURES), COMMON_DEVICE, ServoOptions(), 0.0)
+    scratch = new_scratch(len(TWO_FIXTURES.fixtures))
     inputs = ServoInputs(
         PoseAndPhase(*steady(POSE)), 0.0, Rigid.identity("tracker", "device"), valid_for_s=1e9
     )
-    values, row_, force = inputs.packed(0.0), np.empty(ROW), np.empty(3)
+    scratch.inputs[:], force = inputs.packed(0.0), np.empty(3)
 
     def run(i: int, j: int) -> None:
-        tick_batch(bound, scratch, values, tip[i:j], numbers, 1.0 / RATE_HZ, row_, force)
+        tick_batch(bound, scratch, tip[i:j], numbers, 1.0 / RATE_HZ, force)
 
     return run
 
@@ -367,16 +365,13 @@ def _ticks(model: DvfModel, tip: FloatArray) -> Pass:
 def tick_batch(
     bound: Any,
     scratch: Any,
-    inputs: FloatArray,
     xyz_mm: FloatArray,
     ticks: FloatArray,
     period_s: float,
-    row_: FloatArray,
     force: FloatArray,
 ) -> None:
     """`servo_tick` at (n, 3) positions a period apart; `ticks` counts on."""
-    bound, scratch, inputs, xyz_mm = borrowed(bound), borrowed(scratch), borrowed(inputs), borrowed(xyz_mm)
-    row_, force = borrowed(row_), borrowed(force)
+    bound, scratch, xyz_mm, force = borrowed(bound), borrowed(scratch), borrowed(xyz_mm), borrowed(force)
     for n in range(len(xyz_mm)):
-        unpacked_tick(*bound, inputs, xyz_mm[n], 0, 1.0 + ticks[0] * period_s, 0, *scratch, row_, force)
+        servo_tick(bound, scratch, scratch.inputs[0], xyz_mm[n], 0, 1.0 + ticks[0] * period_s, 0, force)
         ticks[0] += 1.0

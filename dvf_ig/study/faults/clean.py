@@ -95,7 +95,7 @@ def clean_trial(settings: Settings, seed: int) -> Line:
                 record = servo.run(inputs, int((state.now_s - servo.now_s) * RATE_HZ))
                 for hazards, of in zip(record.hazards.tolist(), record.state.tolist(), strict=True):
                     servo_alarms.add(hazards, of)
-            inputs = ServoInputs(state.transform, state.now_s, still, hazards=state.supervised.hazards)
+            inputs = state.inputs(still)
     return {
         "hours": spec.seconds / 3600.0,
         "rate_bpm": float(np.mean([rate for _, rate in spec.rhythm.rate_bpm])),

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from readable_walls import worst_phase_forces
 from toy_ball import CENTERS, RADII, ball_model
 
 from dvf_ig.core import InvalidInputError, Rigid
@@ -12,7 +13,6 @@ from dvf_ig.guidance.margins import (
     isotropic,
     next_margin_mm,
     widened,
-    worst_phase_forces,
 )
 from dvf_ig.kernels.worst_phase import SMOOTHING_MM
 

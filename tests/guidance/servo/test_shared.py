@@ -6,7 +6,7 @@ import numpy as np
 
 from dvf_ig.kernels.compiled import kernel
 from dvf_ig.kernels.servo import loop
-from dvf_ig.kernels.servo.record import ROW
+from dvf_ig.kernels.servo.layout import ROW_WORDS
 from dvf_ig.kernels.servo.shared import load_ordered, new_counter, publish, read_shared, store_number
 
 READS = 300
@@ -59,12 +59,12 @@ def test_a_reader_keeps_what_it_has_while_a_writer_is_in_the_middle():
 
 
 def test_a_ring_that_was_overwritten_says_so():
-    ring, numbers = np.zeros((8, ROW)), np.zeros(loop.NUMBERS, dtype=np.int64)
+    ring, numbers = np.zeros((8, ROW_WORDS), dtype=np.int64), np.zeros(loop.NUMBERS, dtype=np.int64)
     for k in range(20):
-        loop.record_row(ring, numbers, np.full(ROW, float(k)))
-    out = np.empty((3, ROW))
+        loop.record_row(ring, numbers, np.full(ROW_WORDS, k))
+    out = np.empty((3, ROW_WORDS), dtype=np.int64)
     assert loop.copy_rows(ring, numbers, 17, out) == 20
-    np.testing.assert_array_equal(out, np.arange(17.0, 20.0)[:, None] * np.ones(ROW))
+    np.testing.assert_array_equal(out, np.arange(17, 20)[:, None] * np.ones(ROW_WORDS))
     assert loop.copy_rows(ring, numbers, 11, out) == 14
-    assert np.isnan(out[:2]).all()
-    np.testing.assert_array_equal(out[2], 13.0)
+    assert np.isnan(out[:2].view(np.float64)).all()
+    np.testing.assert_array_equal(out[2], 13)

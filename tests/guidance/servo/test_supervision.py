@@ -2,10 +2,20 @@
 
 import numpy as np
 import pytest
+from readable_supervisor import Supervisor
 
-from dvf_ig.guidance import DeviceLimits, Hazard, RearmAnswer, Supervisor
-from dvf_ig.guidance.servo.bound import REARM_ANSWERS, hazard_codes, supervisor_limits
+from dvf_ig.guidance import DeviceLimits, Hazard, RearmAnswer
+from dvf_ig.guidance.servo.bound import REARM_ANSWERS, set_hazards, set_limits
 from dvf_ig.kernels.servo import supervision as kernel
+from dvf_ig.kernels.servo.layout import HAZARDS, LIMITS, new_memory
+
+
+def arguments(device, walls):
+    """Memory, limits and hazards of the kernel."""
+    limits, hazards = np.zeros(1, LIMITS), np.zeros(1, HAZARDS)
+    set_limits(limits, device)
+    set_hazards(hazards, walls)
+    return new_memory()["supervision"][0], limits[0], hazards[0]
 
 
 def rough_session(seed, count):
@@ -26,17 +36,15 @@ def rough_session(seed, count):
 @pytest.mark.parametrize(("seed", "walls"), [(1, False), (2, True), (3, False)])
 def test_the_kernel_s_supervisor_is_the_readable_one(seed, walls):
     limits = DeviceLimits(stiffness_n_per_m=300.0)
-    readable, memory = Supervisor(limits, walls=walls), np.zeros(kernel.MEMORY_SIZE)
-    kernel.start_supervision(memory)
-    numbers, codes = supervisor_limits(limits), hazard_codes(walls)
+    readable, (memory, numbers, codes) = Supervisor(limits, walls=walls), arguments(limits, walls)
     states, answers = set(), set()
     for t_s, wanted, hazards, ask in rough_session(seed, 6000):
         expected = readable.step(t_s, wanted, hazards)
         kernel.supervise(memory, numbers, codes, t_s, wanted, int(hazards))
-        np.testing.assert_allclose(memory[kernel.SENT : kernel.SENT + 3], expected.force_n, atol=1e-12)
-        found = (memory[kernel.STATE], memory[kernel.HAZARDS], memory[kernel.CAUSE], memory[kernel.CLAMPED])
+        np.testing.assert_allclose(memory["sent_n"], expected.force_n, atol=1e-12)
+        found = tuple(memory[name] for name in ("state", "hazards", "cause", "clamped"))
         assert found == (expected.state, expected.hazards, expected.cause, expected.clamped)
-        assert memory[kernel.SCALE] == pytest.approx(expected.scale, abs=1e-12)
+        assert memory["scale"] == pytest.approx(expected.scale, abs=1e-12)
         states.add(expected.state)
         if ask:
             answer = REARM_ANSWERS[kernel.rearm(memory, numbers, codes, t_s + 0.01)]
@@ -48,14 +56,12 @@ def test_the_kernel_s_supervisor_is_the_readable_one(seed, walls):
 
 
 def test_an_old_step_is_no_reason_to_rearm():
-    readable, memory = Supervisor(), np.zeros(kernel.MEMORY_SIZE)
-    kernel.start_supervision(memory)
-    numbers, codes = supervisor_limits(DeviceLimits()), hazard_codes(False)
+    readable, (memory, numbers, codes) = Supervisor(), arguments(DeviceLimits(), False)
     for k in range(30):
         hazards = Hazard.NOT_FINITE if k < 2 else Hazard.NONE
         readable.step(0.001 * k, np.zeros(3), hazards)
         kernel.supervise(memory, numbers, codes, 0.001 * k, np.zeros(3), int(hazards))
-    assert memory[kernel.STATE] == kernel.LATCHED
+    assert memory["state"] == kernel.LATCHED
     assert (
         REARM_ANSWERS[kernel.rearm(memory, numbers, codes, 1.0)]
         is readable.rearm(1.0)

@@ -4,8 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from readable_tick import ReadableTick
 
-from dvf_ig.core import InvalidInputError, PhaseState, Rigid
+from dvf_ig.core import CycleTiming, InvalidInputError, PhaseState, Rigid
 from dvf_ig.guidance import (
     Confinement,
     DeviceLimits,
@@ -22,8 +23,6 @@ from dvf_ig.guidance import (
 )
 from dvf_ig.guidance.devices.recorded import RecordedDevice
 from dvf_ig.guidance.servo import ServoInputs, ServoOptions, ServoRecord, SimulatedServo
-from dvf_ig.guidance.servo.twin import ReadableTick
-from dvf_ig.kernels.servo.record import CLAMPED
 
 from .conftest import RATE_HZ, THREE, TRACKER_FROM_DEVICE, beat
 
@@ -99,7 +98,7 @@ def test_a_lost_phase_leaves_walls_and_the_kernel_s_tick_stays_the_readable_one(
     record = ServoRecord(np.concatenate(rows))
     steps = np.linalg.norm(np.diff(record.sent_n, axis=0), axis=1)
     assert steps.max() <= 0.1
-    assert not record.rows[:, CLAMPED].any()
+    assert not record.clamped.any()
     gone = record.t_s[(record.hazards & Hazard.NO_PHASE) != 0]
     assert gone[0] == pytest.approx(0.3, abs=0.0011)
     held = slice(600, 790)
@@ -216,12 +215,48 @@ def test_a_device_that_no_longer_answers_latches(moving, three, path_mm):
     assert not record.sent_n[-1].any()
 
 
-def test_paths_and_too_many_fixtures_are_refused(ball):
-    path = PathTarget.static("mr", [[0.0, 0, 0], [1.0, 0, 0]])
-    to_path = FixtureSet((FixtureOptions(), FixtureOptions(Gaussian(5.0, 1.0, 0.3), path=path)))
+BENT = [[-14.0, 0.0, 3.0], [4.0, 13.0, -2.0], [15.0, 2.0, 4.0]]
+BEATING = PathTarget(
+    "mr",
+    np.array([BENT, np.multiply(BENT, 1.1), np.add(BENT, [0.0, 1.0, 0.5])]),
+    CycleTiming(np.array([0.0, 0.3, 0.55]), 0.8),
+)
+PULL = Gaussian(5.0, 1.0, 0.3)
+PATH_SETS = {
+    "static path": FixtureSet((FixtureOptions(PULL, path=PathTarget.static("mr", BENT)),)),
+    "beating path first": FixtureSet((FixtureOptions(PULL, path=BEATING), *THREE.fixtures), 0.6),
+    "two paths behind a wall": FixtureSet(
+        (
+            THREE.fixtures[0],
+            FixtureOptions(PULL, path=PathTarget.static("mr", BENT[:2])),
+            FixtureOptions(PULL, path=BEATING),
+        ),
+        0.6,
+    ),
+}
+
+
+@pytest.mark.parametrize("which", PATH_SETS)
+def test_paths_in_the_kernel_s_tick_are_those_of_the_readable_one(ball, moving, path_mm, which):
+    """Static and beating, alone and with walls, through a loss of the phase."""
+    fixtures, device = Fixtures(ball, PATH_SETS[which]), RecordedDevice(path_mm, RATE_HZ)
+    servo = SimulatedServo(fixtures, device, limits=LIMITS, options=OPTIONS)
+    twin, tick, most_n = ReadableTick(fixtures, LIMITS, OPTIONS, 0.0), 0, 0.0
+    for inputs, count in losing_phase(moving, 700):
+        record = servo.run(inputs, count)
+        for k in range(count):
+            expected = twin.step(float(record.t_s[k]), path_mm[tick], inputs)
+            np.testing.assert_allclose(record.sent_n[k], expected.force_n, atol=1e-9)
+            np.testing.assert_allclose(record.distance_mm[k], twin.distance_mm, atol=1e-9)
+            assert (record.state[k], record.hazards[k]) == (expected.state, expected.hazards)
+            most_n = max(most_n, float(np.linalg.norm(record.sent_n[k])))
+            tick += 1
+        np.testing.assert_allclose(record.by_surface_mj[-1], twin.observer.by_surface_mj, atol=1e-9)
+    assert most_n > 0.1
+
+
+def test_too_many_fixtures_are_refused(ball):
     device = RecordedDevice(np.zeros((1, 3)), RATE_HZ)
-    with pytest.raises(InvalidInputError, match="path"):
-        SimulatedServo(Fixtures(ball, to_path), device)
     many = FixtureSet((FixtureOptions(Sigmoid(1.0, 0.1)),) * 9)
     with pytest.raises(InvalidInputError, match="up to 8"):
         SimulatedServo(Fixtures(ball, many), device)

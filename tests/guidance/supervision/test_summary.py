@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
+from readable_supervisor import Supervisor
 
 from dvf_ig.core import InvalidInputError
-from dvf_ig.guidance import Supervisor, SupervisorState, summarise_supervision
+from dvf_ig.guidance import SupervisorState, summarise_supervision
 
 OK, DEGRADED, FADE, LATCHED = (int(s) for s in SupervisorState)
 

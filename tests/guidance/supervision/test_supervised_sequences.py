@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from readable_supervisor import Supervisor
 from supervised_loop import CAP
 
-from dvf_ig.guidance import WITHHOLDING, Hazard, RearmAnswer, Supervisor, SupervisorState
+from dvf_ig.guidance import WITHHOLDING, Hazard, RearmAnswer, SupervisorState
 
 OK, DEGRADED, FADE, LATCHED = SupervisorState
 

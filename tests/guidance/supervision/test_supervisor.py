@@ -4,10 +4,11 @@ import math
 
 import numpy as np
 import pytest
+from readable_supervisor import Supervisor
 from supervised_loop import CAP, NONE, TICK_S, WANTED, Loop, guiding, latched, sizes
 
 from dvf_ig.core import InvalidInputError
-from dvf_ig.guidance import HAZARD_RULES, DeviceLimits, Hazard, RearmAnswer, Supervisor, SupervisorState
+from dvf_ig.guidance import HAZARD_RULES, DeviceLimits, Hazard, RearmAnswer, SupervisorState
 
 OK, DEGRADED, FADE, LATCHED = SupervisorState
 

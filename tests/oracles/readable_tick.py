@@ -1,21 +1,23 @@
 """One tick of the servo in readable form; tests hold `dvf_ig.kernels.servo.tick` to it."""
 
-import numpy as np
+import math
 
-from dvf_ig.core import FloatArray
+import numpy as np
+from readable_phase_loss import PhaseLoss
+from readable_supervisor import Supervisor
+
+from dvf_ig.core import FloatArray, Rigid
 from dvf_ig.guidance.device import DeviceLimits
-from dvf_ig.guidance.evaluator import Evaluator, ForceSamples
+from dvf_ig.guidance.evaluator import ForceSamples
 from dvf_ig.guidance.fixture import FixtureSet
 from dvf_ig.guidance.fixtures import Fixtures
 from dvf_ig.guidance.joint_force import composed_force
-from dvf_ig.guidance.phase_loss import PhaseLoss
+from dvf_ig.guidance.servo import ServoInputs, ServoOptions
+from dvf_ig.guidance.servo.bound import tick_constants
 from dvf_ig.guidance.status import Status
-from dvf_ig.guidance.supervision.hazards import Hazard, hazard_of
-from dvf_ig.guidance.supervision.supervisor import SupervisedForce, Supervisor, SupervisorState
-
-from .bound import tick_constants
-from .inputs import ServoInputs
-from .options import ServoOptions
+from dvf_ig.guidance.supervision.hazards import Hazard, hazard_of, withholding
+from dvf_ig.guidance.supervision.supervisor import SupervisedForce, SupervisorState
+from dvf_ig.guidance.targets import PathFixture
 
 
 class PassivityObserver:
@@ -72,7 +74,7 @@ class ReadableTick:
         self, fixtures: Fixtures, limits: DeviceLimits, options: ServoOptions, latency_s: float
     ) -> None:
         self._set: FixtureSet = fixtures.options
-        self._parts = [part for part in fixtures.parts if isinstance(part, Evaluator)]
+        self._parts = fixtures.parts
         self._c, self._options = tick_constants(fixtures, options, latency_s), options
         self._supervisor, self._loss = Supervisor(limits, walls=fixtures.walls), PhaseLoss()
         self._wall = next((i for i, one in enumerate(fixtures.options.fixtures) if one.forbidden), None)
@@ -80,6 +82,8 @@ class ReadableTick:
         self._last: tuple[float, FloatArray] | None = None
         self._speed = np.zeros(3)
         self._following = False
+        self.distance_mm = math.nan
+        """Of the primary fixture in the last step."""
 
     def step(self, t_s: float, xyz_device_mm: FloatArray, inputs: ServoInputs) -> SupervisedForce:
         """One tick at the session's time `t_s`; the force sent, tracker frame."""
@@ -97,6 +101,9 @@ class ReadableTick:
         hazards |= Hazard.SESSION_SILENT if silent else Hazard.NONE
         ahead = xyz + (c.lead_s * self._speed if self._options.predict_tool else 0.0)
         field_n, wanted_n, surface, status = self._forces(ahead, t_s + c.lead_s, dt_s, inputs, status)
+        met = status in (Status.FAULT, Status.OUT_OF_VOLUME)
+        if met or not hazards & withholding(self._wall is not None):
+            hazards |= hazard_of(status)
         self.observer.observe(xyz, field_n, dt_s, following=self._following)
         if status == Status.OK or (status == Status.NO_PHASE and self._wall is not None):
             wanted_n = wanted_n + self.observer.damping(self._speed, surface, c.period_s)
@@ -105,7 +112,7 @@ class ReadableTick:
             wanted_n = wanted_n * (c.cap_n / length)
         if self.observer.residual_mj > self._options.residual_limit_mj:
             hazards |= Hazard.ENERGY
-        sent = self._supervisor.step(t_s, wanted_n, hazards | hazard_of(status))
+        sent = self._supervisor.step(t_s, wanted_n, hazards)
         if sent.state is SupervisorState.LATCHED:
             self.observer.forget_residual()
         self.observer.note(sent.force_n)
@@ -125,13 +132,19 @@ class ReadableTick:
         found = refused[0] if refused else max(statuses)
         place = inputs.transform.at(xyz[None], t_s)
         self._loss.step(dt_s, found, float(place.model_phase[0]))
+        self.distance_mm = math.nan
         if found != Status.OK and (found != Status.NO_PHASE or self._wall is None):
             return nothing, nothing, nothing, found
-        primary = each[0 if found == Status.OK or self._wall is None else self._wall]
+        first = 0 if found == Status.OK or self._wall is None else self._wall
+        primary = each[first]
+        self.distance_mm = float(primary.distance_mm[0])
         field_n = self._crossed(self._composed(each), xyz, t_s, inputs, found)
         gradient = primary.gradient[0]
         rotation = inputs.transform.pose.at(t_s).rotation if inputs.transform.pose is not None else np.eye(3)
-        by_phase = primary.rate_mm_per_cycle * np.nan_to_num(place.model_phase_rate_hz)
+        per_cycle, part = primary.rate_mm_per_cycle, self._parts[first]
+        if isinstance(part, PathFixture):
+            per_cycle = np.array([part.target.rate(place.xyz_mm[0], float(place.model_phase[0]))])
+        by_phase = per_cycle * np.nan_to_num(place.model_phase_rate_hz)
         by_pose = np.einsum("ni,ni->n", (rotation @ gradient)[None], place.velocity_mm_s)
         rate = float((by_pose + (by_phase if found == Status.OK else 0.0))[0])
         norm = float(np.linalg.norm(gradient))
@@ -139,8 +152,16 @@ class ReadableTick:
         return field_n, pushed, -rate / norm * gradient / norm, found
 
     def _each(self, xyz: FloatArray, t_s: float, inputs: ServoInputs, status: Status) -> list[ForceSamples]:
-        given = np.array([int(status)])
-        return [inputs.transform.evaluate(part, xyz[None], t_s, given) for part in self._parts]
+        transform, given = inputs.transform, np.array([int(status)])
+        place = transform.at(xyz[None], t_s)
+        known = place.status if status == Status.OK else given
+        pose = Rigid.identity("mr", "tracker") if transform.pose is None else transform.pose.at(t_s)
+        return [
+            part.force_through(pose, xyz[None], place.model_phase, known)
+            if isinstance(part, PathFixture)
+            else transform.evaluate(part, xyz[None], t_s, given)
+            for part in self._parts
+        ]
 
     def _composed(self, each: list[ForceSamples]) -> FloatArray:
         return composed_force(self._set, np.array([one.force_n[0] for one in each])).force_n
@@ -156,7 +177,7 @@ class ReadableTick:
             worst = self._composed(self._each(xyz, t_s, inputs, Status.NO_PHASE))
             return (1.0 - share) * force_n + share * worst
         if found == Status.NO_PHASE and share < 1.0:
-            phase = self._loss.held_phase
+            phase = self._loss.last_phase
             held = [part.force_through(pose.at(t_s), xyz[None], phase) for part in self._parts]
             return (1.0 - share) * self._composed(held) + share * force_n
         return force_n

@@ -1,4 +1,4 @@
-"""Walls where the cardiac phase is not known, in readable form; `dvf_ig.kernels.worst_phase` says what."""
+"""Walls without a known cardiac phase in readable form; `dvf_ig.kernels.worst_phase` says what they are."""
 
 from typing import Any
 

@@ -1,0 +1,101 @@
+"""The servo in a session's own time: the force at every state, for a tool that a tracker sees."""
+
+from typing import Any
+
+import numpy as np
+
+from dvf_ig.core import FloatArray
+from dvf_ig.guidance.device import COMMON_DEVICE, DeviceLimits
+from dvf_ig.guidance.fixtures import Fixtures
+from dvf_ig.guidance.pose_and_phase import PoseAndPhase
+from dvf_ig.guidance.status import Status
+from dvf_ig.guidance.supervision.hazards import Hazard
+from dvf_ig.guidance.supervision.supervisor import RearmAnswer
+from dvf_ig.kernels.servo.layout import INPUTS, new_scratch, words
+from dvf_ig.kernels.servo.supervision import rearm
+from dvf_ig.kernels.servo.tracked import TRACKED, tick_until
+
+from .bound import REARM_ANSWERS, bind_fixtures
+from .inputs import VALID_FOR_S
+from .options import ServoOptions
+from .record import ServoTick
+
+
+class TrackedServo:
+    """The ticks of `Servo`, run up to each publication; the frame of the forces is "tracker".
+
+    The same publications at the same times give the same forces, bit by bit. Between two of them ticks come a
+    period apart; a session that publishes nothing for VALID_FOR_S is silent to it.
+
+    Args:
+        fixtures: on the patient's model.
+        limits: of the device that renders the force; the stiffness gives the slew limit.
+        options: rate, damping, passivity.
+    Raises:
+        InvalidInputError: as `bind_fixtures`.
+    """
+
+    def __init__(
+        self,
+        fixtures: Fixtures,
+        *,
+        limits: DeviceLimits = COMMON_DEVICE,
+        options: ServoOptions = ServoOptions(),  # noqa: B008  frozen
+    ) -> None:
+        self._bound = bind_fixtures(fixtures, limits, options, latency_s=0.0)
+        self._scratch = new_scratch(len(fixtures.parts))
+        self._tool: Any = np.zeros(1, TRACKED)[0]
+        self._tip_mm, self._velocity = np.zeros(3), np.zeros(3)
+        published = np.zeros(1, INPUTS)
+        self._published, self._words = published[0], words(published)
+        self._published["tracker_from_device"] = np.eye(3, 4)
+        self._transform: PoseAndPhase | None = None
+        self._margin_mm: FloatArray | None = None
+
+    def step(
+        self,
+        now_s: float,
+        transform: PoseAndPhase,
+        hazards: Hazard,
+        tool_status: Status,
+        margin_mm: FloatArray,
+        tip: tuple[FloatArray, FloatArray] | None,
+    ) -> ServoTick:
+        """Publish what a session knows at a time not before the last; the tick at that moment.
+
+        Args:
+            transform, hazards, tool_status, margin_mm: as of `ServoInputs`; neither array nor transform
+                changes after it was given.
+            tip: (3,) mm and (3,) mm/s of the tool now, frame "tracker"; None if it is not known.
+        """
+        published, known = self._published, tip is not None
+        published["valid_until_s"] = now_s + VALID_FOR_S
+        published["hazards"], published["tool_status"] = hazards, tool_status
+        if transform is not self._transform:
+            self._transform, published["pose_and_phase"] = transform, transform.packed[0]
+        if margin_mm is not self._margin_mm:
+            self._margin_mm, published["margin_mm"][: len(margin_mm)] = margin_mm, margin_mm
+        if tip is not None:
+            self._tip_mm[:], self._velocity[:] = tip
+        tick_until(
+            self._bound,
+            self._scratch,
+            self._tool,
+            self._words,
+            self._tip_mm,
+            self._velocity,
+            known,
+            now_s,
+        )
+        return ServoTick(self._scratch.row)
+
+    @property
+    def model_phase(self) -> float:
+        """Phase of the model's cycle at the last step; NaN if the phase is not locked."""
+        return float(self._tool["model_phase"])
+
+    def rearm(self, t_s: float) -> RearmAnswer:
+        """An operator's request to leave LATCHED at a time not before the last tick, judged by that tick."""
+        settings = self._bound.settings[0]
+        memory = self._scratch.memory[0]["supervision"]
+        return REARM_ANSWERS[rearm(memory, settings["limits"], settings["hazards"], t_s)]

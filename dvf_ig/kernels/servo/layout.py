@@ -1,0 +1,292 @@
+"""What the servo's kernels are given, remember and record: every number by its name, defined here alone.
+
+Structures are arrays of one record; kernels take the record (`array[0]`), whose fields cost what numbers at
+an offset cost. Every field has 8 bytes, so that what threads share is copied word by word (`shared`). Hazards
+are sums of bits in whole numbers.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from dvf_ig.core import FloatArray
+from dvf_ig.kernels.composition import COMPOSED, work_size
+from dvf_ig.kernels.place import POSE_AND_PHASE
+
+_F, _I = np.float64, np.int64
+MAX_FIXTURES = 8
+
+INPUTS = np.dtype(
+    [
+        ("valid_until_s", _F),
+        ("clock_offset_s", _F),
+        ("hazards", _I),
+        ("tool_status", _I),
+        ("tracker_from_device", _F, (3, 4)),
+        ("margin_mm", _F, (MAX_FIXTURES,)),
+        ("pose_and_phase", POSE_AND_PHASE),
+    ]
+)
+"""What a session publishes. Only pose and phase live in the session's time: what fades, latches or times out,
+`valid_until_s` too, runs by the servo's own clock, which no session can set back."""
+
+FIXTURES = np.dtype(
+    [
+        ("walls", _I),
+        ("paths", _I),
+        ("cap_n", _F, (MAX_FIXTURES,)),
+        ("forbidden", _F, (MAX_FIXTURES,)),
+        ("base_width", _F, (MAX_FIXTURES,)),
+        ("base_depth_mm", _F, (MAX_FIXTURES,)),
+        ("widen_width", _F, (MAX_FIXTURES,)),
+        ("widen_depth", _F, (MAX_FIXTURES,)),
+        ("path_points", _I, (MAX_FIXTURES,)),
+        ("path_phases", _I, (MAX_FIXTURES,)),
+        ("path_first_point", _I, (MAX_FIXTURES,)),
+        ("path_first_time", _I, (MAX_FIXTURES,)),
+    ]
+)
+"""The fixtures' constants. A law's width grows by `widen_width` of the margin (1 of guidance, which it
+softens), its depth by `widen_depth` (−1 of a forbidden region, +1 of a confinement, in the kernel's sign of
+depth: both widen the region). A path has `path_points` points in each of its phases; a fixture on the surface
+has none."""
+
+LIMITS = np.dtype(
+    [
+        ("fade_s", _F),
+        ("fast_fade_s", _F),
+        ("slew_n_per_s", _F),
+        ("slow_slew_n_per_s", _F),
+        ("latch_after_s", _F),
+        ("clamps_within_s", _F),
+        ("rearm_below_n", _F),
+        ("rearm_rise_s", _F),
+        ("rearm_age_s", _F),
+    ]
+)
+"""Limits of the supervisor."""
+
+STATUSES = 6
+HAZARDS = np.dtype(
+    [
+        ("fading", _I),
+        ("fast", _I),
+        ("at_once", _I),
+        ("slowing", _I),
+        ("latch_late", _I),
+        ("latch_at_once", _I),
+        ("not_finite", _I),
+        ("force_clamped", _I),
+        ("no_phase", _I),
+        ("session_silent", _I),
+        ("device_lost", _I),
+        ("energy", _I),
+        ("missed_deadlines", _I),
+        ("of_status", _I, (STATUSES,)),
+    ]
+)
+"""Bits of the hazards: by what they do to the force, of those that the servo finds, of each status."""
+
+SETTINGS = np.dtype(
+    [
+        ("fixtures", FIXTURES),
+        ("limits", LIMITS),
+        ("hazards", HAZARDS),
+        ("period_s", _F),
+        ("cap_n", _F),
+        ("lead_s", _F),
+        ("predict_tool", _F),
+        ("speed_share", _F),
+        ("relative_damping", _F),
+        ("friction_n", _F),
+        ("slow_mm_s", _F),
+        ("largest_damping", _F),
+        ("residual_limit_mj", _F),
+        ("delay_ticks", _I),
+    ]
+)
+"""What stays the same while a servo runs; damping in N·s/mm."""
+
+CLAMPS = 10
+SUPERVISION = np.dtype(
+    [
+        ("state", _I),
+        ("sent_n", _F, (3,)),
+        ("last_s", _F),
+        ("wanted_n", _F),
+        ("hazards", _I),
+        ("cause", _I),
+        ("slow", _I),
+        ("latch_due", _I),
+        ("unsafe_since_s", _F),
+        ("fade_from_n", _F, (3,)),
+        ("fade_start_s", _F),
+        ("fade_end_s", _F),
+        ("rise_s", _F),
+        ("rise_start_s", _F),
+        ("scale", _F),
+        ("clamped", _I),
+        ("clamp_count", _I),
+        ("clamps_s", _F, (CLAMPS,)),
+    ]
+)
+"""Memory of the supervisor."""
+
+SENT_KEPT = 32
+"""Ticks of sent force that are remembered: the longest latency that can be accounted for, plus one."""
+PASSIVITY = np.dtype(
+    [
+        ("started", _I),
+        ("last_xyz_mm", _F, (3,)),
+        ("last_field_n", _F, (3,)),
+        ("surface_mm_s", _F, (3,)),
+        ("residual_mj", _F),
+        ("given_mj", _F),
+        ("by_surface_mj", _F),
+        ("damping", _F),
+        ("sent_count", _I),
+        ("sent_n", _F, (SENT_KEPT, 3)),
+    ]
+)
+"""Memory of the passivity observer."""
+
+MEMORY = np.dtype(
+    [
+        ("supervision", SUPERVISION),
+        ("passivity", PASSIVITY),
+        ("last_tick_s", _F),
+        ("tool_known", _I),
+        ("tool_mm", _F, (3,)),
+        ("tool_mm_s", _F, (3,)),
+        ("worst_share", _F),
+        ("last_phase", _F),
+        ("phase_known", _I),
+    ]
+)
+"""What a tick remembers for the next. `worst_share` is the progress from the fixtures of a known phase, 0, to
+the walls of the worst one, 1; `last_phase` the last known phase of the model."""
+
+SAMPLE = np.dtype(
+    [
+        ("distance_mm", _F),
+        ("gradient", _F, (3,)),
+        ("rate_mm_per_cycle", _F),
+        ("distance_rate_mm_s", _F),
+        ("sigma_mm", _F),
+    ]
+)
+"""The primary fixture at the tool, tracker frame; NaN where there is none."""
+
+ROW = np.dtype(
+    [
+        ("t_s", _F),
+        ("xyz_mm", _F, (3,)),
+        ("field_n", _F, (3,)),
+        ("wanted_n", _F, (3,)),
+        ("sent_n", _F, (3,)),
+        ("distance_mm", _F),
+        ("gradient", _F, (3,)),
+        ("rate_mm_per_cycle", _F),
+        ("sigma_mm", _F),
+        ("surface_mm_s", _F),
+        ("status", _I),
+        ("state", _I),
+        ("hazards", _I),
+        ("cause", _I),
+        ("scale", _F),
+        ("clamped", _I),
+        ("conflict", _I),
+        ("residual_mj", _F),
+        ("given_mj", _F),
+        ("by_surface_mj", _F),
+        ("controller_damping", _F),
+        ("lateness_ns", _I),
+        ("work_ns", _I),
+        ("tick", _I),
+    ]
+)
+"""One row of the record: what a tick saw, wanted and sent."""
+
+
+def words(array: Any) -> Any:
+    """The memory of an array of records as (n,) int64."""
+    return array.view(np.int64)
+
+
+def row_words(rows: Any) -> Any:
+    """The memory of (n,) ROW as (n, ROW_WORDS) int64."""
+    return words(rows).reshape(len(rows), ROW_WORDS)
+
+
+INPUT_WORDS, ROW_WORDS = INPUTS.itemsize // 8, ROW.itemsize // 8
+
+
+class Bound(NamedTuple):
+    """What stays the same while a servo runs.
+
+    Attributes:
+        linear, periodic: (n, cx, cy, cz) coefficients of the two kinds of blend; (0, …) of one not used.
+        packed: (k, p) fixtures (`packed_fixture`); their margins are written to.
+        path_points: (m, 3) mm of all paths, phase after phase; path_times: their phases' times.
+        settings: (1,) SETTINGS.
+    """
+
+    linear: Any
+    periodic: Any
+    packed: FloatArray
+    path_points: FloatArray
+    path_times: FloatArray
+    settings: Any
+
+
+class Scratch(NamedTuple):
+    """Memory and working space of a servo's ticks, for k fixtures; `inputs` and `row` also as words.
+
+    Attributes:
+        memory: (1,) MEMORY; inputs: (1,) INPUTS that were read last; row: (1,) ROW of the last tick.
+        sample: (1,) SAMPLE; forces: (k, 3); composed, other: (1,) COMPOSED.
+    """
+
+    memory: Any
+    inputs: Any
+    input_words: Any
+    read_words: Any
+    row: Any
+    row_words: Any
+    sample: Any
+    forces: FloatArray
+    work: FloatArray
+    order: FloatArray
+    composed: Any
+    other: Any
+    vectors: FloatArray
+
+
+def new_scratch(fixtures: int) -> Scratch:
+    """Memory before the first tick, and working space, for `fixtures` fixtures."""
+    inputs, row = np.zeros(1, INPUTS), np.zeros(1, ROW)
+    return Scratch(
+        memory=new_memory(),
+        inputs=inputs,
+        input_words=words(inputs),
+        read_words=np.zeros(INPUT_WORDS, dtype=np.int64),
+        row=row,
+        row_words=words(row),
+        sample=np.zeros(1, SAMPLE),
+        forces=np.zeros((fixtures, 3)),
+        work=np.zeros(work_size(fixtures)),
+        order=np.zeros(fixtures),
+        composed=np.zeros(1, COMPOSED),
+        other=np.zeros(1, COMPOSED),
+        vectors=np.zeros((7, 3)),
+    )
+
+
+def new_memory() -> Any:
+    """(1,) MEMORY before the first tick: the force begins at zero and rises slowly."""
+    memory = np.zeros(1, MEMORY)
+    memory["last_tick_s"] = np.nan
+    supervision = memory["supervision"]
+    supervision["state"], supervision["slow"], supervision["wanted_n"] = 1, 1, np.inf
+    supervision["last_s"] = supervision["unsafe_since_s"] = np.nan
+    return memory
