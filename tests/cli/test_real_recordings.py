@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 from dvf_ig.cli.main import app
 from dvf_ig.cli.synth.spec import read_spec, scenario_spec
 from dvf_ig.core import NWireRecording
-from dvf_ig.intake.session import read_session
+from dvf_ig.intake import read_session
 from dvf_ig.io import read_image_map
 from dvf_ig.replay.calibrations import calibrate
 

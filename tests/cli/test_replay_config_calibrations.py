@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 from dvf_ig.cli.main import app
 from dvf_ig.core import DvfModel, Scenario, Signal, TrackedSequence, TriggerTimes, UnreadableFileError
-from dvf_ig.intake.session import read_session
+from dvf_ig.intake import read_session
 from dvf_ig.io import read_poses, write_coordinate_definitions, write_poses, write_sequence
 from dvf_ig.replay.calibrations import Calibrations, calibrate
 

@@ -28,8 +28,7 @@ def live(
     does something else besides, the live session sees the difference.
     """
     with command(threads):
-        from dvf_ig.intake.model_cache import cached_model
-        from dvf_ig.intake.session import read_scenario
+        from dvf_ig.intake import cached_model, read_scenario
         from dvf_ig.io import output_folder, write_json
         from dvf_ig.replay import run_replay
         from dvf_ig.replay.start import landmarks_start

@@ -11,8 +11,8 @@ import numpy as np
 
 from dvf_ig.core import InvalidInputError, Landmarks
 from dvf_ig.guidance import SupervisorState
+from dvf_ig.intake import read_scenario
 from dvf_ig.intake.live import EcgFieldConfig, LiveConfig
-from dvf_ig.intake.session import read_scenario
 from dvf_ig.live.igtl import Message, Transform, encode
 from dvf_ig.live.link import Link, listen
 from dvf_ig.live.loop import Answer, LiveLoop

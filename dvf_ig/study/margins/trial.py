@@ -13,7 +13,7 @@ import numpy as np
 from data_synth import ScenarioSpec, child_rng, phantom_scenario
 from dvf_ig.core import FloatArray, InvalidInputError, Scenario, ScenarioTruth
 from dvf_ig.guidance import Evaluator, Sigmoid, Status
-from dvf_ig.intake.model_cache import cached_model
+from dvf_ig.intake import cached_model
 from dvf_ig.replay import events_of
 from dvf_ig.replay.calibrations import calibrate
 from dvf_ig.replay.preconditions import tool_of

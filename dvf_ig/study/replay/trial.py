@@ -2,7 +2,7 @@
 
 from data_synth.scenario.presets import ScenarioSpec
 from data_synth.scenario.recording import phantom_scenario
-from dvf_ig.intake.model_cache import cached_model
+from dvf_ig.intake import cached_model
 from dvf_ig.replay import result_of, run_replay
 from dvf_ig.study.trials import Line, Settings
 

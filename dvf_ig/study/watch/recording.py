@@ -8,7 +8,7 @@ import numpy as np
 
 from dvf_ig.core import FloatArray, Rigid, Scenario, read_only_arrays
 from dvf_ig.guidance import Hazard
-from dvf_ig.intake.model_cache import cached_model
+from dvf_ig.intake import cached_model
 from dvf_ig.registration import PoseEstimate
 from dvf_ig.replay import events_of
 from dvf_ig.replay.calibrations import calibrate
