@@ -1,4 +1,4 @@
-"""From a lab's files to a session: its parts, whether they agree, scenario folders, cached models, its log."""
+"""From a lab's files to a session: its parts, their agreement, scenario folders, cached models, its log."""
 
 from .describe.file import Description as Description
 from .describe.file import describe as describe

@@ -152,7 +152,7 @@ class SessionFiles:
             InvalidInputError: there is none.
         """
         if self.preop is None:
-            raise PARTS[0].missing_error
+            raise _missing("preop")
         return self.preop.preop
 
     @property
@@ -174,9 +174,7 @@ class SessionFiles:
             InvalidInputError: the probe's or the latency is missing.
         """
         if self.probe is None or self.latency is None:
-            raise next(
-                p for p in PARTS if p.key.startswith("calibration") and not p.is_there(self)
-            ).missing_error
+            raise _missing("calibration.probe" if self.probe is None else "calibration.latency")
         return CalibrationSources(self.probe, self.latency, self.tip)
 
     def with_calibrations(self, probe: ImageMap, lag_s: float, tip: Points | None) -> "SessionFiles":
@@ -197,7 +195,8 @@ class SessionFiles:
         """
         heart, sweep, ecg, probe, latency = self.preop, self.sweep, self.ecg, self.probe, self.latency
         if heart is None or sweep is None or ecg is None or probe is None or latency is None:
-            raise next(part for part in PARTS if part.needed_for and not part.is_there(self)).missing_error
+            absent = {"preop": heart, "ultrasound": sweep, "ecg": ecg, "calibration.probe": probe}
+            raise _missing(next((k for k, value in absent.items() if value is None), "calibration.latency"))
         named = replace(sweep.probe, target="tracker", source="probe")
         start, tool = self.start, self.tool
         return Scenario(
@@ -434,6 +433,10 @@ PARTS = (
 def _timed(files: SessionFiles) -> bool:
     """Whether a gated volume is placed by its time, so that the ECG is needed."""
     return any(file.t_s is not None for file in files.volumes)
+
+
+def _missing(key: str) -> InvalidInputError:
+    return next(part for part in PARTS if part.key == key).missing_error
 
 
 def descriptions(files: SessionFiles) -> dict[str, str | None]:
