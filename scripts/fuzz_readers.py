@@ -9,7 +9,7 @@ import numpy as np
 
 from dvf_ig import io
 from dvf_ig.core import Points, PoseStream, Volume
-from dvf_ig.intake.fixtures import read_fixtures
+from dvf_ig.intake import read_fixtures
 
 Read = Callable[[Path], Any]
 GAPS = {"samples", "values", "points_px"}
@@ -19,7 +19,7 @@ LARGEST = 1e13
 
 def write_seeds(folder: Path) -> None:
     """Write one scenario and its recordings in other formats."""
-    from dvf_ig.intake.scenario_write import write_scenario
+    from dvf_ig.intake import write_scenario
     from tests.io.conftest import _make_scenario
     from tests.io.ecg.test_damaged import edf
     from tests.io.model.test_model import model

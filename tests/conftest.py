@@ -103,7 +103,7 @@ def scenario(imaged: "ImagedHeart") -> "Scenario":
 @pytest.fixture(scope="session")
 def written(scenario: "Scenario", tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The scenario's folder, for tests that only read it."""
-    from dvf_ig.intake.scenario_write import write_scenario
+    from dvf_ig.intake import write_scenario
 
     folder = tmp_path_factory.mktemp("written") / "scenario"
     write_scenario(scenario, folder)
@@ -124,7 +124,7 @@ def shared_hearts() -> Iterator[None]:
 
 @pytest.fixture(scope="session")
 def replay(scenario: "Scenario", shared_hearts: None) -> "Replay":
-    from dvf_ig.intake.model_cache import cached_model
+    from dvf_ig.intake import cached_model
     from dvf_ig.replay import run_replay
 
     return run_replay(scenario, model=cached_model(scenario.preop).model, seed=0)

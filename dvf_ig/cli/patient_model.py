@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 def patient_model(preop: "Preop", given: "DvfModel | Path | None") -> "tuple[DvfModel, str]":
     """The given model or the one in a file, else from the cache or built; and one line that says so."""
     from dvf_ig.core import DvfModel
-    from dvf_ig.intake.model_cache import cached_model
+    from dvf_ig.intake import cached_model
     from dvf_ig.io import read_model
 
     if isinstance(given, DvfModel):

@@ -53,8 +53,8 @@ def read_agreeing(
         DvfIgError: the first reason why they cannot be used, or not together.
         typer.BadParameter: a model for a session.yaml, which names its own.
     """
+    from dvf_ig.intake import read_session
     from dvf_ig.intake.fit import require_fit
-    from dvf_ig.intake.session import read_session
 
     require_own_model(session, model)
     files = read_session(session)

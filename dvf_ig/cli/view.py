@@ -28,7 +28,7 @@ def view(
     It shows the beating heart, ultrasound, tool, force and signals; its numbers are those of RUN/ticks.csv.
     """
     with command(threads):
-        from dvf_ig.intake.session import read_session
+        from dvf_ig.intake import read_session
         from dvf_ig.io import provenance_fields, require_outputs, write_text
         from dvf_ig.replay.run_folder import read_run, require_same_recording
         from dvf_ig.replay.view import run_payload

@@ -9,10 +9,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from dvf_ig.cardiac import stream_recording
-from dvf_ig.core.arrays import FloatArray
 from dvf_ig.core.errors import InvalidInputError
 from dvf_ig.core.model import DvfModel
 from dvf_ig.core.recordings.phantom import NWireRecording, TargetRecording
@@ -22,17 +18,23 @@ from dvf_ig.core.recordings.signal import Signal
 from dvf_ig.core.recordings.stream import PoseStream
 from dvf_ig.core.space.image_map import ImageMap
 from dvf_ig.core.space.points import Points
-from dvf_ig.core.space.volume import VolumeSeries
-from dvf_ig.core.timing.cycle import CycleTiming
 from dvf_ig.core.timing.trigger import TriggerTimes
 from dvf_ig.io.image.gated_volume import GatedVolumeFile, gated_volume_files, read_gated_volumes
 from dvf_ig.io.plus.names import ProbeNames
-from dvf_ig.registration import start_from_landmarks
-from dvf_ig.registration.lc2.slices import fan_mask_from_images
 
+from .contents import (
+    ecg_contents,
+    heart_contents,
+    latency_contents,
+    probe_contents,
+    start_contents,
+    tip_contents,
+    tool_contents,
+    ultrasound_contents,
+)
 from .fixtures import RetimingName
 from .live import LiveConfig
-from .preop import PreopFiles, preop_label_values, read_preop
+from .preop import PreopFiles, read_preop
 from .problems import Problem, ProblemList, Use, concerning
 from .readers import (
     StartFiles,
@@ -51,9 +53,6 @@ if TYPE_CHECKING:
     from dvf_ig.guidance import FixtureSet
 
     from .live_record import LiveRecord
-
-DARK_BORDER = 0.02
-"""A sector leaves at least this share of the image dark."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -153,7 +152,7 @@ class SessionFiles:
             InvalidInputError: there is none.
         """
         if self.preop is None:
-            raise PARTS[0].missing_error
+            raise _missing("preop")
         return self.preop.preop
 
     @property
@@ -175,9 +174,7 @@ class SessionFiles:
             InvalidInputError: the probe's or the latency is missing.
         """
         if self.probe is None or self.latency is None:
-            raise next(
-                p for p in PARTS if p.key.startswith("calibration") and not p.is_there(self)
-            ).missing_error
+            raise _missing("calibration.probe" if self.probe is None else "calibration.latency")
         return CalibrationSources(self.probe, self.latency, self.tip)
 
     def with_calibrations(self, probe: ImageMap, lag_s: float, tip: Points | None) -> "SessionFiles":
@@ -198,7 +195,8 @@ class SessionFiles:
         """
         heart, sweep, ecg, probe, latency = self.preop, self.sweep, self.ecg, self.probe, self.latency
         if heart is None or sweep is None or ecg is None or probe is None or latency is None:
-            raise next(part for part in PARTS if part.needed_for and not part.is_there(self)).missing_error
+            absent = {"preop": heart, "ultrasound": sweep, "ecg": ecg, "calibration.probe": probe}
+            raise _missing(next((k for k, value in absent.items() if value is None), "calibration.latency"))
         named = replace(sweep.probe, target="tracker", source="probe")
         start, tool = self.start, self.tool
         return Scenario(
@@ -342,149 +340,6 @@ def _read_start(at: Opened) -> Mapping[str, Any]:
     return {"start": read_start(at.config.start, at.folder)}
 
 
-def _heart(files: SessionFiles) -> str | None:
-    if files.preop is None:
-        return None
-    preop, model, words = files.preop.preop, files.preop.model, []
-    if model is not None:
-        words.append(f"model of patient '{model.patient_id}', {model.surface_name}, {_phases(model.timing)}")
-    if preop.mr is not None:
-        words.append(f"grey levels of {_phases(preop.mr.timing)}, {_size(preop.mr)}")
-    listed = _listed(preop_label_values(preop))
-    if preop.labels is not None:
-        words.append(f"labels {listed} in each of {_phases(preop.labels.timing)}")
-    elif preop.ed_labels is not None:
-        words.append(f"labels {listed} of end-diastole alone (phase {preop.ed_phase})")
-    if preop.surfaces:
-        names = ", ".join(series.name for series in preop.surfaces)
-        words.append(f"surfaces {names}, {_phases(preop.surfaces[0].timing)}")
-    return "; ".join(words)
-
-
-def _listed(values: tuple[int, ...]) -> str:
-    """ "1 to 4" if none is left out, else one by one."""
-    if len(values) > 2 and values[-1] - values[0] == len(values) - 1:
-        return f"{values[0]} to {values[-1]}"
-    return ", ".join(map(str, values)) or "none"
-
-
-def _phases(timing: CycleTiming) -> str:
-    assumed = " (times assumed: no timing.json)" if timing.timing_assumed and timing.rr_assumed else ""
-    return f"{len(timing)} phases{assumed}"
-
-
-def _size(series: VolumeSeries) -> str:
-    shape = " x ".join(map(str, series.grid.shape))
-    return f"{shape} voxels of {' x '.join(f'{side:.2g}' for side in series.grid.spacing_mm)} mm"
-
-
-def _ultrasound(files: SessionFiles) -> str | None:
-    sweep = files.sweep
-    if sweep is None:
-        names = ", ".join(file.path.name for file in files.volumes)
-        return f"gated volumes {names}" if names else None
-    recorded, probe = sweep.recorded, sweep.probe
-    if recorded.images is None:
-        return f"no images; {_poses(probe)}"
-    rows, columns = recorded.images.shape[1:]
-    share = float(fan_mask_from_images(recorded.images).mean())
-    sector = f"sector on {share:.0%} of it" if share <= 1 - DARK_BORDER else "no dark border around a sector"
-    frames = {frame for s in recorded.poses.values() for frame in (s.target, s.source)}
-    against = f"relative to {probe.target}"
-    if probe.target == "tracker":
-        against = "the reference marker not used" if "reference" in frames else "no reference marker"
-    return f"{len(recorded)} images of {columns} x {rows} px, {sector}; {_poses(probe)}, {against}"
-
-
-def _poses(stream: PoseStream) -> str:
-    return f"{stream.name} tracked for {stream.valid.mean():.0%}, {_span(stream.t_s)}"
-
-
-def _span(t_s: FloatArray) -> str:
-    return f"{t_s[0]:.1f} to {t_s[-1]:.1f} s".replace("-0.0 to", "0.0 to")
-
-
-def _ecg(files: SessionFiles) -> str | None:
-    ecg = files.ecg
-    if ecg is None:
-        return None
-    source = "trigger" if isinstance(ecg, TriggerTimes) else f"{', '.join(ecg.leads)} at {ecg.rate_hz:g} Hz"
-    return f"{source}, {_span(ecg.t_s)}; {_beats(ecg)}"
-
-
-def _beats(ecg: Signal | TriggerTimes) -> str:
-    try:
-        peaks, _ = stream_recording(ecg)
-    except InvalidInputError:
-        return "no R peaks found"
-    if len(peaks) < 2:
-        return f"{len(peaks)} R peaks"
-    rate_bpm = 60.0 / float(np.median(np.diff([peak.t_s for peak in peaks])))
-    return f"{len(peaks)} R peaks, {rate_bpm:.0f} beats/min"
-
-
-def _tool(files: SessionFiles) -> str | None:
-    if files.tool is not None:
-        return _poses(files.tool)
-    others = () if files.sweep is None else files.sweep.other_tools
-    return f"one of {', '.join(others)}: say which (tool.name)" if len(others) > 1 else None
-
-
-def _probe(files: SessionFiles) -> str | None:
-    probe, sweep = files.probe, files.sweep
-    if probe is None:
-        return None
-    if not isinstance(probe, ImageMap):
-        kind = "N-wire" if isinstance(probe, NWireRecording) else probe.phantom
-        return f"recording of the {kind} phantom, {len(probe.points_px)} images"
-    across, down = probe.scale_mm_per_px.tolist()
-    text = f"pixels of {across:.4g} x {down:.4g} mm"
-    if sweep is None or sweep.recorded.images is None:
-        return text
-    rows, columns = sweep.recorded.images.shape[1:]
-    return f"{text}: images of {columns * across:.0f} x {rows * down:.0f} mm"
-
-
-def _latency(files: SessionFiles) -> str | None:
-    if files.latency is None:
-        return None
-    if isinstance(files.latency, float):
-        return f"{files.latency:+.4f} s (time of tracker = time of video + latency)"
-    return f"recording of a water tank, {len(files.latency.wall_row_px.t_s)} images"
-
-
-def _tip(files: SessionFiles) -> str | None:
-    tip = files.tip
-    if tip is None:
-        return None
-    if isinstance(tip, PoseStream):
-        return f"pivot recording, {_poses(tip)}"
-    place = ", ".join(f"{side:.1f}" for side in tip.xyz_mm[0])
-    return f"at ({place}) mm in the tool's own frame"
-
-
-def _start(files: SessionFiles) -> str | None:
-    start, words = files.start, []
-    if start.start is not None:
-        words.append("start pose")
-    mr, tracker = start.landmarks_mr, start.landmarks_tracker
-    if mr is not None and tracker is not None:
-        words.append(f"{len(mr.paired_with(tracker)[0])} landmarks named in both files{_residual(start)}")
-    if start.touched is not None:
-        words.append(f"{len(start.touched)} points touched on the surface")
-    return "; ".join(words) or None
-
-
-def _residual(start: StartFiles) -> str:
-    if start.landmarks_mr is None or start.landmarks_tracker is None:
-        return ""
-    try:
-        residuals = start_from_landmarks(start.landmarks_mr, start.landmarks_tracker).residuals_mm
-    except InvalidInputError:
-        return ""
-    return f", residual {float(np.sqrt((residuals**2).mean())):.1f} mm RMS"
-
-
 def _of_volumes(files: SessionFiles) -> bool:
     return bool(files.volumes) and files.sweep is None
 
@@ -494,7 +349,7 @@ PARTS = (
         "preop",
         "heart",
         _read_heart,
-        _heart,
+        lambda files: heart_contents(files.preop),
         lambda files: files.preop is not None,
         "register",
         "a registration needs the heart: its model (dvf-ig model build … -o heart.npz), labels, or surfaces",
@@ -504,7 +359,7 @@ PARTS = (
         "ultrasound",
         "ultrasound",
         _read_ultrasound,
-        _ultrasound,
+        lambda files: ultrasound_contents(files.sweep, files.volumes),
         lambda files: files.sweep is not None or bool(files.volumes),
         "register",
         "a registration needs ultrasound: a tracked sweep (PLUS sequence), or gated 3-D images",
@@ -513,7 +368,7 @@ PARTS = (
         "ecg",
         "ECG",
         _read_ecg,
-        _ecg,
+        lambda files: ecg_contents(files.ecg),
         lambda files: files.ecg is not None or (_of_volumes(files) and not _timed(files)),
         "register",
         "a registration needs the ECG, which tells when in the cycle each image was taken",
@@ -522,7 +377,7 @@ PARTS = (
         "tool",
         "tool",
         _read_tool,
-        _tool,
+        lambda files: tool_contents(files.tool, files.sweep),
         lambda files: files.tool is not None,
         "replay",
         "a force needs the tool's poses: a tracked sequence of the tool on the ECG's clock",
@@ -531,7 +386,7 @@ PARTS = (
         "calibration.probe",
         "probe calibration",
         _read_probe,
-        _probe,
+        lambda files: probe_contents(files.probe, files.sweep),
         lambda files: files.probe is not None or _of_volumes(files),
         "register",
         "a registration needs the probe's calibration: dvf-ig calibrate probe SWEEP --device-set XML "
@@ -542,7 +397,7 @@ PARTS = (
         "calibration.latency",
         "latency",
         _read_latency,
-        _latency,
+        lambda files: latency_contents(files.latency),
         lambda files: files.latency is not None or _of_volumes(files),
         "register",
         "a registration needs the latency of the images: dvf-ig calibrate latency TRACKER VIDEO "
@@ -553,7 +408,7 @@ PARTS = (
         "calibration.tip",
         "tool tip",
         _read_tip,
-        _tip,
+        lambda files: tip_contents(files.tip),
         lambda files: files.tip is not None,
         "replay",
         "a force needs a tool tip: dvf-ig calibrate pivot POSES -o tip.json",
@@ -563,7 +418,7 @@ PARTS = (
         "start",
         "start",
         _read_start,
-        _start,
+        lambda files: start_contents(files.start),
         lambda files: any(
             one is not None for one in (files.start.start, files.start.landmarks_mr, files.start.touched)
         ),
@@ -578,6 +433,10 @@ PARTS = (
 def _timed(files: SessionFiles) -> bool:
     """Whether a gated volume is placed by its time, so that the ECG is needed."""
     return any(file.t_s is not None for file in files.volumes)
+
+
+def _missing(key: str) -> InvalidInputError:
+    return next(part for part in PARTS if part.key == key).missing_error
 
 
 def descriptions(files: SessionFiles) -> dict[str, str | None]:

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from dvf_ig.cli.main import app
 from dvf_ig.core import Scenario
-from dvf_ig.intake.session import read_scenario
+from dvf_ig.intake import read_scenario
 from dvf_ig.replay import Replay
 from dvf_ig.replay.events import events_of
 

@@ -17,9 +17,9 @@ from typer.testing import CliRunner, Result
 
 from dvf_ig.cli.main import app
 from dvf_ig.core import Grid, Landmarks, Points, Preop, Rigid, Signal, TrackedVolume, Volume, VolumeSeries
+from dvf_ig.intake import read_session
 from dvf_ig.intake.preop import read_preop
 from dvf_ig.intake.schema import PreopConfig
-from dvf_ig.intake.session import read_session
 from dvf_ig.io import (
     read_model,
     write_ecg_csv,

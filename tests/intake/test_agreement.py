@@ -24,12 +24,12 @@ from dvf_ig.core import (
     SurfaceSeries,
     VolumeSeries,
 )
+from dvf_ig.intake import read_session
 from dvf_ig.intake.ecg_delay import speed_between
 from dvf_ig.intake.findings import Disagreement
 from dvf_ig.intake.fit import fit_of
 from dvf_ig.intake.heart_in_images import heart_speed
 from dvf_ig.intake.parts import SessionFiles
-from dvf_ig.intake.session import read_session
 from dvf_ig.io import write_poses, write_surface_series
 
 Change = Callable[[SessionFiles], SessionFiles]

@@ -14,7 +14,7 @@ from dvf_ig.core import (
     TrackedSequence,
     UnreadableFileError,
 )
-from dvf_ig.intake.describe.file import describe
+from dvf_ig.intake import describe
 from dvf_ig.intake.describe.sequence import clock_facts, frame_tree
 from dvf_ig.io import read_image_map, write_coordinate_definitions, write_poses, write_sequence
 

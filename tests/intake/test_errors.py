@@ -4,9 +4,11 @@ from pathlib import Path
 
 import pytest
 
-from dvf_ig.core import InvalidInputError, UnreadableFileError
+from dvf_ig.core import InvalidInputError, Preop, UnreadableFileError
+from dvf_ig.intake import SessionFiles
+from dvf_ig.intake.preop import PreopFiles
 from dvf_ig.intake.problems import ProblemList, concerning
-from dvf_ig.io import read_sequence
+from dvf_ig.io import GatedVolumeFile, read_sequence
 from dvf_ig.io.reading import reading
 
 
@@ -38,3 +40,14 @@ def test_the_innermost_key_is_the_one_that_is_named() -> None:
     assert (problem.key, problem.error.key, problem.error.path) == ("preop.mr", "preop.mr", Path("mr.nrrd"))
     assert problems.within("preop")
     assert not problems.within("pre")
+
+
+def test_a_session_without_a_part_names_its_key() -> None:
+    volumes = (GatedVolumeFile(Path("ed.nrrd"), phase=0.0),)
+    for files, key in ((SessionFiles(), "preop"), (SessionFiles(PreopFiles(Preop("P"), None)), "ultrasound")):
+        with pytest.raises(InvalidInputError, match="a registration needs") as missing:
+            _ = files.scenario
+        assert missing.value.key == key
+    with pytest.raises(InvalidInputError) as uncalibrated:
+        _ = SessionFiles(volumes=volumes).calibrations
+    assert uncalibrated.value.key == "calibration.probe"

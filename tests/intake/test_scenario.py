@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 from recorded import tool_of
 
 from dvf_ig.core import InvalidInputError, OutputError, Preop, Scenario, UnreadableFileError, Volume
-from dvf_ig.intake.scenario_write import ScenarioNotes, write_scenario
-from dvf_ig.intake.session import read_scenario
+from dvf_ig.intake import ScenarioNotes, read_scenario, write_scenario
 
 Make = Callable[..., Scenario]
 Same = Callable[..., None]

@@ -17,8 +17,7 @@ from typer.testing import CliRunner
 import dvf_ig.io
 from dvf_ig.cli.inspect.command import inspect
 from dvf_ig.core import DvfIgError, OutputError, PoseStream, UnreadableFileError
-from dvf_ig.intake.describe.file import describe
-from dvf_ig.intake.scenario_write import write_scenario
+from dvf_ig.intake import describe, write_scenario
 from dvf_ig.io import output_folder, read_json, write_json
 from dvf_ig.io.writing.atomic import atomic_file
 

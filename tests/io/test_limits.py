@@ -18,8 +18,7 @@ import numpy as np
 import pytest
 
 from dvf_ig.core import DvfIgError, UnreadableFileError
-from dvf_ig.intake.scenario_write import write_scenario
-from dvf_ig.intake.session import read_scenario
+from dvf_ig.intake import read_scenario, write_scenario
 from dvf_ig.io import (
     read_calibrations,
     read_feature_points,

@@ -14,7 +14,7 @@ import pytest
 import SimpleITK
 
 from dvf_ig.core import Preop, Rigid, Signal, UnreadableFileError
-from dvf_ig.intake.model_cache import cached_model
+from dvf_ig.intake import cached_model
 from dvf_ig.io import (
     provenance_fields,
     read_annotations,

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dvf_ig.core import UnreadableFileError
-from dvf_ig.intake.fixtures import read_fixtures
+from dvf_ig.intake import read_fixtures
 from dvf_ig.intake.scenario import CONFIG, read_scenario_config
 from dvf_ig.intake.session import open_session
 from dvf_ig.io.yaml_text import parse_yaml, yaml_text

@@ -14,6 +14,7 @@ from waiting import until
 
 from dvf_ig.cli.main import app
 from dvf_ig.core import DvfIgError, Points, Scenario, UnreadableFileError
+from dvf_ig.intake import read_session
 from dvf_ig.intake.fit import require_live_fit
 from dvf_ig.intake.live import EcgFieldConfig, EcgTailConfig, LiveConfig
 from dvf_ig.intake.session import read_session

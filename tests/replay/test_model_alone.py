@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from dvf_ig.core import Preop, Scenario
-from dvf_ig.intake.model_cache import cached_model
+from dvf_ig.intake import cached_model
 from dvf_ig.registration import target_errors_mm
 from dvf_ig.replay import register_scenario
 

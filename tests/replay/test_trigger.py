@@ -9,9 +9,7 @@ from recorded import tool_of
 
 from dvf_ig.core import FloatArray, InvalidInputError, NoOverlapError, Scenario, TriggerTimes
 from dvf_ig.guidance import Status
-from dvf_ig.intake.describe.file import describe
-from dvf_ig.intake.scenario_write import write_scenario
-from dvf_ig.intake.session import read_scenario
+from dvf_ig.intake import describe, read_scenario, write_scenario
 from dvf_ig.registration import target_errors_mm
 from dvf_ig.replay import Replay, run_replay
 from dvf_ig.replay.preconditions import require_heart_beats, tick_times

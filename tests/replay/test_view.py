@@ -19,7 +19,7 @@ from typer.testing import CliRunner
 
 from dvf_ig.cli.main import app
 from dvf_ig.core import DvfModel, Landmarks, Points, UnreadableFileError
-from dvf_ig.intake.model_cache import cached_model
+from dvf_ig.intake import cached_model
 from dvf_ig.replay import Replay
 from dvf_ig.replay.page.replay_page import _overlays
 from dvf_ig.replay.result.schema import validate

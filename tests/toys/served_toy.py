@@ -31,6 +31,6 @@ def serve_toy(patch: pytest.MonkeyPatch) -> None:
     """Let `serve` take the toy's patient, whatever its configuration names."""
     live = LiveConfig(ecg=EcgFieldConfig(rate_hz=ECG_HZ))
     files = ready(live).files
-    patch.setattr("dvf_ig.intake.session.read_session", lambda *_: files)
+    patch.setattr("dvf_ig.intake.read_session", lambda *_: files)
     patch.setattr("dvf_ig.cli.serve.command.live_setup", lambda *_: ready(live))
     patch.setattr("dvf_ig.live.page.feed.scene_payload", lambda _: {})

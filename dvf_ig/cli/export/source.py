@@ -28,7 +28,7 @@ class Source(NamedTuple):
 
 def read_source(run: Path, recording: Path | None, model: Path | None) -> Source:
     """Read the run with its recording, which a replay names and a registration does not."""
-    from dvf_ig.intake.session import read_session
+    from dvf_ig.intake import read_session
     from dvf_ig.replay.export.exported_run import read_exported_run
     from dvf_ig.replay.view_file import VIEW, read_view_file
 

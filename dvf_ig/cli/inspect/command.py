@@ -23,7 +23,7 @@ def inspect(
 ) -> None:
     """Describe a file: sequence, image, mesh, model, transform, landmarks, ECG, PLUS XML, scenario."""
     with command():
-        from dvf_ig.intake.describe.file import describe
+        from dvf_ig.intake import describe
         from dvf_ig.io import ProbeNames, plain
 
         named = probe_name is not None or reference_name is not None

@@ -120,7 +120,7 @@ def serve(
     In a terminal, r and Enter re-arms after a latch; the network never does.
     """
     with queued_stderr(), command(threads):
-        from dvf_ig.intake.session import read_session
+        from dvf_ig.intake import read_session
         from dvf_ig.live.serve import require_allowed
 
         require_own_model(session, model)

@@ -24,7 +24,7 @@ def first_scenario(file: "SpecFile", out: Path | None, *, print_spec: bool, as_j
         typer.BadParameter: options that do not belong together, or nowhere to write.
     """
     from data_synth import describe_faults
-    from dvf_ig.intake.scenario_write import ScenarioNotes, write_scenario
+    from dvf_ig.intake import ScenarioNotes, write_scenario
     from dvf_ig.report import preview_png
 
     from .spec import scenario_spec, spec_text

@@ -46,7 +46,7 @@ def second_scenario(file: "SpecFile", out: Path | None, *, print_spec: bool, as_
         return
     if out is None:
         raise typer.BadParameter("give a folder to write with -o, or --print-spec")
-    from dvf_ig.intake.scenario_write import ScenarioNotes, write_scenario
+    from dvf_ig.intake import ScenarioNotes, write_scenario
     from dvf_ig.report import preview_png
 
     with progress("scenario of the second world") as report:

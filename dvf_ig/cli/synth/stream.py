@@ -31,7 +31,7 @@ def stream(
     with command(lists_inputs=False):
         import time
 
-        from dvf_ig.intake.session import read_scenario
+        from dvf_ig.intake import read_scenario
         from dvf_ig.live.link import listen
         from dvf_ig.live.player import play
 

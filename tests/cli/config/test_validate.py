@@ -14,8 +14,8 @@ from spoilt_lab import WRONG
 from toy_lab import SESSION, write_lab
 
 from dvf_ig.core import InvalidInputError, NoOverlapError, Scenario
+from dvf_ig.intake import read_session
 from dvf_ig.intake.fit import require_fit
-from dvf_ig.intake.session import read_session
 from dvf_ig.io import write_poses
 
 

@@ -22,8 +22,7 @@ from dvf_ig.core import (
     Volume,
     VolumeSeries,
 )
-from dvf_ig.intake.scenario_write import ScenarioNotes, write_scenario
-from dvf_ig.intake.session import read_scenario
+from dvf_ig.intake import ScenarioNotes, read_scenario, write_scenario
 
 
 def from_text(folder: Path, text: str) -> ScenarioSpec:

@@ -34,7 +34,7 @@ from data_synth.ultrasound.volume import MatrixProbe
 from dvf_ig.cli.register.sessions import register_session
 from dvf_ig.cli.synth.commands import app
 from dvf_ig.core import InvalidInputError, Rigid, Stop
-from dvf_ig.intake.session import read_scenario
+from dvf_ig.intake import read_scenario
 from dvf_ig.io import write_model
 from dvf_ig.preop import ModelOptions, model_from_labels
 

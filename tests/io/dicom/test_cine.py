@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from dvf_ig.core import UnreadableFileError
-from dvf_ig.intake.describe.file import describe
+from dvf_ig.intake import describe
 from dvf_ig.io import image_dimension, read_volume_series
 from dvf_ig.io.dicom.cine import read_dicom_cine
 from dvf_ig.io.dicom.header import read_images

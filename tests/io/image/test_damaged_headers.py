@@ -10,7 +10,7 @@ import pytest
 import SimpleITK
 
 from dvf_ig.core import UnreadableFileError
-from dvf_ig.intake.describe.file import describe
+from dvf_ig.intake import describe
 from dvf_ig.io import read_label_names, read_labels, read_volume, read_volume_series
 from dvf_ig.io.image.volume import image_dimension
 

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dvf_ig.core import FloatArray, InvalidInputError, Signal, TrackedSequence, UnreadableFileError
-from dvf_ig.intake.describe.file import describe
+from dvf_ig.intake import describe
 from dvf_ig.io import add_ecg_field, read_ecg, read_ecg_field, read_sequence, write_sequence
 
 RATE_HZ = 500.0
