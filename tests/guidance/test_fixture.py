@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from readable_fixtures import CONFLICT, DISTANCE, FORCE, GRADIENT, RATE, TICK_OUTPUT, TickedFixtures
 
 from dvf_ig.core import CycleTiming, FrameMismatchError, InvalidInputError, Rigid
 from dvf_ig.guidance import (
@@ -21,7 +22,6 @@ from dvf_ig.guidance import (
     force_at_distance,
     static_force,
 )
-from dvf_ig.guidance.fixtures import CONFLICT, DISTANCE, FORCE, GRADIENT, RATE, TICK_OUTPUT
 
 POSE = Rigid.from_rotation_vector([0.4, -1.1, 0.7], [30.0, -80.0, 12.0], "mr", "tracker")
 PATH = PathTarget.static("mr", [[-8.0, 0.0, 12.0], [0.0, 3.0, 15.0], [9.0, 1.0, 11.0]])
@@ -48,7 +48,7 @@ SEVERAL = {
 
 
 def ticks(fixtures, pose, points, phase, status):
-    """`Fixtures.tick` at every point."""
+    """`TickedFixtures.tick` at every point."""
     out, found = np.empty((len(points), TICK_OUTPUT)), []
     for i, point in enumerate(points):
         given = (pose.matrix[:3], point, float(phase[i]), int(status[i]), out[i])
@@ -69,7 +69,7 @@ def mixed_inputs(shell_points):
 @pytest.mark.parametrize("options", [*(FixtureSet((o,)) for o in ONE.values()), *SEVERAL.values()])
 def test_a_tick_is_the_batch_to_the_bit(ball, shell_points, options):
     points, phase, status = mixed_inputs(shell_points)
-    fixtures = Fixtures(ball, options)
+    fixtures = TickedFixtures(ball, options)
     batch = fixtures.evaluate(POSE, points, phase, status)
     out, found = ticks(fixtures, POSE, points, phase, status)
     assert batch.frame == "tracker"
@@ -159,7 +159,7 @@ def test_a_joint_cap_shortens_a_single_fixture_too(ball, shell_points):
 
 def test_the_pose_may_change_at_every_tick(ball):
     """Nothing of the last tick's pose is left."""
-    fixtures, out = Fixtures(ball), np.empty(TICK_OUTPUT)
+    fixtures, out = TickedFixtures(ball), np.empty(TICK_OUTPUT)
     point = np.array([0.0, 0.0, 14.0])
     here = Fixtures(ball).evaluate(Rigid.identity("mr", "mr"), point[None], 0.1)
     for pose in (POSE, Rigid.identity("mr", "tracker")):

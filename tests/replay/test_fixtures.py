@@ -4,13 +4,13 @@ import dataclasses
 
 import numpy as np
 import pytest
+from readable_fixtures import DISTANCE, FORCE, GRADIENT, TICK_OUTPUT, TickedFixtures
 
 from dvf_ig.cardiac import beat_phase
 from dvf_ig.core import FloatArray, InvalidInputError, Scenario
 from dvf_ig.guidance import (
     FORBIDDEN_SURFACE,
     FixtureOptions,
-    Fixtures,
     FixtureSet,
     Gaussian,
     PathTarget,
@@ -18,7 +18,6 @@ from dvf_ig.guidance import (
     Status,
     static_force,
 )
-from dvf_ig.guidance.fixtures import DISTANCE, FORCE, GRADIENT, TICK_OUTPUT
 from dvf_ig.guidance.margins import MarginOptions
 from dvf_ig.replay import Replay, result_of, run_replay
 from dvf_ig.replay.page.replay_page import report_html
@@ -32,7 +31,7 @@ def with_fixtures(replay: Replay, fixtures: FixtureSet, every: int = 1) -> tuple
     Args:
         every: only one tick in so many is given a force: paths take long.
     """
-    ticks, bound = replay.ticks, Fixtures(replay.heart.model, fixtures)
+    ticks, bound = replay.ticks, TickedFixtures(replay.heart.model, fixtures)
     out = np.full((len(ticks), TICK_OUTPUT), np.nan)
     out[:, FORCE] = 0.0
     status = np.full(len(ticks), int(Status.STALE_TOOL))

@@ -20,7 +20,7 @@ from toy_session import (
     toy_streams,
 )
 
-from dvf_ig.core import FloatArray
+from dvf_ig.core import FloatArray, Rigid
 from dvf_ig.guidance import (
     HAZARD_RULES,
     FixtureOptions,
@@ -360,3 +360,15 @@ def test_two_lost_poses_of_the_tool_fade_the_force_and_nothing_jumps() -> None:
     ended = round(1000 * (FROM_S + 0.016 + FADE_S - 12.5))
     assert force[ended - 1 : ended + 2].min() == 0.0
     assert force[-1] > GUIDING_N
+
+
+def test_a_device_s_servo_is_published_what_the_session_s_own_is_but_for_the_tracked_tool() -> None:
+    """A device's encoders know the tool; pose, phase and margins are the session's."""
+    states = disturbed(lost_tool, 0.5, FROM_S + 0.4)
+    place = Rigid.identity("tracker", "device")
+    known, lost = states[0].inputs(place), states[-1].inputs(place)
+    assert states[-1].hazards & Hazard.TOOL_LOST
+    assert (known.hazards, lost.hazards) == (Hazard.NONE, Hazard.NONE)
+    assert (lost.tool_status, lost.now_s) == (Status.OK, states[-1].now_s)
+    assert lost.transform is states[-1].transform
+    np.testing.assert_array_equal(lost.margin_mm, states[-1].margin_mm)
