@@ -17,7 +17,6 @@ from dvf_ig.core import DvfIgError, Points, Scenario, UnreadableFileError
 from dvf_ig.intake import read_session
 from dvf_ig.intake.fit import require_live_fit
 from dvf_ig.intake.live import EcgFieldConfig, EcgTailConfig, LiveConfig
-from dvf_ig.intake.session import read_session
 from dvf_ig.io.writing.listing import LISTING
 from dvf_ig.live.igtl import Image, Message, Transform
 from dvf_ig.live.link import Inbox, connect, listen
