@@ -104,7 +104,7 @@ def test_an_ecg_table_without_times_needs_its_rate(kind: str, beats: np.ndarray,
 
 def test_a_rate_that_cannot_be_is_refused(beats: np.ndarray, tmp_path: Path) -> None:
     path = table(tmp_path / "ecg.csv", ROWS["Timestamp,ECG"], beats)
-    assert "250 Hz, the rate given is 500 Hz" in refused("gate", path, "--rate", 500)
+    assert "250 Hz, but --rate is 500 Hz" in refused("gate", path, "--rate", 500)
     trigger = tmp_path / "trigger.csv"
     trigger.write_text("0.1\n0.9\n1.7\n")
     assert "times of pulses" in refused("gate", f"trigger:{trigger}", "--rate", 500)

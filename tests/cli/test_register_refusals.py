@@ -172,7 +172,7 @@ def test_the_start_is_no_output(lab: Path) -> None:
 MISPLACED: dict[str, tuple[dict[str, Any], str]] = {
     "the tool as ultrasound": (
         {"--us": "needle.igs.mha"},
-        "it records tracker_from_needle; name what is meant",
+        "it records tracker_from_needle; name the sensors",
     ),
     "a model as ultrasound": ({"--us": "heart.npz"}, "heart.npz is not a sequence metafile"),
     "a name misspelt": ({"--us": "swep.igs.mha"}, "lacks swep.igs.mha (--us), which the command names"),
@@ -184,7 +184,7 @@ MISPLACED: dict[str, tuple[dict[str, Any], str]] = {
         {"--model": "sweep.igs.mha"},
         "sweep.igs.mha is not a model file; build one with",
     ),
-    "labels as cine": ({"--cine": "ed.nrrd"}, "ed.nrrd is 3-D with 1 value(s) a voxel; needed 4-D"),
+    "labels as cine": ({"--cine": "ed.nrrd"}, "ed.nrrd is 3-D with 1 value(s) per voxel; needed 4-D"),
     "labels without cine": (
         {"--model": None, "--labels": "ed.nrrd"},
         "ed.nrrd holds the labels of one phase",
@@ -217,7 +217,7 @@ MISPLACED: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "a wrong sensor": (
         {"--probe-name": "Stylus"},
-        "it records tracker_from_probe; name what is meant (--probe-name",
+        "it records tracker_from_probe; name the sensors (--probe-name",
     ),
     "a sensor by number": ({"--probe-name": "123"}, "(--probe-name, --reference-name)"),
     "three touched points": (
@@ -257,7 +257,7 @@ SESSIONS: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "a sensor by another name": (
         {"ultrasound": {"file": "sweep.igs.mha", "probe_name": "Stylus"}},
-        "name what is meant (ultrasound.probe_name, ultrasound.reference_name)",
+        "name the sensors (ultrasound.probe_name, ultrasound.reference_name)",
     ),
     "a name misspelt": (
         {"fixtures": "fixture.yaml"},
