@@ -7,6 +7,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 
 from dvf_ig.core import InvalidInputError, Landmarks
+from dvf_ig.guidance.servo.inputs import VALID_FOR_S
 from dvf_ig.intake.live import EcgFieldConfig, LiveConfig
 from dvf_ig.session import Beside, Event, Landmark, Session, SessionHistory, SessionSetup
 
@@ -66,7 +67,13 @@ def live_session(setup: SessionSetup, options: LiveOptions) -> Iterator[LiveLoop
     with ExitStack() as stack:
         executor = CountedWork(stack.enter_context(Beside(waits=False)), options.record)
         session = stack.enter_context(
-            Session(setup, executor=executor, clock=time.perf_counter, history=options.history)
+            Session(
+                setup,
+                executor=executor,
+                clock=time.perf_counter,
+                history=options.history,
+                latch_after_s=VALID_FOR_S,
+            )
         )
         checksum(b"compiled or loaded before the first message")
         stack.enter_context(answering_soon())

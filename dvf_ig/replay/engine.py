@@ -9,6 +9,7 @@ The ground truth is not read here; `score` does that with what this returns.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from math import inf
 from time import perf_counter
 
 import numpy as np
@@ -16,6 +17,7 @@ import numpy as np
 from dvf_ig.cardiac import RetimeMode
 from dvf_ig.core import DvfModel, FloatArray, Progress, Rigid, Scenario, untold
 from dvf_ig.guidance import FORBIDDEN_SURFACE, FixtureSet
+from dvf_ig.guidance.servo.inputs import VALID_FOR_S
 from dvf_ig.intake.calibrations import Calibrations, calibrate, calibrated
 from dvf_ig.intake.findings import Finding
 from dvf_ig.intake.fit import fit_of
@@ -140,7 +142,10 @@ def run_replay(
             report_progress(0.4 + 0.6 * i / len(t_s))
 
     executor = None if live is None else AsRecorded(live.refused)
-    with Session(setup, executor=executor, clock=clock, history=history) as session:
+    latch_after_s = inf if live is None else VALID_FOR_S
+    with Session(
+        setup, executor=executor, clock=clock, history=history, latch_after_s=latch_after_s
+    ) as session:
         if live is None:
             _run(session, scenario, t_s, observe)
         else:

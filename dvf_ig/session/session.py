@@ -56,6 +56,7 @@ class Session:
         executor: who does the long work; by default the caller does, when its result is due.
         clock: seconds of computing time from any origin, for the record; no estimate depends on it.
         history: is told of every registration, beat and update; by default the last REMEMBERED are kept.
+        latch_after_s: as of `TrackedServo`; a live session's is VALID_FOR_S.
         ultrasound: what frames and beats say of the pose, made with the buffer of the frames that arrive; by
             default they are registered and compared by their images.
     """
@@ -67,6 +68,7 @@ class Session:
         executor: Executor | None = None,
         clock: Callable[[], float] = _no_clock,
         history: SessionHistory | None = None,
+        latch_after_s: float = inf,
         ultrasound: Callable[[FrameBuffer], UltrasoundSource] | None = None,
     ) -> None:
         self.setup = setup
@@ -84,7 +86,8 @@ class Session:
         self._sources = SourceClocks(setup.beat_source)
         self._tool = ToolTracker(setup.calibrations.tip)
         self._tip = TipWatch(self._frames, setup.calibrations, setup.fan)
-        self._servo = TrackedServo(Fixtures(setup.heart.model, setup.fixtures), limits=setup.device)
+        fixtures = Fixtures(setup.heart.model, setup.fixtures)
+        self._servo = TrackedServo(fixtures, limits=setup.device, latch_after_s=latch_after_s)
         self._margins = MarginTracker(setup.fixtures, setup.device)
         self._actions: list[Landmark | Rearm] = []
         self._known: tuple[object, object, object] = (None, None, None)

@@ -190,7 +190,7 @@ def test_what_was_written_before_a_log_ends_is_read_and_nothing_else(
     assert counts[0] < 0.3 * len(states)
     assert 0.3 * len(states) < counts[-1]
     (tmp_path / "session.mcap").write_bytes(data[: len(data) // 2])
-    with pytest.raises(UnreadableFileError, match="cut off"):
+    with pytest.raises(UnreadableFileError, match="truncated"):
         read_session_log(tmp_path / "session.mcap")
 
 

@@ -172,7 +172,7 @@ def test_the_numbers_are_those_of_the_result() -> None:
         "No grey-level MR was given.",
         "<td>frames compared with the model</td><td>48 of 50</td>",
         "<td>seed</td><td>7</td>",
-        "mr_from_tracker.tfm and the .h5 beside it",
+        "mr_from_tracker.tfm and the .h5 file",
     ):
         assert shown in text
     for value in result.target_from_source.matrix[:3].ravel():

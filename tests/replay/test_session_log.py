@@ -261,10 +261,10 @@ def with_chunk(log: Path, place: Path, content: bytes | None, **changes: Any) ->
         (300 << 20, {}, "states 314572800 bytes of messages and has"),
         (100, {"uncompressed_size": 1 << 40}, "states a chunk of 1099511627776 bytes that holds 100"),
         (100, {"uncompressed_size": 1}, "states a chunk of 1 bytes that holds 100"),
-        (100, {"compression": "lz4"}, "packed as 'lz4'; needed zstd"),
+        (100, {"compression": "lz4"}, "compressed with 'lz4'; needed zstd"),
         (100, {"compression": ""}, "states a chunk of 100 bytes that holds"),
-        (b"\x05" + bytes(4), {}, "cut off or damaged"),
-        (b"\x05" + (30).to_bytes(8, "little") + bytes(30), {}, "cut off or damaged|lacks messages"),
+        (b"\x05" + bytes(4), {}, "truncated or damaged"),
+        (b"\x05" + (30).to_bytes(8, "little") + bytes(30), {}, "truncated or damaged|lacks messages"),
     ],
 )
 def test_chunks_that_are_not_what_they_state(

@@ -176,7 +176,7 @@ WRONG: dict[str, tuple[Spoil, list[str]]] = {
                 folder / "tip.json", "tip", ("RMS is 2.2 mm",), tip_mm=[0, 0, 1], tip_frame="needle"
             )
         ),
-        ["calibration.tip: ", "tip.json is a calibration that was refused: RMS is 2.2 mm; calibrate again"],
+        ["calibration.tip: ", "tip.json is a refused calibration: RMS is 2.2 mm; calibrate again"],
     ),
     "a calibration in metres": (
         file(

@@ -1,5 +1,6 @@
 """The servo in a session's own time: the force at every state, for a tool that a tracker sees."""
 
+import math
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from dvf_ig.guidance.supervision.hazards import Hazard
 from dvf_ig.guidance.supervision.supervisor import RearmAnswer
 from dvf_ig.kernels.servo.layout import INPUTS, new_scratch, words
 from dvf_ig.kernels.servo.supervision import rearm
+from dvf_ig.kernels.servo.tick import withhold
 from dvf_ig.kernels.servo.tracked import TRACKED, tick_until
 
 from .bound import REARM_ANSWERS, bind_fixtures
@@ -31,6 +33,8 @@ class TrackedServo:
         fixtures: on the patient's model.
         limits: of the device that renders the force; the stiffness gives the slew limit.
         options: rate, damping, passivity.
+        latch_after_s: without a publication for longer, nothing that was felt since is known: the next force
+            is zero and latched, by MISSED_DEADLINES. Infinite for a session that is asked rarely on purpose.
     Raises:
         InvalidInputError: as `bind_fixtures`.
     """
@@ -41,7 +45,9 @@ class TrackedServo:
         *,
         limits: DeviceLimits = COMMON_DEVICE,
         options: ServoOptions = ServoOptions(),  # noqa: B008  frozen
+        latch_after_s: float = math.inf,
     ) -> None:
+        self._latch_after_s, self._stepped_s = latch_after_s, math.inf
         self._bound = bind_fixtures(fixtures, limits, options, latency_s=0.0)
         self._scratch = new_scratch(len(fixtures.parts))
         self._tool: Any = np.zeros(1, TRACKED)[0]
@@ -87,6 +93,9 @@ class TrackedServo:
             known,
             now_s,
         )
+        if now_s - self._stepped_s > self._latch_after_s:
+            withhold(self._bound, self._scratch, now_s)
+        self._stepped_s = now_s
         return ServoTick(self._scratch.row)
 
     @property

@@ -12,7 +12,7 @@ processes conditioned on linear functionals).
 
 The costs of blocks are far from quadratic: what a block says of its position from 2 mm away is off by a
 third. So the fit is repeated, with gradients taken where the fit before has moved the blocks
-(docs/decisions/0033-pose-and-shape-by-turns.md).
+(docs/decisions/0033-alternating-pose-and-shape.md).
 """
 
 from collections.abc import Callable

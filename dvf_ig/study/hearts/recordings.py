@@ -119,8 +119,8 @@ TUNING = HeartList("tuning", range(1001, 1061), range(0), ("002", "003"))
 THRESHOLD = HeartList("threshold", range(2001, 2201), range(0), ("008", "009"))
 REPORTED = HeartList("reported", range(3181, 3301), range(4081, 4161), ("012", "016", "018"))
 """Hearts looked at before a table was fitted, or a rule chosen, are left behind: 3001 to 3060 until decision
-0036, 3061 to 3120 until 0039 of sweeps, 3121 to 3180 until 0039 of gated volumes; of the second world 4001 to
-4040 until 0038, 4041 to 4080 until 0039."""
+0019, 3061 to 3120 until 0039 of sweeps, 3121 to 3180 until 0039 of gated volumes; of the second world 4001 to
+4040 until 0019, 4041 to 4080 until 0039."""
 HEART_LISTS = {chosen.name: chosen for chosen in (TUNING, THRESHOLD, REPORTED)}
 
 

@@ -78,7 +78,7 @@ def test_the_gate_is_moved_knowingly_and_the_file_says_so(loose: Path, tmp_path:
 def test_a_refused_file_is_read_only_when_asked_for(loose: Path, tmp_path: Path) -> None:
     out = tmp_path / "tip.json"
     run("calibrate", "pivot", loose, "-o", out)
-    with pytest.raises(QualityGateError, match=r"was refused: pivot residual .* calibrate again"):
+    with pytest.raises(QualityGateError, match=r"refused calibration: pivot residual .* calibrate again"):
         read_tip(out)
     assert np.abs(read_tip(out, allow_refused=True).xyz_mm[0] - TIP_MM).max() < 1.0
 
