@@ -169,7 +169,8 @@ def test_a_session_that_was_stopped_sends_zero_first_and_latches(toy, stopped_s)
     assert size_n == 0.0 if silent else size_n > 0.5 * old_n
     for state in (first, toy.answers[-1].state):
         assert (state.supervisor is SupervisorState.LATCHED) == silent
-        assert bool(state.supervised.hazards & Hazard.MISSED_DEADLINES) == silent
+        assert bool(state.supervised.cause & (Hazard.MISSED_DEADLINES | Hazard.SESSION_SILENT)) == silent
+        assert state.reasons or not silent
         assert state.force_n.any() != silent
     assert (toy.loop.running_share < 1.0) == silent
 
