@@ -223,7 +223,7 @@ WRONG: dict[str, tuple[Spoil, list[str]]] = {
             "start.landmarks_tracker: ",
             "patient.mrk.json",
             "share 2 landmark names (apex, mitral)",
-            "alike in both",
+            "same names in both files",
         ],
     ),
     "a start in the other direction": (
