@@ -169,8 +169,9 @@ def _print(
             one.law.reach_mm if math.isfinite(one.law.reach_mm) else None for one in options.fixtures
         ],
     }
-    rows = [("", _felt(one)) for one in options.fixtures]
-    rows += [("x y z (mm)", "force x y z (N)         distance (mm)  status")]
+    for one in options.fixtures:
+        typer.echo(_felt(one), err=True)
+    rows = [("x y z (mm)", "force x y z (N)         distance (mm)  status")]
     for point, push, distance, name in zip(xyz_mm, samples.force_n, samples.distance_mm, names, strict=True):
         where = " ".join(f"{c:8.2f}" for c in point)
         rows.append((where, " ".join(f"{c:7.3f}" for c in push) + f"  {distance:12.3f}  {name}"))

@@ -96,7 +96,7 @@ def test_the_output_says_how_far_each_fixture_is_felt(run, tmp_path):
     assert json.loads(run("--law", "guidance").stdout)["reach_mm"] == [None]
     head = [str(tmp_path / "ball.npz"), "--points", str(tmp_path / "points.csv"), "--phase", "0.05"]
     said = [
-        CliRunner().invoke(app, [*head, *options]).stdout
+        CliRunner().invoke(app, [*head, *options]).stderr
         for options in ([], ["--inside"], ["--depth-mm", "6"], ["--law", "guidance"])
     ]
     assert "the fixture is felt (1 % of 0.6 N) from 4.6 mm outside the surface" in said[0]
