@@ -169,7 +169,7 @@ def _print(
             one.law.reach_mm if math.isfinite(one.law.reach_mm) else None for one in options.fixtures
         ],
     }
-    for one in options.fixtures:
+    for one in () if as_json else options.fixtures:
         typer.echo(_felt(one), err=True)
     rows = [("x y z (mm)", "force x y z (N)         distance (mm)  status")]
     for point, push, distance, name in zip(xyz_mm, samples.force_n, samples.distance_mm, names, strict=True):
