@@ -1,7 +1,7 @@
-"""Write JSON results with their provenance, and the marks that identify this program's files.
+"""Write JSON results with their provenance, and a mark that tells a reader which program made a file.
 
-Files of this program carry a mark: the field `written_by` in JSON, with the kind of content, and a comment in
-XML, HTML and the header of a sequence.
+The mark is the field `written_by` in JSON, with the kind of content, and a comment in XML, HTML and the
+header of a sequence. What a command may replace is decided by the folder's listing (`io/writing/listing`).
 """
 
 from collections.abc import Mapping

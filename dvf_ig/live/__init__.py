@@ -1,1 +1,1 @@
-"""A session on what arrives by network: OpenIGTLink in and out, an ECG beside it, a servo behind it."""
+"""A session on what arrives by network: OpenIGTLink in and out, and an ECG from there or elsewhere."""
