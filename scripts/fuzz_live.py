@@ -40,8 +40,9 @@ READY_S, GIVEN_S, ENDED_S = 60.0, 40.0, 20.0
 """Longest time that a busy machine may need to listen, to give a force, to end."""
 GUIDING_N = 0.02
 ROOT = Path(__file__).resolve().parents[1]
-FAIL = "FAIL"
-"""A device whose message makes the child's session raise."""
+FAIL, SLOW = "FAIL", "SLOW"
+"""Devices whose message makes the child's session raise, or makes it slow to send its last messages."""
+SLOW_S = 0.6
 PAGE_PATHS = ("/scene.json", "/", "/events")
 
 Change = Callable[[float, Message], Iterable[Message | bytes]]
@@ -55,6 +56,7 @@ def child(arguments: list[str]) -> None:
     """Run `serve` with the toy's patient; a registration is known at once."""
     from dvf_ig.cli.main import run
     from dvf_ig.live.devices import DeviceNames
+    from dvf_ig.live.link import Link
 
     patch = pytest.MonkeyPatch()
     serve_toy(patch)
@@ -62,11 +64,17 @@ def child(arguments: list[str]) -> None:
     patch.setattr("dvf_ig.session.ultrasound.ultrasound_source.compare_beat", compare_known)
     patch.setattr("dvf_ig.session.pose.pose_tracker.FIRST_ATTEMPT_S", 2.5)
     patch.setattr("dvf_ig.session.pose.registration_jobs.COMPUTE_S", 0.3)
-    image_of = DeviceNames.image_of
+    image_of, send_last = DeviceNames.image_of, Link.send_last
+
+    def slowly(link: Link, messages: list[Message]) -> None:
+        time.sleep(SLOW_S)
+        send_last(link, messages)
 
     def failing(names: DeviceNames, message: Message) -> object:
         if message.device == FAIL:
             raise RuntimeError("a fault on purpose")
+        if message.device == SLOW:
+            patch.setattr(Link, "send_last", slowly)
         return image_of(names, message)
 
     patch.setattr(DeviceNames, "image_of", failing)
@@ -379,8 +387,8 @@ def _unread(case: Case) -> None:
     case.peer.reads = False
 
 
-def _sends_failure(case: Case) -> None:
-    case.peer.send(Message(FAIL, None, Text("x")))
+def _sends(device: str) -> Callable[[Case], None]:
+    return lambda case: case.peer.send(Message(device, None, Text("x")))
 
 
 def _page_requests(lines: str, threads: int) -> Callable[[Case], None]:
@@ -482,9 +490,10 @@ def faults() -> tuple[Fault, ...]:
         Fault("stopped for 1 s", _unchanged, _stopped(1.0), force=False),
         Fault("stopped for 2 s", _unchanged, _stopped(2.0), force=False),
         Fault("terminal that is not read", _of(TOOL, _with(lambda m: [_wrong_checksum(m)], 50)), force=True),
+        Fault("slow to end at Ctrl-C", _unchanged, _sends(SLOW), force=True),
         Fault("SIGTERM", _unchanged, by=signal.SIGTERM, force=True),
         Fault("SIGHUP", _unchanged, by=signal.SIGHUP, force=True),
-        Fault("the program fails", _unchanged, _sends_failure, code=(70,), ends=True, force=False),
+        Fault("the program fails", _unchanged, _sends(FAIL), code=(70,), ends=True, force=False),
         Fault("flood of the page", _unchanged, _page_requests("", 8), page=True),
         Fault("cross-site flood", _unchanged, _page_requests("Sec-Fetch-Site: cross-site\r\n", 8), page=True),
         Fault("half requests of the page", _unchanged, _half_requests, page=True, force=True),

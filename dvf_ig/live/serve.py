@@ -5,6 +5,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
+from math import inf
 
 from dvf_ig.core import InvalidInputError, Landmarks
 from dvf_ig.guidance.servo.inputs import VALID_FOR_S
@@ -25,6 +26,8 @@ from .record import NO_RECORD, CountedWork, Record
 from .timed import LiveEvent
 
 CUT_OFF = "the connection is ended because of a message that broke the protocol; connect again"
+LOOK_EVERY_S = 0.05
+"""Interval at which a caller that waits for a session checks whether it is asked to end it."""
 EcgEvents = Callable[[], list[LiveEvent]]
 
 
@@ -96,23 +99,37 @@ def live_session(setup: SessionSetup, options: LiveOptions) -> Iterator[LiveLoop
 
 
 class SessionThread(threading.Thread):
-    """Runs a live session beside the caller."""
+    """Thread that runs a live session beside its caller.
+
+    Its end is an event: in Python 3.11 an exception that a signal raises within `Thread.join` marks a thread
+    that still runs as ended (CPython issue 90882).
+    """
 
     def __init__(self, loop: LiveLoop) -> None:
         super().__init__(name="dvf-ig session", daemon=True)
-        self._loop, self._asked = loop, threading.Event()
+        self._loop, self._asked, self._ended = loop, threading.Event(), threading.Event()
         self._error: BaseException | None = None
 
     def run(self) -> None:
-        """Until `end`, or an error, which `end` raises."""
+        """Run until `end`, or an error, which `end` raises."""
         try:
             self._loop.run(self._asked)
         except BaseException as error:  # noqa: BLE001  raised again by `end`
             self._error = error
+        finally:
+            self._ended.set()
+
+    def wait(self, seconds: float | None, end_requested: Callable[[], bool]) -> None:
+        """Wait for the session's end, at most `seconds`, or until `end_requested`."""
+        end_s = inf if seconds is None else time.monotonic() + seconds
+        while not end_requested() and (left_s := end_s - time.monotonic()) > 0.0:
+            if self._ended.wait(min(left_s, LOOK_EVERY_S)):
+                return
 
     def end(self) -> None:
-        """End the session; raises what ended it before."""
+        """End the session after its last messages; raise what ended it before."""
         self._asked.set()
+        self._ended.wait()
         self.join()
         if self._error is not None:
             raise self._error

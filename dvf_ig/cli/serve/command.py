@@ -3,7 +3,7 @@
 import signal
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -43,6 +43,7 @@ if TYPE_CHECKING:
 
     from .setup import LiveSetup
 
+ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 REMEMBERED = 200
 """Registrations and beats that are kept where there is no record: a session may last for hours."""
 
@@ -206,6 +207,7 @@ def _run_session(
             feed.observe(answer)
 
     with ExitStack() as stack:
+        end_requested = stack.enter_context(_end_requests())
         tell = stack.enter_context(counted(warn))
         ecg = stack.enter_context(ecg_events(live, ready.files.folder, tell))
         options = LiveOptions(
@@ -218,7 +220,7 @@ def _run_session(
             typer.echo(f"the session is shown at http://127.0.0.1:{server.port}", err=True)
         loop = stack.enter_context(live_session(ready.setup, options))
         _tell_where(live, loop)
-        _run(loop, seconds)
+        _run(loop, seconds, end_requested)
         return summary.result(loop)
 
 
@@ -227,37 +229,35 @@ def _tell_where(live: "LiveConfig", loop: "LiveLoop") -> None:
     typer.echo(f"listening at {where}" if live.role == "server" else f"connecting to {where}", err=True)
 
 
-def _run(loop: "LiveLoop", seconds: float | None) -> None:
-    """Until the time is over, Ctrl-C, or a signal that ends; raises what ended the session before."""
+def _run(loop: "LiveLoop", seconds: float | None, end_requested: Callable[[], bool]) -> None:
+    """Run until the time is over or the end is requested; raise what ended the session before."""
     from dvf_ig.live.serve import SessionThread
 
     if sys.stdin.isatty():
         threading.Thread(target=_watch_keys, args=(loop,), daemon=True).start()
     thread = SessionThread(loop)
-    with _interrupted_by(signal.SIGTERM, signal.SIGHUP):
-        thread.start()
-        try:
-            thread.join(seconds)
-        except KeyboardInterrupt:
-            typer.echo("ending", err=True)
-        thread.end()
+    thread.start()
+    thread.wait(seconds, end_requested)
+    if end_requested():
+        typer.echo("ending", err=True)
+    thread.end()
 
 
 @contextmanager
-def _interrupted_by(*signals: signal.Signals) -> Iterator[None]:
-    """Let signals that would end the program at once do what Ctrl-C does; in the main thread alone."""
+def _end_requests() -> Iterator[Callable[[], bool]]:
+    """Note Ctrl-C and the signals that end a program; a session answers them after its last messages.
+
+    Nothing is raised from a handler, so that no step of the end can be interrupted. A signal that the
+    program was started to ignore (nohup) stays ignored.
+    """
+    received: list[int] = []
     if threading.current_thread() is not threading.main_thread():
-        yield
+        yield lambda: False
         return
-
-    def interrupt(*_: object) -> None:
-        for one in signals:
-            signal.signal(one, signal.SIG_IGN)
-        raise KeyboardInterrupt
-
-    before = {one: signal.signal(one, interrupt) for one in signals}
+    heeded = [one for one in ENDING if signal.getsignal(one) is not signal.SIG_IGN]
+    before = {one: signal.signal(one, lambda number, _: received.append(number)) for one in heeded}
     try:
-        yield
+        yield lambda: bool(received)
     finally:
         for one, handler in before.items():
             signal.signal(one, handler)

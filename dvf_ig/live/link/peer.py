@@ -5,6 +5,7 @@ import socket
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 
 from dvf_ig.live.igtl import Incoming, WireError, WireProblem
 from dvf_ig.live.priority import RECEIVING, schedule_first
@@ -15,6 +16,8 @@ PIECE_BYTES = 1 << 18
 MESSAGE_S = 0.5
 """Time within which a message must end before the connection is closed: an image takes some 10 ms."""
 LAST_LOOK_S = 0.01
+READ_WITHIN_S = 0.1
+"""Time for a peer to read the last messages and to close its side before the connection is closed."""
 LOOK_EVERY_S = 0.1
 """Interval at which a thread that waits for bytes checks whether it must end."""
 
@@ -95,7 +98,8 @@ class Peer:
             except BlockingIOError:
                 return False
             except OSError as error:
-                self.ended = self.ended or error
+                if not self._stop.is_set():
+                    self.ended = self.ended or error
                 self._stop.set()
                 return False
             self._unsent = self._unsent[sent:]
@@ -111,8 +115,21 @@ class Peer:
                 self.ended = error
                 self.offer_last(self._farewell(), LOOK_EVERY_S)
         finally:
+            self._stop.set()
+            self._let_read()
             with self._sending:
                 self._connection.close()
+
+    def _let_read(self) -> None:
+        """Give the peer time to read what was sent: closing over bytes not yet received resets a connection."""
+        poll, end_s = select.poll(), self._clock() + READ_WITHIN_S
+        poll.register(self._connection, select.POLLIN)
+        with suppress(OSError):
+            with self._sending:
+                self._connection.shutdown(socket.SHUT_WR)
+            while (left_s := end_s - self._clock()) > 0.0 and poll.poll(1e3 * left_s):
+                if not self._connection.recv(PIECE_BYTES):
+                    return
 
     def _receive_into(self, incoming: Incoming) -> None:
         begun_s: float | None = None
