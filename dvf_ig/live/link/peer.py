@@ -121,7 +121,7 @@ class Peer:
                 self._connection.close()
 
     def _let_read(self) -> None:
-        """Give the peer time to read what was sent: closing over bytes not yet received resets a connection."""
+        """Let the peer read what was sent: closing over bytes not yet received resets a connection."""
         poll, end_s = select.poll(), self._clock() + READ_WITHIN_S
         poll.register(self._connection, select.POLLIN)
         with suppress(OSError):
