@@ -16,8 +16,9 @@ import numpy as np
 
 from dvf_ig.core import FloatArray
 from dvf_ig.guidance import SupervisorState
-from dvf_ig.live.igtl import Message, Status, StatusCode, Text, Transform
 from dvf_ig.session import GuidanceState
+
+from .igtl import Message, Status, StatusCode, Text, Transform
 
 POSE_NAME, FORCE_NAME, STATUS_NAME, STATE_NAME = "MrFromTracker", "ToolForce", "DvfIg", "DvfIgState"
 RAS_FROM_LPS = np.diag([-1.0, -1.0, 1.0, 1.0])

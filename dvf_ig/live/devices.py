@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvf_ig.core import FloatArray, InvalidInputError
-from dvf_ig.live.igtl import Image, Message, TrackingData, Transform, WireError, WireProblem
+
+from .igtl import Image, Message, TrackingData, Transform, WireError, WireProblem
 
 _LONG_NAME = "IGTL_DEVICE_NAME"
 """Field in which PLUS gives a name that is longer than a device name can be."""

@@ -1,22 +1,116 @@
-"""What arrives from peers as the events of a session, by this machine's clock."""
+"""Events of a session from arrived messages: senders, clocks of peers, and the order of arrival."""
 
 from collections import deque
 from collections.abc import Callable
+from dataclasses import dataclass, field
+from statistics import median
+from typing import NamedTuple
 
 import numpy as np
 
 from dvf_ig.core import FloatArray, InvalidInputError
 from dvf_ig.io import limits
-from dvf_ig.live.igtl import Message, WireError
 from dvf_ig.session import Event, ToolPose
 
-from .clock import PeerClock
 from .devices import DeviceNames, Posed, Role
 from .ecg.field import EcgField
 from .frames import SAME_S, FramePairing
+from .igtl import Message, WireError
 from .link import Arrival
-from .senders import ToolSenders
-from .timed import LiveEvent
+
+
+class LiveEvent(NamedTuple):
+    """Event with the arrival of the message that completed it, by this machine's monotonic clock."""
+
+    arrived_s: float
+    event: Event
+
+
+SETTLE_S = 1.0
+FASTEST_S = 0.25
+"""Largest plausible lead of a message over the median one."""
+MOST_SEEN = 8192
+
+
+@dataclass(slots=True)
+class PeerClock:
+    """Estimate of one peer's clock by this machine's monotonic clock, which is a session's time.
+
+    The offset is the largest stamp minus arrival of the first second, so that the least latency counts as
+    none; a stamp that is far from the median is wrong, not fast, and is ignored. Later changes of the peer's
+    clock are found by the session (`dvf_ig.session.source_clock`).
+    """
+
+    _seen_s: list[float] = field(default_factory=list, init=False)
+    """Stamps less arrivals, until the clock has settled."""
+    _offset_s: float = field(default=0.0, init=False)
+    _first_s: float | None = field(default=None, init=False)
+    settled: bool = field(default=False, init=False)
+
+    def see(self, stamp_s: float, arrived_s: float) -> None:
+        """Take a stamp and its arrival; no effect once the clock has settled."""
+        if self._first_s is None:
+            self._first_s = arrived_s
+        self.settled = self.settled or arrived_s - self._first_s >= SETTLE_S
+        if not self.settled and len(self._seen_s) < MOST_SEEN:
+            self._seen_s.append(stamp_s - arrived_s)
+        elif self._seen_s:
+            self._offset_s = self.offset_s
+            self._seen_s = []
+
+    @property
+    def offset_s(self) -> float:
+        """Peer's clock minus this machine's; zero for a peer that stamps nothing."""
+        if not self._seen_s:
+            return self._offset_s
+        usual_s = median(self._seen_s)
+        return max(seen_s for seen_s in self._seen_s if seen_s <= usual_s + FASTEST_S)
+
+    def local_s(self, stamp_s: float | None, arrived_s: float) -> float:
+        """Convert a stamp to this machine's clock; the arrival if the sender gave none."""
+        return arrived_s if stamp_s is None else stamp_s - self.offset_s
+
+
+TOGETHER_S = 1.0
+"""Silence after which a sending program counts as ended."""
+
+
+@dataclass(slots=True)
+class _Sender:
+    """Sender without a break since `from_s`, last heard at `last_s`."""
+
+    from_s: float
+    last_s: float
+
+
+@dataclass(slots=True)
+class ToolSenders:
+    """Programs that send the tool's poses: two at once are a problem, one that takes over is not."""
+
+    _senders: dict[str, _Sender] = field(default_factory=dict, init=False)
+    _problem: str | None = field(default=None, init=False)
+    _problem_s: float = field(default=0.0, init=False)
+
+    def alone(self, peer: str, arrived_s: float) -> bool:
+        """Take a pose; return whether no other peer has sent one since this peer began."""
+        last_s = arrived_s - TOGETHER_S
+        self._senders = {name: one for name, one in self._senders.items() if one.last_s >= last_s}
+        own = self._senders.setdefault(peer, _Sender(arrived_s, arrived_s))
+        own.last_s = max(own.last_s, arrived_s)
+        for name, other in self._senders.items():
+            if name != peer and other.last_s > own.from_s:
+                first, second = sorted((peer, name))
+                self._problem_s = arrived_s
+                self._problem = (
+                    f"{first} and {second} both send the tool, which is taken as lost; end one of them"
+                )
+                return False
+        return True
+
+    def problem(self, now_s: float) -> str | None:
+        """Describe for the user what is wrong now; None if nothing is."""
+        return self._problem if now_s - self._problem_s < TOGETHER_S else None
+
 
 REFERENCE_S = 0.1
 """A reference's pose counts for poses stamped up to so long after it: three frames at 30 Hz."""

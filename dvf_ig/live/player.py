@@ -17,8 +17,8 @@ from types import MappingProxyType
 import numpy as np
 
 from dvf_ig.core import InvalidInputError, PoseStream, Scenario, TriggerTimes
-from dvf_ig.live.igtl import Image, Message, Text, Transform
 
+from .igtl import Image, Message, Text, Transform
 from .link import Link
 
 ECG_BATCH_S = 0.01

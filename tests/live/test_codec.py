@@ -24,7 +24,7 @@ from dvf_ig.live.igtl import (
     decode,
     encode,
 )
-from dvf_ig.live.igtl.header import HEADER_BYTES, checksum, decode_header, encode_header
+from dvf_ig.live.igtl.codec import HEADER_BYTES, checksum, decode_header, encode_header
 
 pyigtl = pytest.importorskip("pyigtl")
 

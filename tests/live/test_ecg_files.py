@@ -9,8 +9,8 @@ from edf_files import write_ecg_edf
 from waiting import until
 
 from dvf_ig.core import MissingDependencyError, Signal
-from dvf_ig.live.ecg.gather import gathered
 from dvf_ig.live.ecg.lsl import LslEcg, batches
+from dvf_ig.live.ecg.source import gathered
 from dvf_ig.live.ecg.tail import CsvTail, EdfTail
 from dvf_ig.session import EcgSamples
 

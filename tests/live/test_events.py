@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 
 from dvf_ig.core import InvalidInputError, Rigid
-from dvf_ig.live.clock import SETTLE_S, PeerClock
 from dvf_ig.live.devices import DeviceNames, flips_between
 from dvf_ig.live.ecg.batches import BatchClock
 from dvf_ig.live.ecg.field import EcgField
-from dvf_ig.live.events import MOST_CLOCKS, EventSource
+from dvf_ig.live.events import MOST_CLOCKS, SETTLE_S, EventSource, PeerClock
 from dvf_ig.live.frames import WAIT_S, FramePairing
 from dvf_ig.live.igtl import (
     Image,

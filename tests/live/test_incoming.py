@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from wrong_messages import feed_wrong_messages, samples
 
 from dvf_ig.live.igtl import Ignored, Incoming, Message, Text, Transform, WireError, WireProblem, encode
-from dvf_ig.live.igtl.header import encode_header
+from dvf_ig.live.igtl.codec import encode_header
 
 STREAM = b"".join(encode(message) for message in samples())
 

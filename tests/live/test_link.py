@@ -11,9 +11,7 @@ from waiting import WITHIN_S, until
 from dvf_ig.core import InvalidInputError
 from dvf_ig.intake.live import EcgFieldConfig, LiveConfig
 from dvf_ig.live.igtl import Image, Message, Transform, WireError, WireProblem, encode
-from dvf_ig.live.link import Arrival, Inbox, connect, listen
-from dvf_ig.live.link.inbox import MOST
-from dvf_ig.live.link.peer import Peer
+from dvf_ig.live.link import MOST, Arrival, Inbox, Peer, connect, listen
 from dvf_ig.live.serve import open_link
 
 POSE = Message("ProbeToTracker", 1.0, Transform(np.eye(4)))
@@ -32,8 +30,8 @@ def pair():
 @pytest.fixture
 def no_delay(monkeypatch):
     """A socket pair has no TCP options."""
-    monkeypatch.setattr("dvf_ig.live.link.peer.socket.TCP_NODELAY", socket.SO_KEEPALIVE)
-    monkeypatch.setattr("dvf_ig.live.link.peer.socket.IPPROTO_TCP", socket.SOL_SOCKET)
+    monkeypatch.setattr("dvf_ig.live.link.socket.TCP_NODELAY", socket.SO_KEEPALIVE)
+    monkeypatch.setattr("dvf_ig.live.link.socket.IPPROTO_TCP", socket.SOL_SOCKET)
 
 
 def test_messages_arrive_and_refused_ones_are_counted(pair, no_delay):

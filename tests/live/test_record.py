@@ -266,7 +266,7 @@ def test_disk_that_is_too_slow_loses_messages_that_are_counted_and_told(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Nothing is written before all has been handed over."""
-    monkeypatch.setattr("dvf_ig.live.record.record.MOST_WAITING_BYTES", 50_000)
+    monkeypatch.setattr("dvf_ig.live.record.MOST_WAITING_BYTES", 50_000)
     told: list[str] = []
     with (tmp_path / LOG).open("wb") as stream, Session(toy_setup()) as session:
         log = LogWriter(stream)

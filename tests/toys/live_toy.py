@@ -13,8 +13,7 @@ from dvf_ig.live.devices import DeviceNames
 from dvf_ig.live.ecg.field import EcgField
 from dvf_ig.live.events import EventSource
 from dvf_ig.live.igtl import Image, Message, Text, Transform, WireError
-from dvf_ig.live.link import Arrival, Inbox
-from dvf_ig.live.link.inbox import MOST
+from dvf_ig.live.link import MOST, Arrival, Inbox
 from dvf_ig.live.loop import Answer, LiveLoop, no_more
 from dvf_ig.session import Session
 

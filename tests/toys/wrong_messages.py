@@ -29,7 +29,7 @@ from dvf_ig.live.igtl import (
     decode,
     encode,
 )
-from dvf_ig.live.igtl.header import HEADER_BYTES, checksum
+from dvf_ig.live.igtl.codec import HEADER_BYTES, checksum
 
 HANG_S = 0.05
 _SIZE_AT, _CRC_AT = 42, 50

@@ -1,4 +1,4 @@
-"""Times of samples that arrive in batches: from their time stamp, else by counting.
+"""Values and times of ECG samples that arrive in batches: from their time stamp, else by counting.
 
 Sample k was taken at start + k/rate, and no batch arrives before its last sample: the smallest
 arrival − k/rate up to now gives the start. It grows by LARGEST_RATE, so that a slow clock is followed.
@@ -6,6 +6,11 @@ If samples were lost, or a source stopped, the count starts again.
 """
 
 from math import inf
+
+import numpy as np
+
+from dvf_ig.core import FloatArray
+from dvf_ig.core.plausible import ECG_VALUE
 
 LARGEST_RATE = 500e-6
 LOST_S = 0.15
@@ -33,3 +38,8 @@ class BatchClock:
         crept_s = self._start_s + LARGEST_RATE * (seen_s - self._last_s)
         self._start_s, self._last_s = min(start_s, crept_s), seen_s
         return self._start_s + (self._count - samples) / self._rate_hz
+
+
+def plausible(values: FloatArray) -> FloatArray:
+    """Replace values that are not finite or beyond ECG_VALUE by NaN, a missing sample."""
+    return np.where(np.abs(values) <= ECG_VALUE, values, np.nan)

@@ -11,8 +11,7 @@ from dvf_ig.io import limits
 from dvf_ig.live.igtl import Message, Text
 from dvf_ig.session import EcgSamples
 
-from .batches import BatchClock
-from .values import plausible
+from .batches import BatchClock, plausible
 
 LONGEST = 100_000
 """Largest number of values in one batch."""

@@ -11,7 +11,7 @@ import numpy as np
 from dvf_ig.core import MissingDependencyError
 from dvf_ig.session import EcgSamples
 
-from .values import plausible
+from .batches import plausible
 
 FIND_WITHIN_S = 5.0
 CORRECT_EVERY_S = 5.0

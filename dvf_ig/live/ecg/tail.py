@@ -15,8 +15,7 @@ import numpy as np
 from dvf_ig.core import FloatArray, InvalidInputError
 from dvf_ig.session import EcgSamples
 
-from .batches import BatchClock
-from .values import plausible
+from .batches import BatchClock, plausible
 
 PIECE_BYTES = 1 << 20
 LONGEST_LINE = 1 << 16

@@ -12,5 +12,5 @@ from .message import Text as Text
 from .message import TrackedTool as TrackedTool
 from .message import TrackingData as TrackingData
 from .message import Transform as Transform
-from .problem import WireError as WireError
-from .problem import WireProblem as WireProblem
+from .message import WireError as WireError
+from .message import WireProblem as WireProblem

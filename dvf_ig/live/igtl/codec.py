@@ -1,22 +1,218 @@
-"""Conversion between OpenIGTLink bodies and messages: pure functions, no socket."""
+"""Conversion between OpenIGTLink bytes and messages: header, body, fields; pure functions, no socket."""
 
-from collections.abc import Callable
+import math
+import struct
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any
 
-from .fields import joined_body, split_body
-from .header import Header, checksum, decode_header, encode_header
-from .image import decode_image, encode_image
-from .message import NO_FIELDS, Content, Ignored, Image, Message, Status, Text, TrackingData, Transform
-from .poses import (
+import numpy as np
+
+from dvf_ig.io import limits
+from dvf_ig.kernels.crc64 import TABLES, crc64_of
+
+from .contents import (
+    decode_image,
     decode_position,
     decode_quaternion_tracking,
+    decode_status,
+    decode_string,
     decode_tracking,
     decode_transform,
+    encode_image,
+    encode_status,
+    encode_string,
     encode_tracking,
     encode_transform,
 )
-from .problem import WireError, WireProblem
-from .texts import decode_status, decode_string, encode_status, encode_string
+from .message import (
+    NO_FIELDS,
+    Content,
+    Ignored,
+    Image,
+    Message,
+    Status,
+    Text,
+    TrackingData,
+    Transform,
+    WireError,
+    WireProblem,
+)
+
+_LAYOUT = struct.Struct(">H12s20sQQQ")
+HEADER_BYTES = _LAYOUT.size
+VERSIONS = (1, 2, 3)
+KIND_BYTES, DEVICE_BYTES = 12, 20
+_FRACTION = 2.0**32
+
+_LARGEST = {
+    "TRANSFORM": 48,
+    "POSITION": 28,
+    "QTRANS": 28,
+    "TDATA": 70 * limits.WIRE_TOOLS,
+    "QTDATA": 50 * limits.WIRE_TOOLS,
+    "STATUS": 30 + limits.WIRE_TEXT_BYTES,
+    "STRING": 4 + limits.WIRE_TEXT_BYTES,
+    "IMAGE": 72 + limits.WIRE_IMAGE_BYTES,
+}
+"""Largest content that is read, without extended header and meta data, bytes."""
+
+
+@dataclass(frozen=True, slots=True)
+class Header:
+    """Header of a message.
+
+    Attributes:
+        version: version of the header; from 2 on the body has an extended header and meta data.
+        kind: type of the message, for example "TRANSFORM".
+        stamp_s: None if the sender gave no time.
+        body_bytes, crc: size and CRC of the body.
+    """
+
+    version: int
+    kind: str
+    device: str
+    stamp_s: float | None
+    body_bytes: int
+    crc: int
+
+    @property
+    def is_read(self) -> bool:
+        """Whether the body is read; bodies of other types are skipped."""
+        return self.kind in _LARGEST
+
+
+def decode_header(data: bytes | bytearray | memoryview) -> Header:
+    """Decode a header; no memory is reserved for its body before this returns.
+
+    Args:
+        data: HEADER_BYTES.
+    Raises:
+        WireError: not a header, or a body larger than its type can have.
+    """
+    version, kind_bytes, device_bytes, stamp, body_bytes, crc = _LAYOUT.unpack(data)
+    if version not in VERSIONS:
+        raise WireError(WireProblem.VERSION)
+    kind, device = _name(kind_bytes), _name(device_bytes)
+    if not kind:
+        raise WireError(WireProblem.NAME)
+    stamp_s = None if stamp == 0 else stamp / _FRACTION
+    largest = _LARGEST.get(kind, limits.WIRE_IMAGE_BYTES)
+    if version > 1:
+        largest += limits.WIRE_FIELDS_BYTES
+    if body_bytes > largest:
+        raise WireError(WireProblem.TOO_LARGE, kind, device, stamp_s)
+    return Header(version, kind, device, stamp_s, body_bytes, crc)
+
+
+def encode_header(kind: str, device: str, stamp_s: float | None, body: bytes, version: int) -> bytes:
+    """Encode the header of a body.
+
+    Raises:
+        WireError: a name that is too long or not ASCII, or a time that is negative or not finite.
+    """
+    names = []
+    for name, size in ((kind, KIND_BYTES), (device, DEVICE_BYTES)):
+        if len(name) > size or not name.isascii() or (name and not name.isprintable()):
+            raise WireError(WireProblem.NAME, kind, device)
+        names.append(name.encode("ascii"))
+    seconds = 0.0 if stamp_s is None else stamp_s
+    if not (math.isfinite(seconds) and 0.0 <= seconds < _FRACTION):
+        raise WireError(WireProblem.VALUE, kind, device)
+    stamp = min(round(seconds * _FRACTION), (1 << 64) - 1)
+    return _LAYOUT.pack(version, *names, stamp, len(body), checksum(body))
+
+
+def checksum(body: bytes) -> int:
+    """Compute the CRC-64 of a body."""
+    return int(crc64_of(np.frombuffer(body, dtype=np.uint8), TABLES)) if body else 0
+
+
+def _name(raw: bytes) -> str:
+    """Decode a name up to the first NUL.
+
+    Raises:
+        WireError: not printable ASCII.
+    """
+    text = raw.partition(b"\0")[0]
+    if not text.isascii() or (text and not text.decode("ascii").isprintable()):
+        raise WireError(WireProblem.NAME)
+    return text.decode("ascii")
+
+
+_EXTENDED = struct.Struct(">HHII")
+_COUNT = struct.Struct(">H")
+_ENTRY = struct.Struct(">HHI")
+_UTF8, _ASCII = 106, 3
+
+
+def split_body(body: memoryview) -> tuple[memoryview, MappingProxyType[str, str]]:
+    """Split a version 2 body into its content and its fields.
+
+    Raises:
+        WireError: sizes that do not fit the body, or invalid texts.
+    """
+    if len(body) < _EXTENDED.size:
+        raise WireError(WireProblem.SIZE)
+    size, index_bytes, text_bytes, _ = _EXTENDED.unpack_from(body)
+    end = len(body) - index_bytes - text_bytes
+    if not _EXTENDED.size <= size <= end or index_bytes + text_bytes > limits.WIRE_FIELDS_BYTES:
+        raise WireError(WireProblem.SIZE)
+    content, index = body[size:end], body[end : end + index_bytes]
+    return content, _fields(index, body[end + index_bytes :])
+
+
+def joined_body(content: bytes, fields: Mapping[str, str]) -> bytes:
+    """A version 2 body."""
+    index, texts = [_COUNT.pack(len(fields))], []
+    for key, value in fields.items():
+        key_bytes, value_bytes = key.encode(), value.encode()
+        index.append(_ENTRY.pack(len(key_bytes), _UTF8, len(value_bytes)))
+        texts += [key_bytes, value_bytes]
+    index_bytes, text_bytes = b"".join(index), b"".join(texts)
+    extended = _EXTENDED.pack(_EXTENDED.size, len(index_bytes), len(text_bytes), 0)
+    return extended + content + index_bytes + text_bytes
+
+
+def _fields(index: memoryview, texts: memoryview) -> MappingProxyType[str, str]:
+    if not index and not texts:
+        return NO_FIELDS
+    if len(index) < _COUNT.size:
+        raise WireError(WireProblem.SIZE)
+    (count,) = _COUNT.unpack_from(index)
+    if len(index) != _COUNT.size + count * _ENTRY.size:
+        raise WireError(WireProblem.SIZE)
+    fields, at = {}, 0
+    for i in range(count):
+        key_bytes, encoding, value_bytes = _ENTRY.unpack_from(index, _COUNT.size + i * _ENTRY.size)
+        if at + key_bytes + value_bytes > len(texts):
+            raise WireError(WireProblem.SIZE)
+        key = _text(texts[at : at + key_bytes], _UTF8)
+        at += key_bytes
+        fields[key] = _text(texts[at : at + value_bytes], encoding)
+        at += value_bytes
+    if at != len(texts):
+        raise WireError(WireProblem.SIZE)
+    return MappingProxyType(fields)
+
+
+def _text(raw: memoryview, encoding: int) -> str:
+    """Decode a text by its MIB number.
+
+    Raises:
+        WireError: another encoding than ASCII and UTF-8, or invalid bytes.
+    """
+    if encoding not in (_ASCII, _UTF8):
+        raise WireError(WireProblem.VALUE)
+    try:
+        return bytes(raw).decode("utf-8")
+    except UnicodeDecodeError as exc:
+        raise WireError(WireProblem.VALUE) from exc
+
+
+decode_text = _text
+
 
 _DECODE: dict[str, Callable[[memoryview], Content]] = {
     "TRANSFORM": decode_transform,

@@ -1,9 +1,7 @@
 """Splitting of a byte stream, cut in any pieces, into messages; no socket."""
 
-from .codec import decode_body
-from .header import HEADER_BYTES, Header, decode_header
-from .message import Ignored, Message
-from .problem import WireError, WireProblem
+from .codec import HEADER_BYTES, Header, decode_body, decode_header
+from .message import Ignored, Message, WireError, WireProblem
 
 Taken = Message | WireError
 

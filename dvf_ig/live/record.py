@@ -1,16 +1,13 @@
-"""A live session's log, written by a thread of its own: whoever records never waits for the disk.
-
-What waits for the disk is bounded; what comes beyond is left out, counted, and told while the session runs
-and at its end. A disk that refuses ends the record, not the session: what was written stays readable.
-"""
+"""Record of a live session: its log and its counted work, which a replay finds done at the same state."""
 
 import os
 import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, NamedTuple, Protocol
+from typing import IO, Generic, NamedTuple, Protocol, TypeVar
 
 from dvf_ig.core import OutputError
 from dvf_ig.intake.session_log.live import (
@@ -23,8 +20,10 @@ from dvf_ig.intake.session_log.live import (
 )
 from dvf_ig.io.ros.log_file import UNFINISHED, LogWriter, require_log_packages
 from dvf_ig.io.writing.place import failure_reason
-from dvf_ig.live.priority import RECORDING, schedule_first
-from dvf_ig.session import Event, GuidanceState, TrackedFrame
+from dvf_ig.session import Beside, Event, GuidanceState, TrackedFrame
+from dvf_ig.session.executor import Job
+
+from .priority import RECORDING, schedule_first
 
 LOG, PART = "session.mcap", f"session-{UNFINISHED}"
 """Names of a record that is whole, and of one that is being written or whose program was killed."""
@@ -246,3 +245,45 @@ def _begun(path: Path, attach: Callable[[LogWriter], None]) -> Iterator[tuple[Lo
                 raise OutputError(f"cannot write {path}: {failure_reason(exc, path)}") from exc
             raise
         yield log, stream
+
+
+T = TypeVar("T")
+
+
+class CountedWork:
+    """Hands work on, and tells a record when it was found done.
+
+    Args:
+        beside: does the work.
+        record: is told.
+    """
+
+    def __init__(self, beside: Beside, record: Record) -> None:
+        self._beside, self._record = beside, record
+        self._count = 0
+
+    def submit(self, work: Callable[[], T]) -> Job[T]:
+        job = _Counted(self._beside.submit(work), self._count, self._record)
+        self._count += 1
+        return job
+
+
+@dataclass(slots=True)
+class _Counted(Generic[T]):
+    job: Job[T]
+    number: int
+    record: Record
+    refused: int = 0
+    found: bool = False
+
+    def done(self) -> bool:
+        if not self.found:
+            self.found = self.job.done()
+            if self.found:
+                self.record.work(self.number, self.refused)
+            else:
+                self.refused += 1
+        return self.found
+
+    def result(self) -> T:
+        return self.job.result()
