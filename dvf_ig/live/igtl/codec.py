@@ -28,6 +28,7 @@ from .contents import (
 )
 from .message import (
     NO_FIELDS,
+    UTF8,
     Content,
     Ignored,
     Image,
@@ -38,6 +39,7 @@ from .message import (
     Transform,
     WireError,
     WireProblem,
+    decode_text,
 )
 
 _LAYOUT = struct.Struct(">H12s20sQQQ")
@@ -144,7 +146,6 @@ def _name(raw: bytes) -> str:
 _EXTENDED = struct.Struct(">HHII")
 _COUNT = struct.Struct(">H")
 _ENTRY = struct.Struct(">HHI")
-_UTF8, _ASCII = 106, 3
 
 
 def split_body(body: memoryview) -> tuple[memoryview, MappingProxyType[str, str]]:
@@ -168,7 +169,7 @@ def joined_body(content: bytes, fields: Mapping[str, str]) -> bytes:
     index, texts = [_COUNT.pack(len(fields))], []
     for key, value in fields.items():
         key_bytes, value_bytes = key.encode(), value.encode()
-        index.append(_ENTRY.pack(len(key_bytes), _UTF8, len(value_bytes)))
+        index.append(_ENTRY.pack(len(key_bytes), UTF8, len(value_bytes)))
         texts += [key_bytes, value_bytes]
     index_bytes, text_bytes = b"".join(index), b"".join(texts)
     extended = _EXTENDED.pack(_EXTENDED.size, len(index_bytes), len(text_bytes), 0)
@@ -188,30 +189,13 @@ def _fields(index: memoryview, texts: memoryview) -> MappingProxyType[str, str]:
         key_bytes, encoding, value_bytes = _ENTRY.unpack_from(index, _COUNT.size + i * _ENTRY.size)
         if at + key_bytes + value_bytes > len(texts):
             raise WireError(WireProblem.SIZE)
-        key = _text(texts[at : at + key_bytes], _UTF8)
+        key = decode_text(texts[at : at + key_bytes], UTF8)
         at += key_bytes
-        fields[key] = _text(texts[at : at + value_bytes], encoding)
+        fields[key] = decode_text(texts[at : at + value_bytes], encoding)
         at += value_bytes
     if at != len(texts):
         raise WireError(WireProblem.SIZE)
     return MappingProxyType(fields)
-
-
-def _text(raw: memoryview, encoding: int) -> str:
-    """Decode a text by its MIB number.
-
-    Raises:
-        WireError: another encoding than ASCII and UTF-8, or invalid bytes.
-    """
-    if encoding not in (_ASCII, _UTF8):
-        raise WireError(WireProblem.VALUE)
-    try:
-        return bytes(raw).decode("utf-8")
-    except UnicodeDecodeError as exc:
-        raise WireError(WireProblem.VALUE) from exc
-
-
-decode_text = _text
 
 
 _DECODE: dict[str, Callable[[memoryview], Content]] = {

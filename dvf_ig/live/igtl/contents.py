@@ -8,7 +8,6 @@ from dvf_ig.core.arrays import FloatArray
 from dvf_ig.core.space.rigid import is_rigid
 from dvf_ig.io import limits
 
-from .codec import decode_text
 from .message import (
     Image,
     Status,
@@ -18,6 +17,7 @@ from .message import (
     Transform,
     WireError,
     WireProblem,
+    decode_text,
     rigid_matrix,
 )
 
@@ -203,7 +203,6 @@ def _name(raw: memoryview) -> str:
 
 _STATUS = struct.Struct(">Hq20s")
 _STRING = struct.Struct(">HH")
-_UTF8, _ASCII = 106, 3
 
 
 def decode_status(content: memoryview) -> Status:
@@ -213,7 +212,7 @@ def decode_status(content: memoryview) -> Status:
     code, subcode, name = _STATUS.unpack_from(content)
     text = bytes(content[_STATUS.size :]).rstrip(b"\0")
     shown = name.partition(b"\0")[0]
-    return Status(code, subcode, decode_text(memoryview(shown), _UTF8), decode_text(memoryview(text), _UTF8))
+    return Status(code, subcode, decode_text(memoryview(shown), UTF8), decode_text(memoryview(text), UTF8))
 
 
 def encode_status(status: Status) -> bytes:
@@ -239,4 +238,4 @@ def encode_string(text: Text) -> bytes:
     raw = text.text.encode()
     if len(raw) > limits.WIRE_TEXT_BYTES:
         raise WireError(WireProblem.TOO_LARGE, "STRING")
-    return _STRING.pack(_ASCII if raw.isascii() else _UTF8, len(raw)) + raw
+    return _STRING.pack(ASCII if raw.isascii() else UTF8, len(raw)) + raw

@@ -11,6 +11,9 @@ from numpy.typing import NDArray
 from dvf_ig.core.arrays import FloatArray, read_only_arrays
 from dvf_ig.core.errors import InvalidInputError
 
+UTF8, ASCII = 106, 3
+"""Encodings of texts: IANA MIB numbers."""
+
 
 class WireProblem(Enum):
     """Reason for refusing a message; the value is the sentence that a user reads."""
@@ -151,3 +154,17 @@ def rigid_matrix(rotation_translation: Any) -> FloatArray:
     matrix = np.eye(4)
     matrix[:3] = rotation_translation
     return matrix
+
+
+def decode_text(raw: memoryview, encoding: int) -> str:
+    """Decode a text by its MIB number.
+
+    Raises:
+        WireError: another encoding than ASCII and UTF-8, or invalid bytes.
+    """
+    if encoding not in (ASCII, UTF8):
+        raise WireError(WireProblem.VALUE)
+    try:
+        return bytes(raw).decode("utf-8")
+    except UnicodeDecodeError as exc:
+        raise WireError(WireProblem.VALUE) from exc
