@@ -8,7 +8,9 @@ from dvf_ig.core.arrays import FloatArray
 from dvf_ig.core.space.rigid import is_rigid
 from dvf_ig.io import limits
 
-from .message import ASCII, UTF8, (
+from .message import (
+    ASCII,
+    UTF8,
     Image,
     Status,
     Text,
