@@ -18,8 +18,7 @@ from .ecg.field import EcgField
 from .events import EventSource, LiveEvent
 from .igtl import encode
 from .igtl.codec import checksum
-from .link import Inbox, Link, connect, listen
-from .link.link import LOOPBACK, is_loopback
+from .link import LOOPBACK, Inbox, Link, connect, is_loopback, listen
 from .loop import Answer, LiveLoop, no_more
 from .priority import answering_soon
 from .record import NO_RECORD, CountedWork, Record
