@@ -112,8 +112,7 @@ def force(
 
 def _with_margin(options: "FixtureSet", sigma_mm: float | None) -> "tuple[FixtureSet, float]":
     """Widen the laws of fixtures by their margin, and return that margin in mm; a path keeps its law."""
-    from dvf_ig.guidance.margins import widened
-    from dvf_ig.guidance.margins.margin import NO_MARGIN
+    from dvf_ig.guidance.margins import NO_MARGIN, widened
 
     adaptive = options.margin.mode == "adaptive"
     if adaptive != (sigma_mm is not None):

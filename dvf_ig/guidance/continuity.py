@@ -29,7 +29,7 @@ from dvf_ig.core import FloatArray
 from dvf_ig.kernels.laws import SIGMOID
 
 from .evaluator import Evaluator
-from .status import Status
+from .places import Status
 
 DIRECTION_LIPSCHITZ = 7.5
 """E."""

@@ -24,7 +24,7 @@ from .blend import BLEND_CODES, Blend
 from .device import COMMON_DEVICE, DeviceLimits
 from .laws import Law, require_reach
 from .periodic import periodic_coefficients, periodic_powers
-from .status import Status
+from .places import Status
 
 
 @read_only_arrays

@@ -1,17 +1,184 @@
-"""Virtual fixtures bound to a patient's model: one force of all of them at a point and a phase."""
+"""Virtual fixtures: their options as values, and fixtures bound to a patient's model as one force."""
 
+import dataclasses
+import math
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from dvf_ig.core import DvfModel, FloatArray, IntArray, InvalidInputError, Rigid, require_same_frame
 
-from .device import DeviceLimits
+from .blend import BLEND_CODES, Blend, static_force
+from .composition import Composed, Contribution, compose
+from .device import COMMON_DEVICE, MM_PER_M, DeviceLimits
 from .evaluator import Evaluator, ForceSamples
-from .fixture import FORBIDDEN_SURFACE, FixtureOptions, FixtureSet
-from .joint_force import check_joint_stiffness, composed_force
-from .status import Status
-from .targets import PathFixture
+from .laws import Confinement, Gaussian, Law, Sigmoid, require_force, require_reach
+from .margins import NO_MARGIN, MarginOptions
+from .places import Status
+from .targets import PathFixture, PathTarget
+
+
+@dataclass(frozen=True, slots=True)
+class FixtureOptions:
+    """One virtual fixture.
+
+    Attributes:
+        law: `Sigmoid` for a forbidden region, `Confinement` for a chamber, `Gaussian` for guidance.
+        blend: how neighbouring phases of the model are blended; unused by a path.
+        path: what a Gaussian guides to; None: the model's surface.
+        name: of the fixture in messages.
+    Raises:
+        InvalidInputError: an unknown blend, or a forbidden region that is felt too far outside.
+    """
+
+    law: Law = field(default_factory=Sigmoid)
+    blend: Blend = "force"
+    path: PathTarget | None = None
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        if self.blend not in BLEND_CODES:
+            raise InvalidInputError(f"unknown blend '{self.blend}'; choose one of {', '.join(BLEND_CODES)}")
+        require_reach(self.law)
+
+    def named(self, problem: InvalidInputError) -> InvalidInputError:
+        """The problem with the name of this fixture, if it has one."""
+        return type(problem)(f"fixture '{self.name}': {problem}") if self.name else problem
+
+    @property
+    def forbidden(self) -> bool:
+        """Whether it comes before guidance in a composition."""
+        return not isinstance(self.law, Gaussian)
+
+    def described(self) -> dict[str, str | float | bool]:
+        """Its law and numbers under the names of the command line's options; of a path not its points."""
+        law = self.law
+        numbers: dict[str, str | float | bool] = {"name": self.name, "cap_n": law.cap_n}
+        if isinstance(law, Gaussian):
+            numbers |= {"delta": law.delta_mm, "m": law.m}
+            if self.path is not None:
+                return {"law": "path", **numbers}
+        else:
+            numbers |= {"gamma": law.gamma_per_mm, "inside": isinstance(law, Confinement)}
+        name = "forbidden" if self.forbidden else "guidance"
+        return {"law": name, **numbers, "depth_mm": law.depth_mm, "blend": self.blend}
+
+
+@dataclass(frozen=True, slots=True)
+class FixtureSet:
+    """The fixtures that act on one tool together; the first is the primary one.
+
+    Attributes:
+        fixtures: one or several; unless given, the forbidden region of Ren 2008.
+        cap_n: largest force of all together, N; None: the largest cap among them.
+        margin: by which a session widens them; a path keeps its law.
+        device: what renders them.
+    Raises:
+        InvalidInputError: no fixture, a cap that is not positive or beyond the device's continuous force, or
+            a forbidden region that is felt too far outside.
+    """
+
+    fixtures: tuple[FixtureOptions, ...] = (FixtureOptions(),)
+    cap_n: float | None = None
+    margin: MarginOptions = NO_MARGIN
+    device: DeviceLimits = COMMON_DEVICE
+
+    def __post_init__(self) -> None:
+        if not self.fixtures:
+            raise InvalidInputError("a fixture set holds no fixture; needed at least one")
+        if self.cap_n is not None:
+            require_force("the joint cap", self.cap_n)
+            self.device.require_force("the joint cap", self.cap_n)
+        for one in self.fixtures:
+            try:
+                self.device.require_force("force cap cap_n", one.law.cap_n)
+                require_reach(one.law, self.margin.wanted_mm(math.nan))
+            except InvalidInputError as exc:
+                raise one.named(exc) from exc
+
+    @property
+    def joint_cap_n(self) -> float:
+        """Largest force of all together, N."""
+        return max(f.law.cap_n for f in self.fixtures) if self.cap_n is None else self.cap_n
+
+    @property
+    def composed(self) -> bool:
+        """Whether forces need composing: several fixtures, or a joint cap below that of the only one."""
+        return len(self.fixtures) > 1 or self.joint_cap_n < self.fixtures[0].law.cap_n
+
+
+FORBIDDEN_SURFACE = FixtureSet()
+"""The model's surface as a forbidden region: assumed where no fixture is given."""
+
+
+REACH_WIDTHS = 4.0
+SAMPLES = 401
+"""The joint force is sampled so far about each law's depth, in widths δ or 1/γ, and at so many distances."""
+
+
+def composed_force(options: FixtureSet, forces_n: FloatArray) -> Composed:
+    """All forces (k, 3) in one, k fixtures in the order of the set."""
+    forbidden: list[Contribution] = []
+    guidance: list[Contribution] = []
+    for one, force_n in zip(options.fixtures, forces_n, strict=True):
+        part = Contribution("query", force_n, one.law.cap_n)
+        (forbidden if one.forbidden else guidance).append(part)
+    return compose(forbidden, guidance, frame="query", cap_n=options.joint_cap_n)
+
+
+def force_at_distance(options: FixtureSet, distance_mm: FloatArray, normal: FloatArray) -> FloatArray | None:
+    """(n, 3) force where distance and direction are known otherwise, for example from ground truth.
+
+    Args:
+        distance_mm: (n,) signed distance to the organ's surface.
+        normal: (n, 3) its unit gradient.
+    Returns:
+        the force in the frame of `normal`; None for a set with a path, whose distance this is not.
+    """
+    if any(one.path is not None for one in options.fixtures):
+        return None
+    each = np.stack([static_force(one.law, distance_mm, normal) for one in options.fixtures], axis=1)
+    if not options.composed:
+        return np.asarray(each[:, 0])
+    return np.array([composed_force(options, forces).force_n for forces in each]).reshape(-1, 3)
+
+
+def check_joint_stiffness(options: FixtureSet) -> None:
+    """Hold the fixtures on the surface, composed, to their device's stiffness along the normal.
+
+    Secants of the force over distance: they never exceed the steepest slope, and miss little of it.
+
+    Raises:
+        InvalidInputError: together they are stiffer than the device renders.
+    """
+    on_surface = tuple(one for one in options.fixtures if one.path is None)
+    if len(on_surface) < 2:
+        return
+    # whole µm: over less, rounding of the force would count as slope
+    distance_mm = np.unique(np.concatenate([_about_depth(one.law) for one in on_surface]).round(3))
+    normal = np.tile([1.0, 0.0, 0.0], (len(distance_mm), 1))
+    force_n = force_at_distance(dataclasses.replace(options, fixtures=on_surface), distance_mm, normal)
+    if force_n is None:
+        return
+    slope = np.abs(np.diff(force_n[:, 0])) / np.diff(distance_mm)
+    steepest = int(slope.argmax())
+    allowed = options.device.allowed_stiffness_n_per_mm
+    if slope[steepest] > allowed * (1.0 + 1e-6):
+        raise InvalidInputError(
+            f"the fixtures together are too stiff for the device: {slope[steepest] * MM_PER_M:.4g} N/m "
+            f"{distance_mm[steepest]:.2g} mm below the surface, at most {allowed * MM_PER_M:.4g} N/m "
+            "allowed; lower a cap, make a law less steep, or set their depths apart"
+        )
+
+
+def _about_depth(law: Law) -> FloatArray:
+    """(SAMPLES,) distances about the depth that a law guards."""
+    width_mm = law.delta_mm if isinstance(law, Gaussian) else 1.0 / law.gamma_per_mm
+    # a confinement's depth is in the wall, outside the surface
+    depth_mm = float(law.parameters[4])
+    half_mm = REACH_WIDTHS * width_mm
+    return np.linspace(depth_mm - half_mm, depth_mm + half_mm, SAMPLES)
 
 
 class Fixtures:

@@ -1,13 +1,30 @@
-"""Where tracked points are in the model and in its cycle: what the pose-and-phase transform gives."""
+"""Where tracked points are in the model and in its cycle, and why a force was or was not produced there."""
 
 from dataclasses import dataclass
+from enum import IntEnum
 from typing import NamedTuple
 
 import numpy as np
 
 from dvf_ig.core import FloatArray, IntArray, read_only_arrays
+from dvf_ig.kernels import status as code
 
-from .status import Status
+
+class Status(IntEnum):
+    """Anything but OK goes with zero force, except that walls of the worst phase remain at NO_PHASE."""
+
+    OK = code.OK
+    OUT_OF_VOLUME = code.OUT_OF_VOLUME
+    """The tool is outside the box in which the model is defined: unprotected."""
+    NO_PHASE = code.NO_PHASE
+    """The cardiac phase is not valid: the phase clock is not locked. Guidance gives no force; forbidden
+    regions are those of the worst phase (`dvf_ig.kernels.worst_phase`)."""
+    NO_POSE = code.NO_POSE
+    """The patient is not registered, or the registration must not be used."""
+    STALE_TOOL = code.STALE_TOOL
+    """The tool's pose is too old, or the tracker does not see it."""
+    FAULT = code.FAULT
+    """The input or the output was not finite."""
 
 
 class PlaceInModel(NamedTuple):

@@ -30,8 +30,7 @@ from dvf_ig.kernels.place import PLACE, packed_pose_and_phase, place_tick
 from dvf_ig.kernels.pose_and_phase import DISTANCE_SIGMA, GUIDED_SIZE, guided_batch, guided_tick
 
 from .evaluator import Evaluator, ForceSamples
-from .places import PlaceInModel, PlacesInModel
-from .status import Status
+from .places import PlaceInModel, PlacesInModel, Status
 
 DEVICE_FRAME = "device"
 """Frame of forces that were turned by `tracker_from_device`."""

@@ -15,7 +15,7 @@ from dvf_ig.core import FloatArray, InvalidInputError
 
 from .device import MM_PER_M, DeviceLimits
 from .evaluator import Evaluator
-from .status import Status
+from .places import Status
 
 REACH_MM = 5.0
 """How far from the guarded surface a tool is expected, either way. Further inside a closed surface there is

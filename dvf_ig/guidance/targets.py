@@ -24,7 +24,7 @@ from dvf_ig.kernels.path import CORNER_MM
 from .device import COMMON_DEVICE, DeviceLimits
 from .evaluator import ForceSamples, checked_query
 from .laws import Gaussian, Law
-from .status import Status
+from .places import Status
 
 
 @read_only_arrays

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 SESSION, RECEIVING, RECORDING = 70, 60, 50
-"""Below the servo's (`dvf_ig.guidance.servo.threads`); they sleep whenever nothing has arrived. A record
+"""Below the servo's (`dvf_ig.guidance.servo.servo`); they sleep whenever nothing has arrived. A record
 needs little time, but while it holds the interpreter the session waits: other work must not put it off."""
 
 SWITCH_S = 0.0005

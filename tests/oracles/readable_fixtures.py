@@ -6,8 +6,7 @@ import numpy as np
 
 from dvf_ig.core import DvfModel, FloatArray, Rigid
 from dvf_ig.guidance import Evaluator, Fixtures, FixtureSet, Status
-from dvf_ig.guidance.fixture import FORBIDDEN_SURFACE
-from dvf_ig.guidance.joint_force import composed_force
+from dvf_ig.guidance.fixtures import FORBIDDEN_SURFACE, composed_force
 from dvf_ig.kernels.dynamic import force_tick
 from dvf_ig.kernels.fixture_field import POSE, TIMES
 

@@ -9,12 +9,10 @@ from readable_supervisor import Supervisor
 from dvf_ig.core import FloatArray, Rigid
 from dvf_ig.guidance.device import DeviceLimits
 from dvf_ig.guidance.evaluator import ForceSamples
-from dvf_ig.guidance.fixture import FixtureSet
-from dvf_ig.guidance.fixtures import Fixtures
-from dvf_ig.guidance.joint_force import composed_force
+from dvf_ig.guidance.fixtures import Fixtures, FixtureSet, composed_force
+from dvf_ig.guidance.places import Status
 from dvf_ig.guidance.servo import ServoInputs, ServoOptions
 from dvf_ig.guidance.servo.bound import tick_constants
-from dvf_ig.guidance.status import Status
 from dvf_ig.guidance.supervision.hazards import Hazard, hazard_of, withholding
 from dvf_ig.guidance.supervision.supervisor import SupervisedForce, SupervisorState
 from dvf_ig.guidance.targets import PathFixture

@@ -9,7 +9,7 @@ from dvf_ig.core import Rigid
 from dvf_ig.guidance.blend import static_force
 from dvf_ig.guidance.evaluator import Evaluator, ForceSamples
 from dvf_ig.guidance.laws import Confinement, Gaussian
-from dvf_ig.guidance.status import Status
+from dvf_ig.guidance.places import Status
 from dvf_ig.kernels.worst_phase import SMOOTHING_MM
 
 

@@ -10,7 +10,7 @@ from dvf_ig.guidance.device import MM_PER_M, DeviceLimits
 from dvf_ig.guidance.evaluator import Evaluator
 from dvf_ig.guidance.fixtures import Fixtures
 from dvf_ig.guidance.laws import Confinement, Gaussian
-from dvf_ig.guidance.status import Status
+from dvf_ig.guidance.places import Status
 from dvf_ig.guidance.supervision.hazards import (
     Hazard,
     Latch,

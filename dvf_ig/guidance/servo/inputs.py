@@ -7,8 +7,8 @@ import numpy as np
 
 from dvf_ig.core import FloatArray, InvalidInputError, Rigid, read_only_arrays
 from dvf_ig.core.arrays import frozen_floats
+from dvf_ig.guidance.places import Status
 from dvf_ig.guidance.pose_and_phase import PoseAndPhase
-from dvf_ig.guidance.status import Status
 from dvf_ig.guidance.supervision.hazards import Hazard
 from dvf_ig.kernels.servo import layout as kernel
 

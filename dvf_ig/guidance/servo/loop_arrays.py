@@ -13,9 +13,9 @@ from dvf_ig.kernels.servo import shared
 from dvf_ig.kernels.servo.layout import INPUTS, Bound, Scratch, new_scratch, row_words, words
 
 from .bound import bind_fixtures
-from .deadlines import BINS
 from .inputs import ServoInputs
 from .options import ServoOptions
+from .record import BINS
 
 SILENT_TIMES_LATE = 5
 """A gap between two forces that latches at once, in lateness of a tick of which three in a hundred latch."""

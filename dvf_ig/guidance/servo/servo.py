@@ -1,5 +1,6 @@
-"""The servo: a loop at 1 to 4 kHz in a thread of its own, which never waits for Python."""
+"""Servo of a haptic device: starts, feeds and ends the real-time loop."""
 
+import os
 import sys
 import threading
 import time
@@ -23,12 +24,26 @@ from dvf_ig.kernels.servo import shared
 from dvf_ig.kernels.servo.layout import ROW, row_words, words
 
 from .bound import REARM_ANSWERS
-from .deadlines import Deadlines
 from .inputs import ServoInputs
 from .loop_arrays import LoopArrays
 from .options import ServoOptions
-from .record import SentForce, ServoRecord
-from .threads import real_time_thread
+from .record import Deadlines, SentForce, ServoRecord
+
+PRIORITY = 80
+
+
+def real_time_thread(
+    name: str, function: Callable[..., Any], *arguments: Any
+) -> tuple[threading.Thread, bool]:
+    """A running thread, and whether it has a real-time priority (Linux: root, or an rtprio limit)."""
+    thread = threading.Thread(target=function, args=arguments, name=name, daemon=True)
+    thread.start()
+    try:
+        os.sched_setscheduler(thread.native_id or 0, os.SCHED_FIFO, os.sched_param(PRIORITY))
+    except OSError:
+        return thread, False
+    return thread, True
+
 
 CHECK_NS = 1_000_000
 LATE_NS = 2_000_000

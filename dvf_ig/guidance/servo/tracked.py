@@ -8,8 +8,8 @@ import numpy as np
 from dvf_ig.core import FloatArray
 from dvf_ig.guidance.device import COMMON_DEVICE, DeviceLimits
 from dvf_ig.guidance.fixtures import Fixtures
+from dvf_ig.guidance.places import Status
 from dvf_ig.guidance.pose_and_phase import PoseAndPhase
-from dvf_ig.guidance.status import Status
 from dvf_ig.guidance.supervision.hazards import Hazard
 from dvf_ig.guidance.supervision.supervisor import RearmAnswer
 from dvf_ig.kernels.servo.layout import INPUTS, new_scratch, words

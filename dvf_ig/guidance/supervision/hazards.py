@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from enum import STRICT, Enum, IntFlag
 from types import MappingProxyType
 
-from dvf_ig.guidance.status import Status
+from dvf_ig.guidance.places import Status
 
 
 class Hazard(IntFlag, boundary=STRICT):

@@ -37,8 +37,8 @@ from dvf_ig.guidance.device import COMMON_DEVICE
 from dvf_ig.guidance.devices.recorded import RecordedDevice
 from dvf_ig.guidance.servo import Deadlines, Servo, ServoInputs, ServoOptions, TrackedServo
 from dvf_ig.guidance.servo.bound import bind_fixtures
-from dvf_ig.guidance.servo.deadlines import BINS, deadlines_of
-from dvf_ig.guidance.servo.threads import real_time_thread
+from dvf_ig.guidance.servo.record import BINS, deadlines_of
+from dvf_ig.guidance.servo.servo import real_time_thread
 from dvf_ig.kernels.compiled import kernel
 from dvf_ig.kernels.servo import loop, shared
 from dvf_ig.kernels.servo.borrowed import borrowed
