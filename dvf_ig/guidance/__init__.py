@@ -14,6 +14,9 @@ from .continuity import ForceBounds as ForceBounds
 from .continuity import check_continuity as check_continuity
 from .continuity import force_bounds as force_bounds
 from .device import DeviceLimits as DeviceLimits
+from .device import FreeZone as FreeZone
+from .device import gaussian_for_free_zone as gaussian_for_free_zone
+from .device import tightest_gaussian as tightest_gaussian
 from .devices.simulated import DEVICES as DEVICES
 from .devices.simulated import DeviceState as DeviceState
 from .devices.simulated import SimulatedDevice as SimulatedDevice
@@ -26,12 +29,9 @@ from .fixtures import Fixtures as Fixtures
 from .fixtures import FixtureSet as FixtureSet
 from .fixtures import force_at_distance as force_at_distance
 from .laws import Confinement as Confinement
-from .laws import FreeZone as FreeZone
 from .laws import Gaussian as Gaussian
 from .laws import Law as Law
 from .laws import Sigmoid as Sigmoid
-from .laws import gaussian_for_free_zone as gaussian_for_free_zone
-from .laws import tightest_gaussian as tightest_gaussian
 from .places import PlaceInModel as PlaceInModel
 from .places import PlacesInModel as PlacesInModel
 from .places import Status as Status

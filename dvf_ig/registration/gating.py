@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvf_ig.core import BoolArray, FloatArray, IntArray, phase_distance, read_only_arrays
-from dvf_ig.kernels.grid.block_sums import block_sums
+from dvf_ig.kernels.grid.pool import block_sums
 
 BLOCK_MM = 4.0
 """Edge of the blocks of a frame that are compared with their neighbours."""

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from dvf_ig.core import BoolArray
-from dvf_ig.kernels.grid.block_sums import block_sums
+from dvf_ig.kernels.grid.pool import block_sums
 from dvf_ig.registration import FrameInformation, FrameRejection, frame_information, gate_frames
 
 ROWS, COLUMNS = 240, 260

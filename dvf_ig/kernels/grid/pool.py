@@ -1,4 +1,4 @@
-"""Averages of grey levels over blocks of voxels."""
+"""Averages over blocks: of voxels, of the insonified voxels of an image, of squares of B-mode frames."""
 
 import math
 from math import ceil, floor
@@ -95,3 +95,65 @@ def pool_cubes(
                             total += wy * (min(z1, c + 1.0) - max(z0, float(c))) * grey[a, b, c]
                 if whole:
                     out[i, j, k] = total / (edge[0] * edge[1] * edge[2])
+
+
+@kernel
+def pool_insonified(
+    values: NDArray[np.float32],
+    insonified: NDArray[np.bool_],
+    step: NDArray[np.int64],
+    mean: NDArray[np.float32],
+    share: NDArray[np.float32],
+) -> None:
+    """Average the insonified voxels of every block, with their share of it.
+
+    Args:
+        values, insonified: (nx, ny, nz).
+        step: (3,) voxels of a block along each axis.
+        mean: (nx // step[0], ny // step[1], nz // step[2]) out, 0 if none is insonified; share: same shape.
+    """
+    size = 1.0 / (step[0] * step[1] * step[2])
+    for i in range(mean.shape[0]):
+        for j in range(mean.shape[1]):
+            for k in range(mean.shape[2]):
+                total, count = 0.0, 0
+                for a in range(i * step[0], (i + 1) * step[0]):
+                    for b in range(j * step[1], (j + 1) * step[1]):
+                        for c in range(k * step[2], (k + 1) * step[2]):
+                            if insonified[a, b, c]:
+                                total += values[a, b, c]
+                                count += 1
+                mean[i, j, k] = total / max(count, 1)
+                share[i, j, k] = count * size
+
+
+@kernel
+def block_sums(
+    images: NDArray[np.uint8],
+    mask: NDArray[np.bool_],
+    lit_above: int,
+    sums: NDArray[np.int64],
+    lit: NDArray[np.int64],
+) -> None:
+    """Add up the grey levels of every block, and count bright pixels.
+
+    Args:
+        images: (n, rows, columns); mask: (rows, columns), pixels that count.
+        lit_above: grey level above which a pixel is bright.
+        sums: (n, block rows, block columns) out; blocks are rows // block rows high and columns // block
+            columns wide, from the first pixel on; the remainder counts in none.
+        lit: (n,) out, bright pixels of the mask within the blocks.
+    """
+    high, wide = images.shape[1] // sums.shape[1], images.shape[2] // sums.shape[2]
+    for s in range(images.shape[0]):
+        bright = 0
+        for i in range(sums.shape[1]):
+            for j in range(sums.shape[2]):
+                total = 0
+                for r in range(i * high, (i + 1) * high):
+                    for c in range(j * wide, (j + 1) * wide):
+                        grey = images[s, r, c] if mask[r, c] else 0
+                        total += grey
+                        bright += grey > lit_above
+                sums[s, i, j] = total
+        lit[s] = bright

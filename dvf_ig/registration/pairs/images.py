@@ -18,7 +18,7 @@ from dvf_ig.core import (
     Volume,
     read_only_arrays,
 )
-from dvf_ig.kernels.grid.pool_fan import pool_insonified
+from dvf_ig.kernels.grid.pool import pool_insonified
 from dvf_ig.registration.lc2.volume_lc2 import VolumeChannels
 
 EROSION_MM = 2.5
