@@ -27,7 +27,7 @@ class DvfIgError(ValueError):
     Attributes:
         key: of a session.yaml, if the error concerns one, for example "calibration.tip".
         path: file or folder that the error concerns.
-        settings: keys of a session.yaml that mend it; a command line calls them by its options.
+        settings: keys of a session.yaml that correct it; a command line shows its own options.
     """
 
     def __init__(
@@ -46,11 +46,11 @@ class DvfIgError(ValueError):
 
     @property
     def message(self) -> str:
-        """What is wrong, without the settings that mend it."""
+        """Problem alone, without the settings that correct it."""
         return str(self.args[0]) if self.args else ""
 
     def sentence(self, spelled: Mapping[str, str] = _AS_KEYS) -> str:
-        """What is wrong, with the settings that mend it.
+        """Problem with the settings that correct it.
 
         Args:
             spelled: how the reader calls a setting, by its key; a setting that is not listed keeps its key.

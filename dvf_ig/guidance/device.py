@@ -30,7 +30,7 @@ class DeviceLimits:
         rate_hz: servo rate 1/T.
         stiffness_n_per_m: largest stiffness that the device renders (400 N/m: see
             docs/theory/fixtures.md).
-        damping_n_s_per_m: physical damping b of device and hand; None where it is unknown, and then the
+        damping_n_s_per_m: physical damping b of device and hand; None if unknown, and then the
             passivity bound is not checked.
         virtual_damping_n_s_per_m: damping B that the controller adds.
         friction_n: smallest dry friction c; 0 assumes none.
@@ -80,7 +80,7 @@ class DeviceLimits:
 
     @property
     def passive_stiffness_n_per_mm(self) -> float:
-        """Stiffness of the stiffest passive spring; infinite where b is unknown, 0 where none is passive."""
+        """Stiffness of the stiffest passive spring; infinite if b is unknown, 0 if none is passive."""
         if self.damping_n_s_per_m is None:
             return math.inf
         spare = (self.damping_n_s_per_m - abs(self.virtual_damping_n_s_per_m)) / MM_PER_M

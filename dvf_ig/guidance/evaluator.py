@@ -39,7 +39,7 @@ class ForceSamples:
         distance_mm: (n,) signed distance, positive inside, blended between phases; NaN unless OK.
         gradient: (n, 3) gradient of the distance, pointing into the organ; NaN unless OK.
         status: (n,) `Status` values.
-        rate_mm_per_cycle: (n,) ∂d/∂φ at the fixed point; NaN unless OK, or where it was not computed.
+        rate_mm_per_cycle: (n,) ∂d/∂φ at the fixed point; NaN unless OK and computed.
         sigma_mm: (n,) standard deviation of the distance by those of pose and phase; NaN unless OK, or where
             they are not known.
         conflict: (n,) True where several fixtures oppose each other (`Composed`).
@@ -155,13 +155,13 @@ class Evaluator:
             FrameMismatchError: the model is in another frame than the map's target.
             InvalidInputError: shapes that do not fit.
         """
-        xyz, phase, found = checked_query(xyz_mm, model_phase, status)
+        xyz, phase, codes = checked_query(xyz_mm, model_phase, status)
         n = len(xyz)
         force, distance, gradient, rate = np.empty((n, 3)), np.empty(n), np.empty((n, 3)), np.empty(n)
         force_batch(
-            *self.kernel_arguments(model_from_query), xyz, phase, force, distance, gradient, rate, found
+            *self.kernel_arguments(model_from_query), xyz, phase, force, distance, gradient, rate, codes
         )
-        return ForceSamples(model_from_query.source, force, distance, gradient, found, rate)
+        return ForceSamples(model_from_query.source, force, distance, gradient, codes, rate)
 
 
 def checked_query(
@@ -179,6 +179,6 @@ def checked_query(
     if phase.ndim == 0:
         phase = np.full(n, phase)
     check_shape(phase, "model phase", (n,))
-    found = np.full(n, int(Status.OK)) if status is None else np.array(status, dtype=np.int64)
-    check_shape(found, "status", (n,))
-    return xyz, phase, found
+    codes = np.full(n, int(Status.OK)) if status is None else np.array(status, dtype=np.int64)
+    check_shape(codes, "status", (n,))
+    return xyz, phase, codes

@@ -61,4 +61,4 @@ class FeedForward:
 
 
 NO_FEED_FORWARD = FeedForward()
-"""Nothing is added."""
+"""No term is added."""

@@ -233,17 +233,17 @@ class Fixtures:
         each = [part.force_through(model_from_query, xyz_mm, model_phase, status) for part in self.parts]
         codes, count = np.array([one.status for one in each]), len(each[0])
         refused = (codes != Status.OK) & (codes != Status.NO_PHASE)
-        found = codes[np.argmax(refused, axis=0), np.arange(count)]
-        given = ~refused.any(axis=0) & ((found == Status.OK) | self.walls)
-        first = np.where(found == Status.NO_PHASE, self._first_wall or 0, 0)
+        reasons = codes[np.argmax(refused, axis=0), np.arange(count)]
+        served = ~refused.any(axis=0) & ((reasons == Status.OK) | self.walls)
+        first = np.where(reasons == Status.NO_PHASE, self._first_wall or 0, 0)
 
         def primary(name: str) -> FloatArray:
             values = np.array([getattr(one, name) for one in each])[first, np.arange(count)]
-            values[~given] = np.nan
+            values[~served] = np.nan
             return values
 
         force, conflict = np.zeros((count, 3)), np.zeros(count, dtype=np.bool_)
-        for i in np.flatnonzero(given).tolist():
+        for i in np.flatnonzero(served).tolist():
             together = composed_force(self.options, np.array([one.force_n[i] for one in each]))
             force[i], conflict[i] = together.force_n, together.conflict
         return ForceSamples(
@@ -251,7 +251,7 @@ class Fixtures:
             force,
             primary("distance_mm"),
             primary("gradient"),
-            found,
+            reasons,
             primary("rate_mm_per_cycle"),
             conflict=conflict,
         )

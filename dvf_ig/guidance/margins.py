@@ -82,7 +82,7 @@ def distance_sigma(
 
 
 def isotropic(sigma_mm: float) -> FloatArray:
-    """(3, 3) mm² of noise alike in all directions.
+    """Isotropic covariance, (3, 3) mm².
 
     Raises:
         InvalidInputError: a negative or non-finite standard deviation.
@@ -169,7 +169,7 @@ def next_margin_mm(now_mm: float, wanted_mm: float, dt_s: float, law: Law, step_
 
 
 def widened(law: Law, margin_mm: float) -> Law:
-    """The law with a margin: forbidden regions begin so much earlier, a guidance's δ grows by it.
+    """Widen a law by a margin: a forbidden region begins earlier by it, a guidance's δ grows by it.
 
     The same as `ServoInputs.margin_mm` in the servo. No law becomes stiffer.
 

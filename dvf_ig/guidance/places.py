@@ -52,7 +52,7 @@ class PlacesInModel:
         model_phase: (n,) in [0, 1).
         model_phase_rate_hz: (n,) cycles of the model a second.
         sigma_model_phase: (n,) one standard deviation.
-        covariance_mm2: (n, 3, 3) of the place, by that of the pose; NaN where that is not known.
+        covariance_mm2: (n, 3, 3) of the place, by that of the pose; NaN if that is unknown.
         mr_from_tool: (n, 3, 3) orientation of the tool; (0, 3, 3) if it was not asked for.
         status: (n,) `Status`: OK, NO_POSE, NO_PHASE or FAULT.
     """

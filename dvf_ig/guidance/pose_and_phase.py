@@ -46,9 +46,9 @@ class PoseAndPhase:
     Attributes:
         pose: mr_from_tracker over time; None without a registration that may be used.
         phase: as known at the last event of the ECG.
-        retiming: of the current beat; None where its length is not known.
+        retiming: of the current beat; None if its length is unknown.
         covariance_mm2: (6, 6) of the pose in the coordinates of `dvf_ig.registration.PoseChart` about
-            `center_mm`; None where it is not known: σ_d is then NaN.
+            `center_mm`; None if unknown: σ_d is then NaN.
         center_mm: (3,) centre of the heart, model frame.
         pose_until_s: the pose is withheld from then on, unless it was confirmed.
     """
@@ -120,14 +120,14 @@ class PoseAndPhase:
 
     def at_one(self, xyz_tracker_mm: FloatArray, t_s: float) -> PlaceInModel:
         """`at` for one point, (3,), without checks of its shape: quick enough for a loop at 1 kHz."""
-        found = np.zeros(1, PLACE)
-        status = place_tick(self.packed[0], t_s, found[0])
+        row = np.zeros(1, PLACE)
+        status = place_tick(self.packed[0], t_s, row[0])
         if not np.isfinite(xyz_tracker_mm).all():
-            found.view(np.float64)[:], status = math.nan, Status.FAULT
-        pose = found["model_from_tracker"][0]
+            row.view(np.float64)[:], status = math.nan, Status.FAULT
+        pose = row["model_from_tracker"][0]
         xyz = pose[:, :3] @ xyz_tracker_mm + pose[:, 3]
         x, y, z = xyz.tolist()
-        _, (u, v, w), (a, b, c), phase, rate, sigma = found[0].tolist()
+        _, (u, v, w), (a, b, c), phase, rate, sigma = row[0].tolist()
         velocity = np.array([v * z - w * y + a, w * x - u * z + b, u * y - v * x + c])
         return PlaceInModel(xyz, velocity, phase, rate, sigma, Status(status))
 
@@ -176,7 +176,7 @@ class PoseAndPhase:
         return ForceSamples(frame, force, out[:, 3], gradient, status, out[:, 7], out[:, DISTANCE_SIGMA])
 
     def bind(self, evaluator: Evaluator) -> "BoundTick":
-        """The same as one call per servo tick, without allocation, until the next event.
+        """One call per servo tick, without allocation, valid until the next event.
 
         Raises:
             FrameMismatchError: the model is in another frame than the registration's target.
@@ -195,13 +195,13 @@ class PoseAndPhase:
 
     def _model_phase(self, t_s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """(n,) model phase, its rate and its standard deviation; NaN where phase may not be used."""
-        found = self.phase.at_many(t_s)
+        phases = self.phase.at_many(t_s)
         if self.retiming is None:
             return (np.full(len(t_s), np.nan),) * 3
-        usable = (found.state == int(PhaseState.LOCKED)) & ~np.isnan(found.phi)
-        phi = np.where(usable, found.phi, np.nan)
+        usable = (phases.state == int(PhaseState.LOCKED)) & ~np.isnan(phases.phi)
+        phi = np.where(usable, phases.phi, np.nan)
         slope = self.retiming.slope(phi)
-        return self.retiming.at(phi), slope * found.rate_hz, slope * found.sigma_phi
+        return self.retiming.at(phi), slope * phases.rate_hz, slope * phases.sigma_phi
 
     def _covariance(self, xyz_mm: FloatArray) -> FloatArray:
         """(n, 3, 3) mm² of places by the pose: J Σ Jᵀ with J = (−[p − c]× / radius, I)."""
@@ -265,8 +265,8 @@ def _points_and_times(xyz_mm: Any, t_s: Any) -> tuple[FloatArray, FloatArray]:
 
 def _rotations(given_map: Any, n: int, name: str) -> FloatArray:
     """(n, 3, 3) rotations of rigid maps given in any of the accepted shapes."""
-    given = np.asarray(given_map, dtype=np.float64)
-    stack = given[None] if given.ndim == 2 else given
+    matrix = np.asarray(given_map, dtype=np.float64)
+    stack = matrix[None] if matrix.ndim == 2 else matrix
     if stack.ndim != 3 or stack.shape[1:] not in ((3, 3), (4, 4)) or len(stack) not in (1, n):
         raise InvalidInputError(
             f"{name} has shape {given.shape}; needed (3, 3) or (4, 4), or one for each of {n} samples"

@@ -56,7 +56,7 @@ class SidewaysStiffness:
 def sideways_stiffness(
     evaluator: Evaluator, device: DeviceLimits, reach_mm: float = REACH_MM
 ) -> SidewaysStiffness | None:
-    """In the cells of the spline's knots within reach of the guarded surface; None where there are none.
+    """In the cells of the spline's knots within reach of the guarded surface; None if there are none.
 
     Args:
         evaluator: the fixture.
@@ -68,13 +68,15 @@ def sideways_stiffness(
     depth_mm = float(evaluator.law.parameters[4])
     worst: SidewaysStiffness | None = None
     for phase in np.arange(PHASES) / PHASES:
-        found = evaluator.force(samples, phase)
-        near = (found.status == Status.OK) & (np.abs(found.distance_mm - depth_mm) <= reach_mm)
+        samples_there = evaluator.force(samples, phase)
+        near = (samples_there.status == Status.OK) & (
+            np.abs(samples_there.distance_mm - depth_mm) <= reach_mm
+        )
         if not near.any():
             continue
         places = samples[near]
         jacobian = _jacobian(evaluator, places, float(phase))
-        gradient = found.gradient[near]
+        gradient = samples_there.gradient[near]
         normal = gradient / np.maximum(np.linalg.norm(gradient, axis=1), 1e-12)[:, None]
         along = np.einsum("ni,nij,nj->n", normal, jacobian, normal)
         along = np.where(np.linalg.norm(gradient, axis=1) >= DISTANCE_SLOPE, along, 0.0)
@@ -85,7 +87,7 @@ def sideways_stiffness(
         beyond += int((stiffness > device.allowed_stiffness_n_per_mm).sum())
         if worst is None or stiffness[at] > worst.n_per_mm:
             x, y, z = places[at].tolist()
-            distance = float(found.distance_mm[near][at])
+            distance = float(samples_there.distance_mm[near][at])
             worst = SidewaysStiffness(float(stiffness[at]), distance, (x, y, z), float(phase), 0.0)
     return None if worst is None else replace(worst, share_beyond=beyond / looked_at)
 

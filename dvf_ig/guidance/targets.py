@@ -148,12 +148,12 @@ class PathFixture:
         A point or a phase that is not finite gets no force and status FAULT.
         """
         require_same_frame(model_from_query.target, self.target.frame, "path of a fixture")
-        xyz, phase, found = checked_query(xyz_mm, model_phase, status)
+        xyz, phase, codes = checked_query(xyz_mm, model_phase, status)
         matrix, out = model_from_query.matrix[:3], np.empty((len(xyz), WITHOUT_RATE))
-        for i, (point, at, given) in enumerate(zip(xyz, phase.tolist(), found.tolist(), strict=True)):
-            found[i] = self.tick(matrix, point, at, given, out[i])
+        for i, (point, at, code) in enumerate(zip(xyz, phase.tolist(), codes.tolist(), strict=True)):
+            codes[i] = self.tick(matrix, point, at, code, out[i])
         force, distance, away = out[:, :3].copy(), out[:, 3].copy(), out[:, 4:].copy()
-        return ForceSamples(model_from_query.source, force, distance, away, found)
+        return ForceSamples(model_from_query.source, force, distance, away, codes)
 
     def tick(
         self,

@@ -18,7 +18,7 @@ BLEND_FORCE = 0
 BLEND_DISTANCE = 1
 BLEND_PERIODIC = 2
 BLEND_PATH = 3
-"""Of a fixture on a path (`dvf_ig.kernels.path`); its origin and phases are those of the model."""
+"""Index of a fixture on a path (`dvf_ig.kernels.path`); its origin and phases are those of the model."""
 
 # Offsets in a packed fixture.
 ORIGIN = 0

@@ -65,13 +65,13 @@ def path_force(
         # the nearest point keeps its share of the segment as the path moves
         drift = (u0 + share * (u1 - u0), v0 + share * (v1 - v0), w0 + share * (w1 - w0))
         slope = -dot((x, y, z), drift) / width
-        kept, weight = 1.0, 1.0
+        scale_down, weight = 1.0, 1.0
         if size < nearest:
-            kept, nearest = math.exp((size - nearest) / CORNER_MM), size
+            scale_down, nearest = math.exp((size - nearest) / CORNER_MM), size
         else:
             weight = math.exp((nearest - size) / CORNER_MM)
-        ax, ay, az = kept * ax + weight * x, kept * ay + weight * y, kept * az + weight * z
-        rate, total = kept * rate + weight * slope, kept * total + weight
+        ax, ay, az = scale_down * ax + weight * x, scale_down * ay + weight * y, scale_down * az + weight * z
+        rate, total = scale_down * rate + weight * slope, scale_down * total + weight
     away = (ax / total, ay / total, az / total)
     ratio = force_per_gradient(f, nearest, math.sqrt(dot(away, away)))
     return code.OK, (ratio * away[0], ratio * away[1], ratio * away[2]), nearest, away, rate / total

@@ -150,8 +150,8 @@ def pose_at(p: Any, t_s: float) -> Columns:
     """Pose and its rates at a time; before and after its motion it stands still."""
     if p.start_s <= t_s and t_s < p.end_s:
         return _pose_between(p, t_s)
-    held, still = (p.end_pose if t_s >= p.end_s else p.start_pose), (0.0, 0.0, 0.0)
-    return _column(held, 0), _column(held, 1), _column(held, 2), _column(held, 3), still, still
+    pose, still = (p.end_pose if t_s >= p.end_s else p.start_pose), (0.0, 0.0, 0.0)
+    return _column(pose, 0), _column(pose, 1), _column(pose, 2), _column(pose, 3), still, still
 
 
 @inlined
@@ -225,6 +225,6 @@ def place_tick(packed: Any, t_s: float, place: Any) -> int:
                 place.model_from_tracker[k, column] = pose[column][k]
             place.turn_rate[k], place.origin_velocity[k] = pose[4][k], pose[5][k]
     if packed.phase_since_s <= t_s and t_s <= packed.phase_until_s:
-        found = phase_at(packed, t_s)
-        place.model_phase, place.model_phase_rate, place.model_phase_sigma = found
+        phase = phase_at(packed, t_s)
+        place.model_phase, place.model_phase_rate, place.model_phase_sigma = phase
     return status

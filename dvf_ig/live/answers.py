@@ -1,4 +1,4 @@
-"""What is sent back: the pose, the force and the state of the session, as OpenIGTLink messages.
+"""Answers to the peers: pose, force and state of the session, as OpenIGTLink messages.
 
     MrFromTracker   TRANSFORM   p_ras = M p_tracker: the tracker's coordinates as they came, to the MR in RAS
     ToolForce       TRANSFORM   translation: the force on the tool, N, along the axes in which poses came
@@ -32,7 +32,7 @@ _CODES = {
 
 
 def pose_matrix(state: GuidanceState) -> FloatArray | None:
-    """(4, 4) mr_from_tracker now, LPS; None where no pose may be used."""
+    """(4, 4) mr_from_tracker now, LPS; None if no pose may be used."""
     pose = state.transform.pose
     if pose is None or state.now_s >= state.transform.pose_until_s:
         return None

@@ -21,7 +21,7 @@ SMALLEST_IMAGE = 16
 
 
 class Role(Enum):
-    """What a pose is of."""
+    """Role of a device whose pose is sent."""
 
     PROBE = "probe"
     TOOL = "tool"
@@ -29,7 +29,7 @@ class Role(Enum):
 
 
 class Posed(NamedTuple):
-    """One pose that came: (4, 4) in mm, NaN of one that was not finite, None of one that was not tracked."""
+    """One pose that came: (4, 4) in mm, NaN if not finite, None if not tracked."""
 
     role: Role
     matrix: FloatArray | None
@@ -40,7 +40,7 @@ class DeviceNames:
     """Names as the peer sends them; longer ones are compared by what a device name can hold.
 
     Attributes:
-        reference: None where poses are relative to the tracker.
+        reference: None if poses are relative to the tracker.
         flips: axes of the image (0 rows, 1 columns) to be turned about to what the probe was calibrated with.
     """
 
@@ -66,14 +66,14 @@ class DeviceNames:
                     yield Posed(role, tool.matrix if tracked else None)
 
     def refused_pose(self, error: WireError) -> Posed | None:
-        """What a refused message tells of a pose: that it was not finite, or not rigid and so not tracked."""
+        """Pose stated by a refused message: not finite, or not rigid and so not tracked."""
         role = self._role(error.device)
         if role is None or error.problem not in (WireProblem.NOT_FINITE, WireProblem.NOT_RIGID):
             return None
         return Posed(role, np.full((4, 4), np.nan) if error.problem is WireProblem.NOT_FINITE else None)
 
     def image_of(self, message: Message) -> NDArray[np.uint8] | None:
-        """The message's B-mode image, turned as the probe was calibrated; None where it is none of ours.
+        """The message's B-mode image, turned as the probe was calibrated; None if it is another image.
 
         Raises:
             InvalidInputError: it is not one slice of grey bytes, or smaller than SMALLEST_IMAGE.

@@ -124,8 +124,8 @@ class EventSource:
 
     Args:
         names: of the devices.
-        ecg: where the peers send the ECG; None where it comes from elsewhere.
-        tell: is told a sentence about what cannot be used.
+        ecg: field in which the peers send the ECG; None if it comes from elsewhere.
+        tell: called with a sentence about what cannot be used.
     """
 
     def __init__(self, names: DeviceNames, ecg: EcgField | None, tell: Callable[[str], None]) -> None:
@@ -155,13 +155,13 @@ class EventSource:
             if not clock.settled:
                 self._held.append(arrival)
                 return []
-        held = [one for one in self._held if one.peer == arrival.peer]
-        if held:
+        waiting = [one for one in self._held if one.peer == arrival.peer]
+        if waiting:
             self._held = deque((one for one in self._held if one.peer != arrival.peer), maxlen=MOST_HELD)
-        return [event for one in (*held, arrival) for event in self._events(one, clock)]
+        return [event for one in (*waiting, arrival) for event in self._events(one, clock)]
 
     def problem(self, now_s: float) -> str | None:
-        """What is wrong with the senders now, as a user reads it."""
+        """Problem of the senders now, as a sentence for the user."""
         return self._senders.problem(now_s)
 
     def overdue(self, now_s: float) -> list[LiveEvent]:
@@ -196,17 +196,17 @@ class EventSource:
     def _of_message(self, message: Message, arrival: Arrival, clock: PeerClock) -> list[Event]:
         arrived_s = arrival.arrived_s
         t_s = clock.local_s(message.stamp_s, arrived_s)
-        found: list[Event] = []
+        events: list[Event] = []
         poses = sorted(self._names.poses(message), key=lambda posed: posed.role is not Role.REFERENCE)
         for posed in poses:
-            found += self._posed(posed, t_s, arrival, clock)
+            events += self._posed(posed, t_s, arrival, clock)
         if self._ecg is not None:
             samples = self._ecg.samples(message, t_s, clock.offset_s)
-            found += [] if samples is None else [samples]
+            events += [] if samples is None else [samples]
         image = self._names.image_of(message)
         if image is not None:
-            found += self._frames.add_image(t_s, image, arrived_s)
-        return found
+            events += self._frames.add_image(t_s, image, arrived_s)
+        return events
 
     def _posed(self, posed: Posed, t_s: float, arrival: Arrival, clock: PeerClock) -> list[Event]:
         if posed.role is Role.REFERENCE:
@@ -221,7 +221,7 @@ class EventSource:
         return list(self._frames.add_pose(t_s, matrix if finite else None))
 
     def _against_reference(self, matrix: FloatArray | None, t_s: float) -> FloatArray | None:
-        """The pose relative to the reference marker, where there is one; None where that is not seen."""
+        """Pose relative to the reference marker, if there is one; None while that is not seen."""
         if self._names.reference is None or matrix is None:
             return matrix
         if self._reference is None or not -SAME_S <= t_s - self._reference[0] <= REFERENCE_S:

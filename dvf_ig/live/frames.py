@@ -63,19 +63,19 @@ class FramePairing:
         return [TrackedFrame(one.t_s, one.image, None) for one in late]
 
     def _complete(self) -> list[TrackedFrame]:
-        done: list[TrackedFrame] = []
+        frames: list[TrackedFrame] = []
         while self._images and self._poses:
             first = self._images[0]
             same = next((p for p in reversed(self._poses) if abs(p.t_s - first.t_s) <= SAME_S), None)
             if same is not None:
                 self._same_stamps, matrix = True, same.matrix
             elif self._poses[-1].t_s <= first.t_s:
-                return done
+                return frames
             else:
                 matrix = None if self._same_stamps else self._between(first.t_s)
             del self._images[0]
-            done.append(TrackedFrame(first.t_s, first.image, matrix))
-        return done
+            frames.append(TrackedFrame(first.t_s, first.image, matrix))
+        return frames
 
     def _between(self, t_s: float) -> FloatArray | None:
         after = min((p for p in self._poses if p.t_s > t_s), key=attrgetter("t_s"))

@@ -61,9 +61,9 @@ class LiveLoop:
         source: makes events of what is in the inbox.
         link: takes the answers.
         more_events: events from elsewhere than the peers, since the last call.
-        observe: is told every answer; `watch` every event that was pushed.
-        tell: is told a sentence about what cannot be used.
-        record: is told everything in order.
+        observe: called with every answer, `watch` with every event that was pushed.
+        tell: called with a sentence about what cannot be used.
+        record: receives everything in order.
     """
 
     session: Session
@@ -110,7 +110,7 @@ class LiveLoop:
         self._rearm_asked = True
 
     def step(self) -> None:
-        """Take what has arrived, and answer where an answer is due."""
+        """Take what has arrived, and answer if an answer is due."""
         arrivals = self.inbox.take(STATE_EVERY_S, MOST_AT_ONCE)
         tool_came = False
         for arrival in arrivals:
@@ -155,7 +155,7 @@ class LiveLoop:
         return 1.0 - self._silent_s / whole_s if whole_s > 0.0 else 1.0
 
     def _advance(self) -> None:
-        """A state; its answer where one is due."""
+        """Take a state, and answer if an answer is due."""
         state = self._next_state()
         if state.now_s - self._answer_s < 1.0 / ANSWERS_HZ - STATE_EVERY_S / 20:
             return

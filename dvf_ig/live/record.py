@@ -37,11 +37,11 @@ WAKE_S = 0.05
 
 
 class Record(Protocol):
-    """What a live session tells its record; nothing here waits."""
+    """Interface of a live session's record; no call waits."""
 
     @property
     def problem(self) -> str | None:
-        """What is wrong with the record, as a user reads it; None where nothing is."""
+        """Problem of the record, as a sentence for the user; None if there is none."""
         ...
 
     def event(self, event: Event, arrived_s: float | None) -> None:
@@ -53,7 +53,7 @@ class Record(Protocol):
         ...
 
     def answer(self, state: GuidanceState) -> None:
-        """What was sent."""
+        """Answer that was sent."""
         ...
 
     def work(self, number: int, refused: int) -> None:
@@ -81,7 +81,7 @@ NO_RECORD: Record = _NoRecord()
 
 
 class _Waiting(NamedTuple):
-    """What is to be written: a function that makes its messages, and the memory that it holds."""
+    """Pending entry: a function that makes its messages, and the memory that it holds."""
 
     messages: Callable[[], Iterable[Timed]]
     size: int
@@ -92,7 +92,7 @@ class SessionRecord:
 
     Args:
         log: with everything attached; its messages go to `stream`.
-        tell: is told a sentence when something goes wrong, once.
+        tell: called once with a sentence when something goes wrong.
     """
 
     def __init__(self, log: LogWriter, stream: IO[bytes], path: Path, tell: Callable[[str], None]) -> None:
@@ -163,12 +163,12 @@ class SessionRecord:
 
     def _write_all(self) -> None:
         schedule_first(RECORDING)
-        told = False
+        reported = False
         while self.failure is None:
             last = self._stop.is_set()
             self._write_waiting()
-            if self.lost and not told and self.problem is not None:
-                told = True
+            if self.lost and not reported and self.problem is not None:
+                reported = True
                 self._tell(self.problem)
             if last:
                 return
@@ -198,7 +198,7 @@ def session_record(
     """A record in a folder that exists: `PART` while it grows, `LOG` when the session has ended.
 
     Args:
-        attach: attaches what a replay needs besides messages.
+        attach: attaches what a replay needs in addition to messages.
         tell: as of `SessionRecord`.
     Raises:
         MissingDependencyError: mcap or rosbags is absent.
@@ -251,11 +251,11 @@ T = TypeVar("T")
 
 
 class CountedWork:
-    """Hands work on, and tells a record when it was found done.
+    """Executor that records at which question its work was finished.
 
     Args:
         beside: does the work.
-        record: is told.
+        record: receives it.
     """
 
     def __init__(self, beside: Beside, record: Record) -> None:

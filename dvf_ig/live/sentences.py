@@ -12,7 +12,7 @@ _NUMBERS = re.compile(r"\d[\d.,e+-]*")
 
 @dataclass(slots=True)
 class _Kind:
-    """Sentences that differ in their numbers alone: how many came, how many were told of, the last one."""
+    """Sentences that differ in their numbers alone: how many came, how many were shown, the last one."""
 
     count: int = 0
     told: int = 0
@@ -20,7 +20,7 @@ class _Kind:
 
 
 class CountedSentences:
-    """Called with a sentence, tells it if it is the first, the tenth, the hundredth … of its kind.
+    """Show a sentence if it is the first, the tenth, the hundredth … of its kind.
 
     Args:
         tell: called with a sentence; from any thread.

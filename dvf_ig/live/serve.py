@@ -30,20 +30,20 @@ EcgEvents = Callable[[], list[LiveEvent]]
 
 
 def _nothing(_: object) -> None:
-    """Nobody to tell."""
+    """Default callback without effect."""
 
 
 @dataclass(frozen=True, slots=True)
 class LiveOptions:
-    """What a live session is made with beside its setup.
+    """Options of a live session in addition to its setup.
 
     Attributes:
         config: who sends what.
-        landmarks: touched before, in frames "mr" and "tracker"; None where a start pose takes their place.
+        landmarks: touched before, in frames "mr" and "tracker"; None if a start pose takes their place.
         ecg: events of an ECG that no peer sends (`dvf_ig.live.ecg`).
-        observe: is told every answer, `watch` every event; `tell` a sentence about what cannot be used.
+        observe: called with every answer, `watch` with every event, `tell` with a sentence about a problem.
         history: of registrations and beats; None keeps the last ones.
-        record: is told everything in order.
+        record: receives everything in order.
     """
 
     config: LiveConfig

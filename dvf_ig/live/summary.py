@@ -1,4 +1,4 @@
-"""What a live session did, in numbers: answers, latency, connections, refusals."""
+"""Numbers of a live session: answers, latency, connections, refusals."""
 
 from dataclasses import dataclass, field
 from typing import Any
@@ -29,7 +29,7 @@ class LatencyCount:
             self.worst_s = max(self.worst_s, latency_s)
 
     def percentile_s(self, percent: float) -> float | None:
-        """That so many percent did not exceed, to the upper end of its bin; None without any."""
+        """Value at a percentile, rounded up to the end of its bin; None without any."""
         total = int(self.counts.sum())
         if total == 0:
             return None
@@ -79,7 +79,7 @@ class LiveSummary:
         }
 
     def table(self, result: dict[str, Any]) -> list[tuple[str, ...]]:
-        """The same for people."""
+        """Table of the numbers for people."""
         latency = result["latency_ms"]
         usable = sum(one["usable"] for one in result["registrations"])
         return [

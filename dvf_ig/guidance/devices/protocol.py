@@ -1,4 +1,4 @@
-"""What the servo needs of a haptic device."""
+"""Interface of a haptic device to the servo."""
 
 from typing import Any, Protocol
 

@@ -40,9 +40,9 @@ class RecordedDevice:
 
     @property
     def force_n(self) -> FloatArray:
-        """(n, 3) N, the force sent while each position was the last; zero where none was."""
+        """(n, 3) N, the force sent while each position was the last; zero if there was none."""
         numbers = self.context.view(np.float64)
         return numbers[kernel.HEADER + len(numbers[kernel.HEADER :]) // 2 :].reshape(-1, 3).copy()
 
     def close(self) -> None:
-        """Nothing is held open."""
+        """No resource is open."""

@@ -43,7 +43,7 @@ class SimulatedDevice:
         name: the device it models.
         mass_kg: apparent mass at the tip.
         viscous_n_s_per_m: viscous friction at the tip.
-        dry_n: dry (Coulomb) friction at the tip, static and sliding alike.
+        dry_n: dry (Coulomb) friction at the tip, equal for static and sliding contact.
         resolution_mm: step of the position sensor; 0 measures exactly.
         largest_n: longer forces are limited to this.
         rate_hz: servo rate; a force is held for one period.
@@ -231,4 +231,4 @@ class SimulatedStylus:
         numbers[kernel.HAND_DAMPING] = hand.damping_n_s_per_m / MM_PER_M
 
     def close(self) -> None:
-        """Nothing is held open."""
+        """No resource is open."""

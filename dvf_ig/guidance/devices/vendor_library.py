@@ -21,7 +21,7 @@ def load_vendor_library(
         vendor: for messages.
         names: of the file, tried in order as the system's loader finds them; unless `path` is given.
         functions: that it must export.
-        advice: what to do where it is missing.
+        advice: what to do if it is missing.
         path: of the file itself.
     Raises:
         VendorLibraryError: it is missing, does not load, or lacks a function.

@@ -1,4 +1,4 @@
-"""What a session publishes to the servo: pose and phase, hazards, margins, until when they hold."""
+"""Values that a session publishes to the servo: pose and phase, hazards, margins, and their validity."""
 
 from dataclasses import dataclass, field
 from typing import Any
@@ -27,7 +27,7 @@ class ServoInputs:
         tracker_from_device: where the device stands; frames "tracker" and "device".
         hazards: that the session knows of; the servo's supervisor adds its own.
         tool_status: `Status` of the tool's pose where that comes from a tracker; OK with a device's encoders.
-        margin_mm: (k,) by which each fixture is widened: a forbidden region begins so much earlier, a
+        margin_mm: (k,) by which each fixture is widened: a forbidden region begins earlier by it, a
             guidance's δ grows by it, which makes it softer. Empty: none.
         valid_for_s: silence after that withholds the force.
     Raises:

@@ -23,7 +23,7 @@ SILENT_TIMES_LATE = 5
 
 @dataclass(slots=True, eq=False)
 class LoopArrays:
-    """What `dvf_ig.kernels.servo.loop.run_servo` reads and writes from its first tick to its last.
+    """Arrays that `dvf_ig.kernels.servo.loop.run_servo` reads and writes from its first tick to its last.
 
     Attributes:
         bound: fixtures and settings (`bind_fixtures`).
@@ -79,7 +79,7 @@ class LoopArrays:
         )
 
     def on_device(self, device: HapticDevice) -> "LoopArrays":
-        """The same fixtures and inputs on another device, with flags and counts of their own.
+        """Copy for another device: same fixtures and inputs, own flags and counts.
 
         For a loop that has not run.
         """

@@ -40,7 +40,7 @@ class Deadlines:
         return self.ticks / max(1, self.ticks + self.skipped)
 
     def percentile_us(self, percent: float) -> float:
-        """Lateness that so many percent of the ticks did not exceed, to the upper end of its bin.
+        """Lateness at a percentile of the ticks, rounded up to the end of its bin.
 
         Raises:
             InvalidInputError: no tick.
@@ -52,7 +52,7 @@ class Deadlines:
 
 
 def deadlines_of(lateness_us: FloatArray, skipped: int) -> Deadlines:
-    """Of ticks timed one by one."""
+    """Summarise ticks timed one by one."""
     bins = np.minimum(np.maximum(lateness_us, 0.0).astype(np.int64), BINS - 1)
     return Deadlines(np.bincount(bins, minlength=BINS), float(np.max(lateness_us, initial=0.0)), skipped)
 
@@ -89,7 +89,7 @@ class ServoTick:
 
     @property
     def status(self) -> Status:
-        """Of the fixtures; anything but OK goes with no wanted force, but for the walls of NO_PHASE."""
+        """Fixtures' status; unless OK the wanted force is zero, except for the walls of NO_PHASE."""
         return Status(int(self._row["status"]))
 
     @property
@@ -104,7 +104,7 @@ class ServoTick:
 
     @property
     def distance_mm(self) -> float:
-        """Of the primary fixture, positive inside; at NO_PHASE of the first wall; else NaN unless OK."""
+        """Distance to the primary fixture, positive inside; to the first wall at NO_PHASE; else NaN."""
         return float(self._row["distance_mm"])
 
     @property
@@ -129,7 +129,7 @@ class ServoTick:
 
     @property
     def state(self) -> SupervisorState:
-        """Of the supervisor."""
+        """Supervisor's state."""
         return SupervisorState(int(self._row["state"]))
 
     @property

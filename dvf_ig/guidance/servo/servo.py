@@ -130,10 +130,10 @@ class Servo:
 
         A servo whose watchdog has tripped is not re-armed: stop it, find out why, and start a new one.
         """
-        asked = shared.load_number(self._loop.numbers, kernel.REARM_ASKED) + 1
-        shared.store_number(self._loop.numbers, kernel.REARM_ASKED, asked)
+        request = shared.load_number(self._loop.numbers, kernel.REARM_ASKED) + 1
+        shared.store_number(self._loop.numbers, kernel.REARM_ASKED, request)
         until = time.monotonic() + ANSWER_WITHIN_S
-        while shared.load_number(self._loop.numbers, kernel.REARM_ANSWERED) < asked:
+        while shared.load_number(self._loop.numbers, kernel.REARM_ANSWERED) < request:
             if time.monotonic() > until:
                 return RearmAnswer.NO_RECENT_STEP
             time.sleep(0.5 / self.options.rate_hz)
@@ -166,7 +166,7 @@ class Servo:
 
     @property
     def ticks(self) -> int:
-        """Ticks so far."""
+        """Number of ticks since the start."""
         return shared.load_number(self._loop.numbers, kernel.HEAD)
 
     @property
@@ -176,7 +176,7 @@ class Servo:
 
     @property
     def deadlines(self) -> Deadlines:
-        """Lateness of all ticks so far; exact once the servo has stopped."""
+        """Lateness of all ticks since the start; exact once the servo has stopped."""
         worst, skipped = self._loop.numbers[kernel.WORST_NS], self._loop.numbers[kernel.SKIPPED]
         return Deadlines(self._loop.histogram.copy(), float(worst) / 1e3, int(skipped))
 
@@ -206,5 +206,5 @@ class Servo:
 
 
 def _elapsed_ns() -> int:
-    """By the clock of `dvf_ig.kernels.servo.clock.elapsed_ns`."""
+    """Time by `dvf_ig.kernels.servo.clock.elapsed_ns`."""
     return time.clock_gettime_ns(time.CLOCK_BOOTTIME)

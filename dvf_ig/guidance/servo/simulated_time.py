@@ -22,7 +22,7 @@ START_NS = 1_000_000_000
 
 
 class SimulatedServo:
-    """The same ticks as `Servo`, run when they are asked for; a device moves along with them.
+    """Ticks of `Servo`, run on request; a device moves along with them.
 
     Arguments as of `Servo`.
     """

@@ -74,7 +74,7 @@ class TrackedServo:
                 changes after it was given.
             tip: (3,) mm and (3,) mm/s of the tool now, frame "tracker"; None if it is not known.
         """
-        published, known = self._published, tip is not None
+        published, tip_seen = self._published, tip is not None
         published["valid_until_s"] = now_s + VALID_FOR_S
         published["hazards"], published["tool_status"] = hazards, tool_status
         if transform is not self._transform:
@@ -90,7 +90,7 @@ class TrackedServo:
             self._words,
             self._tip_mm,
             self._velocity,
-            known,
+            tip_seen,
             now_s,
         )
         if now_s - self._stepped_s > self._latch_after_s:

@@ -9,7 +9,7 @@ from dvf_ig.guidance.places import Status
 
 
 class Hazard(IntFlag, boundary=STRICT):
-    """What makes the force unsafe or doubtful; several may be active at once. `HAZARD_RULES` is the table."""
+    """Causes of an unsafe or doubtful force; several may be active at once. `HAZARD_RULES` is the table."""
 
     NONE = 0
     STALE_TOOL = 1 << 0
@@ -35,12 +35,12 @@ class Hazard(IntFlag, boundary=STRICT):
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """What a user reads, one sentence for each active hazard."""
+        """Sentences for the user, one for each active hazard."""
         return tuple(HAZARD_RULES[hazard].sentence for hazard in self)
 
 
 class Response(Enum):
-    """What a hazard does to the force at once; each value is the sentence a user reads."""
+    """Immediate response to a hazard; each value is the sentence a user reads."""
 
     WARN = "the force is given in full, with a warning"
     SLOW = "the force changes by at most 6 N/s"
@@ -173,7 +173,7 @@ def _union(hazards: Iterable[Hazard]) -> Hazard:
 
 
 def hazard_of(status: Status) -> Hazard:
-    """The hazard that a force's status stands for; NONE for OK."""
+    """Hazard of a force's status; NONE for OK."""
     return _OF_STATUS[status]
 
 

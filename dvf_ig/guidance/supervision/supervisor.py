@@ -34,7 +34,7 @@ REARM_AGE_S = 0.1
 
 
 class SupervisorState(IntEnum):
-    """What may become of the force."""
+    """State of the supervised force."""
 
     OK = 0
     """The force is given."""
@@ -43,7 +43,7 @@ class SupervisorState(IntEnum):
     FADE = 2
     """The last sent force is released, then nothing is sent while a hazard withholds the force."""
     LATCHED = 3
-    """Nothing is sent until an operator re-arms."""
+    """No force is sent until an operator re-arms."""
 
 
 class RearmAnswer(Enum):
@@ -59,7 +59,7 @@ class RearmAnswer(Enum):
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class SupervisedForce:
-    """What is sent to the device, and why.
+    """Force sent to the device, with its reasons.
 
     Attributes:
         force_n: (3,) N, read-only, in the frame of the wanted force; always finite.
@@ -80,7 +80,7 @@ class SupervisedForce:
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """What a user reads: active hazards, and those that the force is still withheld for."""
+        """Sentences for the user: active hazards, and those for which the force is still withheld."""
         return (self.hazards | self.cause).sentences
 
 

@@ -23,7 +23,7 @@ def _without_owner(context: Any, builder: Any, kind: Any, value: Any) -> Any:
 
 @intrinsic
 def borrowed(typing: Any, arrays: Any) -> Any:
-    """The same arrays, one or a tuple of them, without an owner; valid while the originals are held."""
+    """Arrays, one or a tuple of them, without an owner; valid while the originals live."""
 
     def build(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         kind = signature.args[0]

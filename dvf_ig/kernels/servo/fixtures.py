@@ -67,7 +67,7 @@ def _add_paths(bound: Any, place: Vector, phi: float, forces: FloatArray, first:
     for i in range(len(bound.packed)):
         if of.path_points[i] == 0:
             continue
-        found = path_force(
+        output = path_force(
             bound.path_points,
             bound.path_times,
             of.path_first_point[i],
@@ -78,20 +78,20 @@ def _add_paths(bound: Any, place: Vector, phi: float, forces: FloatArray, first:
             place,
             phi,
         )
-        if found[0] != code.OK:
-            return found
-        forces[i, 0], forces[i, 1], forces[i, 2] = found[1]
-        first = found if i == 0 else first
+        if output[0] != code.OK:
+            return output
+        forces[i, 0], forces[i, 1], forces[i, 2] = output[1]
+        first = output if i == 0 else first
     return first
 
 
 @inlined
 def _forces(bound: Any, place: Vector, phi: float, forces: FloatArray) -> Output:
     """Forces of all fixtures at a known phase, model frame; output of the first, or of what has none."""
-    found = forces_on_surface(bound.linear, bound.periodic, bound.packed, place, phi, forces)
-    if found[0] == code.OK and bound.settings[0].fixtures.paths != 0:
-        found = _add_paths(bound, place, phi, forces, found)
-    return found
+    output = forces_on_surface(bound.linear, bound.periodic, bound.packed, place, phi, forces)
+    if output[0] == code.OK and bound.settings[0].fixtures.paths != 0:
+        output = _add_paths(bound, place, phi, forces, output)
+    return output
 
 
 @inlined
@@ -104,7 +104,7 @@ def _compose(bound: Any, scratch: Any, out: Any) -> None:
 def fixtures_force(bound: Any, scratch: Any, inputs: Any, t_s: float, xyz: FloatArray, status: int) -> int:
     """All fixtures' force at one place and time into `composed`; distance, gradient, rates, σ into `sample`.
 
-    The phase is remembered for `cross_to_walls`; where it is not known there is no force from here.
+    The phase is remembered for `cross_to_walls`; while it is unknown no force comes from here.
 
     Args:
         bound, scratch, inputs: of `servo_tick`.
@@ -127,17 +127,17 @@ def fixtures_force(bound: Any, scratch: Any, inputs: Any, t_s: float, xyz: Float
     pose, phase = pose_at(inputs.pose_and_phase, t_s), phase_at(inputs.pose_and_phase, t_s)
     m.last_phase, m.phase_known = phase[0], 1
     _widen(bound.packed, bound.settings[0].fixtures, inputs.margin_mm)
-    found = _forces(bound, _in_model(pose, xyz), phase[0], scratch.forces)
-    if found[0] != code.OK:
-        return found[0]
+    output = _forces(bound, _in_model(pose, xyz), phase[0], scratch.forces)
+    if output[0] != code.OK:
+        return output[0]
     _turn_forces(pose, scratch.forces)
-    gradient = _to_tracker(pose, found[3])
-    sample.distance_mm = found[2]
-    sample.rate_mm_per_cycle = found[4] if bound.settings[0].fixtures.path_points[0] == 0 else math.nan
+    gradient = _to_tracker(pose, output[3])
+    sample.distance_mm = output[2]
+    sample.rate_mm_per_cycle = output[4] if bound.settings[0].fixtures.path_points[0] == 0 else math.nan
     sample.gradient[0], sample.gradient[1], sample.gradient[2] = gradient
     _compose(bound, scratch, composed)
     sample.distance_rate_mm_s, sample.sigma_mm = distance_rate_and_sigma(
-        inputs.pose_and_phase, pose, phase, xyz, gradient, found[4]
+        inputs.pose_and_phase, pose, phase, xyz, gradient, output[4]
     )
     return code.OK
 
@@ -176,8 +176,8 @@ def cross_to_walls(
         return status
     pose_phase = inputs.pose_and_phase
     if status == code.NO_PHASE:
-        found = status_at(pose_phase, t_s, xyz[0] + xyz[1] + xyz[2])
-        status = status if found == code.OK else found
+        pose_status = status_at(pose_phase, t_s, xyz[0] + xyz[1] + xyz[2])
+        status = status if pose_status == code.OK else pose_status
     share = _step_share(m, status, dt_s / bound.settings[0].limits.fade_s)
     if status != code.OK and status != code.NO_PHASE:
         return status

@@ -1,4 +1,4 @@
-"""What the servo's kernels are given, remember and record: every number by its name, defined here alone.
+"""Inputs, memory and records of the servo's kernels: every number by its name, defined here alone.
 
 Structures are arrays of one record; kernels take the record (`array[0]`), whose fields cost what numbers at
 an offset cost. Every field has 8 bytes, so that what threads share is copied word by word (`shared`). Hazards
@@ -27,8 +27,8 @@ INPUTS = np.dtype(
         ("pose_and_phase", POSE_AND_PHASE),
     ]
 )
-"""What a session publishes. Only pose and phase live in the session's time: what fades, latches or times out,
-`valid_until_s` too, runs by the servo's own clock, which no session can set back."""
+"""Values published by a session. Only pose and phase live in the session's time: what fades, latches or times
+out, and `valid_until_s`, runs by the servo's own clock, which no session can set back."""
 
 FIXTURES = np.dtype(
     [
@@ -105,7 +105,7 @@ SETTINGS = np.dtype(
         ("delay_ticks", _I),
     ]
 )
-"""What stays the same while a servo runs; damping in N·s/mm."""
+"""Constants while a servo runs; damping in N·s/mm."""
 
 CLAMPS = 10
 SUPERVISION = np.dtype(
@@ -163,7 +163,7 @@ MEMORY = np.dtype(
         ("phase_known", _I),
     ]
 )
-"""What a tick remembers for the next. `worst_share` is the progress from the fixtures of a known phase, 0, to
+"""Memory from one tick to the next. `worst_share` is the progress from the fixtures of a known phase, 0, to
 the walls of the worst one, 1; `last_phase` the last known phase of the model."""
 
 SAMPLE = np.dtype(
@@ -222,7 +222,7 @@ INPUT_WORDS, ROW_WORDS = INPUTS.itemsize // 8, ROW.itemsize // 8
 
 
 class Bound(NamedTuple):
-    """What stays the same while a servo runs.
+    """Constants while a servo runs.
 
     Attributes:
         linear, periodic: (n, cx, cy, cz) coefficients of the two kinds of blend; (0, …) of one not used.

@@ -66,13 +66,13 @@ def record_row(ring: Any, numbers: Any, row: Any) -> None:
 
 @kernel
 def _answer_rearm(numbers: Any, bound: Any, scratch: Any, t_s: float) -> None:
-    asked = load_ordered(numbers, REARM_ASKED)
-    if asked == load_ordered(numbers, REARM_ANSWERED):
+    request = load_ordered(numbers, REARM_ASKED)
+    if request == load_ordered(numbers, REARM_ANSWERED):
         return
     settings = bound.settings[0]
     answer = rearm(scratch.memory[0].supervision, settings.limits, settings.hazards, t_s)
     store_ordered(numbers, REARM_ANSWER, answer)
-    store_ordered(numbers, REARM_ANSWERED, asked)
+    store_ordered(numbers, REARM_ANSWERED, request)
 
 
 @kernel
@@ -169,47 +169,49 @@ def run_servo(
     missed = bound.settings[0].hazards.missed_deadlines
     wake_exactly()
     seen = read_shared(counter, shared, -1, scratch.input_words, scratch.read_words)
-    ticks, overran, done = 0, False, 0
+    ticks, overran, sent_ns = 0, False, 0
     simulated_ticks = len(simulated_late_ns)
     simulated, limit_ns = simulated_ticks > 0, load_ordered(numbers, LATE_NS)
     if simulated:
-        done = load_ordered(numbers, SENT_NS)
+        sent_ns = load_ordered(numbers, SENT_NS)
     target = start_ns if simulated else monotonic_ns(timespec) + SETTLE_NS
     while load_ordered(numbers, STOP) == 0 and not (simulated and ticks == simulated_ticks):
         if simulated:
-            now = elapsed = max(target, done) + simulated_late_ns[ticks]
+            now = elapsed = max(target, sent_ns) + simulated_late_ns[ticks]
         else:
             now = sleep_until(target, timespec)
             elapsed = elapsed_ns(timespec)
-        late, found = now - target, 0
+        late, hazards = now - target, 0
         if silent_too_long(numbers, elapsed):
             # in simulated time when a watchdog would have
-            at = done + load_ordered(numbers, SILENT_NS) if simulated else now
+            at = sent_ns + load_ordered(numbers, SILENT_NS) if simulated else now
             _send_none(device, context, numbers, at, zero)
             store_ordered(numbers, SENT_NS, elapsed)
-            found |= missed
+            hazards |= missed
         histogram[min(late // BIN_NS, len(histogram) - 1)] += 1
         if late > load_ordered(numbers, WORST_NS):
             store_relaxed(numbers, WORST_NS, late)
         if (late > limit_ns or overran) and _too_many_late(late_ticks, ticks):
-            found |= missed
+            hazards |= missed
         if load_ordered(numbers, TRIPPED) != 0:
-            found |= missed
+            hazards |= missed
         seen = read_shared(counter, shared, seen, scratch.input_words, scratch.read_words)
         _answer_rearm(numbers, bound, scratch, now * 1e-9)
         device_status = call_device(device[0], context, now, xyz)
-        servo_tick(bound, scratch, inputs, xyz, device_status, now * 1e-9, found, force)
+        servo_tick(bound, scratch, inputs, xyz, device_status, now * 1e-9, hazards, force)
         sent = _send(device, context, numbers, now, force, zero, timespec, simulated)
-        if not sent and found & missed == 0:
+        if not sent and hazards & missed == 0:
             withhold(bound, scratch, now * 1e-9)
         # a clock less to read: the two differ by a suspension alone, and then the force was not sent
-        done = now + load_relaxed(numbers, SENT_NS) - elapsed if sent or simulated else monotonic_ns(timespec)
-        row.lateness_ns, row.work_ns, row.tick = late, done - now, ticks
+        sent_ns = (
+            now + load_relaxed(numbers, SENT_NS) - elapsed if sent or simulated else monotonic_ns(timespec)
+        )
+        row.lateness_ns, row.work_ns, row.tick = late, sent_ns - now, ticks
         record_row(ring, numbers, scratch.row_words)
         ticks += 1
         target += period_ns
-        overran = done - target > limit_ns
-        while target < done - period_ns:
+        overran = sent_ns - target > limit_ns
+        while target < sent_ns - period_ns:
             target += period_ns
             numbers[SKIPPED] += 1
     if not simulated:
@@ -219,7 +221,7 @@ def run_servo(
 
 @kernel
 def watch(device: Any, context: Any, numbers: Any, check_ns: int) -> None:
-    """The watchdog: sends no force where none was sent for too long, until a new servo is started."""
+    """The watchdog: sends zero force after too long a silence, until a new servo is started."""
     timespec, zero = np.zeros(2, dtype=np.int64), np.zeros(3)
     target = monotonic_ns(timespec)
     while load_ordered(numbers, STOP) == 0:
@@ -242,8 +244,8 @@ def measure_floor(numbers: Any, histogram: Any, period_ns: int) -> int:
             store_relaxed(numbers, WORST_NS, late)
         ticks += 1
         target += period_ns
-        done = monotonic_ns(timespec)
-        while target < done - period_ns:
+        now = monotonic_ns(timespec)
+        while target < now - period_ns:
             target += period_ns
             numbers[SKIPPED] += 1
     return ticks
@@ -254,7 +256,7 @@ def copy_rows(ring: Any, numbers: Any, begin: int, out: Any) -> int:
     """Rows from number `begin` on into `out`, as words.
 
     Returns:
-        the number after the last whole row; where that is more than `begin + len(out)` rows were left, and
+        the number after the last whole row; if that is more than `begin + len(out)`, rows were left, and
         rows that had been overwritten are LOST throughout.
     """
     head = load_ordered(numbers, HEAD)

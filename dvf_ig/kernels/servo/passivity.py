@@ -40,18 +40,18 @@ def observe(
     """
     if p.started != 0:
         back = p.sent_count - 1 - min(delay_ticks, SENT_KEPT - 1)
-        given = by_surface = made = 0.0
+        to_hand = by_surface = excess = 0.0
         for k in range(3):
             sent = p.sent_n[back % SENT_KEPT, k] if back >= 0 else 0.0
             moved = xyz[k] - p.last_xyz_mm[k]
             surface = p.surface_mm_s[k] * dt_s
-            given += sent * moved
+            to_hand += sent * moved
             by_surface += sent * surface
-            made += (sent - 0.5 * (field[k] + p.last_field_n[k])) * (moved - surface)
-        p.given_mj += given
+            excess += (sent - 0.5 * (field[k] + p.last_field_n[k])) * (moved - surface)
+        p.given_mj += to_hand
         p.by_surface_mj += by_surface
         if following:
-            p.residual_mj = max(0.0, p.residual_mj + made)
+            p.residual_mj = max(0.0, p.residual_mj + excess)
     p.started = 1
     for k in range(3):
         p.last_xyz_mm[k], p.last_field_n[k] = xyz[k], field[k]

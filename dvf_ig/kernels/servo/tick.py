@@ -101,7 +101,7 @@ def servo_tick(
     settings, m, sample = bound.settings[0], scratch.memory[0], scratch.sample[0]
     composed, row, hazards = scratch.composed[0], scratch.row[0], bound.settings[0].hazards
     vectors = scratch.vectors
-    xyz, field, wanted, surface, speed = vectors[0], vectors[1], vectors[2], vectors[3], vectors[4]
+    xyz, field, target, surface, speed = vectors[0], vectors[1], vectors[2], vectors[3], vectors[4]
     t_s = clock_s - inputs.clock_offset_s
     dt_s = clock_s - m.last_tick_s if math.isfinite(m.last_tick_s) else settings.period_s
     m.last_tick_s = clock_s
@@ -131,9 +131,9 @@ def servo_tick(
     for k in range(3):
         xyz[k] = m.tool_mm[k]
         field[k] = composed.forbidden_n[k] + composed.guidance_n[k]
-        wanted[k] = field[k]
+        target[k] = field[k]
     if evaluated:
-        surface_speed = _relative_damping(settings, m, sample, surface, wanted)
+        surface_speed = _relative_damping(settings, m, sample, surface, target)
     met = status == code.FAULT or status == code.OUT_OF_VOLUME
     if met or not active & hazards.fading:
         # otherwise who published why no force is given has said it
@@ -143,13 +143,13 @@ def servo_tick(
         following = s.state <= supervision.DEGRADED and s.slow == 0
         observe(p, xyz, field, dt_s, settings.delay_ticks, following)
         if evaluated:
-            control(p, speed, surface, settings.period_s, settings.largest_damping, wanted)
+            control(p, speed, surface, settings.period_s, settings.largest_damping, target)
     else:
         p.started = 0
     if p.residual_mj > settings.residual_limit_mj:
         active |= hazards.energy
-    _saturate(wanted, settings.cap_n)
-    supervise(s, settings.limits, hazards, clock_s, wanted, active)
+    _saturate(target, settings.cap_n)
+    supervise(s, settings.limits, hazards, clock_s, target, active)
     if s.state == supervision.LATCHED:
         p.residual_mj = 0.0
     if not math.isfinite(s.sent_n[0] + s.sent_n[1] + s.sent_n[2]):
@@ -160,7 +160,7 @@ def servo_tick(
         force_device[k] = turn[0, k] * s.sent_n[0] + turn[1, k] * s.sent_n[1] + turn[2, k] * s.sent_n[2]
     _within_ceiling(force_device)
     for k in range(3):
-        row.xyz_mm[k], row.field_n[k], row.wanted_n[k] = xyz[k], field[k], wanted[k]
+        row.xyz_mm[k], row.field_n[k], row.wanted_n[k] = xyz[k], field[k], target[k]
         row.gradient[k] = sample.gradient[k]
     row.t_s, row.status, row.conflict = t_s, status, composed.conflict
     row.distance_mm, row.rate_mm_per_cycle = sample.distance_mm, sample.rate_mm_per_cycle
@@ -170,7 +170,7 @@ def servo_tick(
 
 @inlined
 def _record_memory(row: Any, s: Any, p: Any) -> None:
-    """What supervisor and passivity observer know after the tick."""
+    """State of supervisor and passivity observer after the tick."""
     for k in range(3):
         row.sent_n[k] = s.sent_n[k]
     row.state, row.scale, row.hazards, row.cause, row.clamped = (

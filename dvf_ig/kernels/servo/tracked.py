@@ -74,7 +74,7 @@ def tick_until(
     published: Any,
     tip_mm: FloatArray,
     velocity_mm_s: FloatArray,
-    known: bool,
+    tip_seen: bool,
     now_s: float,
 ) -> None:
     """Ticks a period apart with what was published before, and one at `now_s` with what is published now.
@@ -90,15 +90,15 @@ def tick_until(
     """
     period_s, inputs, m = bound.settings[0].period_s, scratch.inputs[0], scratch.memory[0]
     xyz, force = scratch.vectors[5], scratch.vectors[6]
-    at_s, ticks, done = m.last_tick_s + period_s, 0, False
-    while not done:
+    at_s, ticks, last = m.last_tick_s + period_s, 0, False
+    while not last:
         # also at the first tick, whose last is NaN
-        done = not at_s < now_s - 0.5 * period_s or ticks == MOST_TICKS
-        if done:
+        last = not at_s < now_s - 0.5 * period_s or ticks == MOST_TICKS
+        if last:
             at_s = now_s
             for k in range(INPUT_WORDS):
                 scratch.input_words[k] = published[k]
-            if known:
+            if tip_seen:
                 publish_tip(tool, tip_mm, velocity_mm_s, now_s)
         if tip_at(tool, at_s, xyz):
             # no motion of the tool: no speed, and no work on the hand
