@@ -269,6 +269,6 @@ def _rotations(given_map: Any, n: int, name: str) -> FloatArray:
     stack = matrix[None] if matrix.ndim == 2 else matrix
     if stack.ndim != 3 or stack.shape[1:] not in ((3, 3), (4, 4)) or len(stack) not in (1, n):
         raise InvalidInputError(
-            f"{name} has shape {given.shape}; needed (3, 3) or (4, 4), or one for each of {n} samples"
+            f"{name} has shape {matrix.shape}; needed (3, 3) or (4, 4), or one for each of {n} samples"
         )
     return np.broadcast_to(stack[:, :3, :3], (n, 3, 3))

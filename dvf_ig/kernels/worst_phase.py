@@ -4,7 +4,7 @@ With d_i the distance in each of the model's N phases, a wall that keeps out of 
 
     d = τ log Σ exp(d_i/τ),    ∇d = Σ w_i ∇d_i,    w_i = exp(d_i/τ) / Σ exp(d_j/τ)
 
-which is max_i d_i (docs/theory/safety.md), or up to τ log N more where several phases reach equally far: never
+which is max_i d_i (docs/theory/safety.md), or up to τ log N more if several phases reach equally far: never
 less protection, and a gradient without steps, so that the force never jumps from one phase's direction to
 another's. A confinement takes −τ log Σ exp(−d_i/τ): the narrowest chamber. The readable form is
 `tests/oracles/readable_walls.py`.

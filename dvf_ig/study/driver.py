@@ -299,7 +299,7 @@ def _local_results(trials: Trials, groups: Sequence[Seeds], workers: int) -> Ite
         except BrokenProcessPool as exc:
             raise DvfIgError(
                 "a worker process of the study ended unexpectedly (killed, or out of memory); the trials "
-                "done so far are kept, run the study again to go on"
+                "done before are kept, run the study again to go on"
             ) from exc
         finally:
             pool.shutdown(wait=True, cancel_futures=True)
