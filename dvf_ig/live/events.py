@@ -4,7 +4,6 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from statistics import median
-from typing import NamedTuple
 
 import numpy as np
 
@@ -17,14 +16,7 @@ from .ecg.field import EcgField
 from .frames import SAME_S, FramePairing
 from .igtl import Message, WireError
 from .link import Arrival
-
-
-class LiveEvent(NamedTuple):
-    """Event with the arrival of the message that completed it, by this machine's monotonic clock."""
-
-    arrived_s: float
-    event: Event
-
+from .timed import LiveEvent
 
 SETTLE_S = 1.0
 FASTEST_S = 0.25

@@ -15,13 +15,14 @@ from dvf_ig.session import Beside, Event, Landmark, Session, SessionHistory, Ses
 from .answers import last_messages
 from .devices import DeviceNames, flips_between
 from .ecg.field import EcgField
-from .events import EventSource, LiveEvent
+from .events import EventSource
 from .igtl import encode
 from .igtl.codec import checksum
 from .link import LOOPBACK, Inbox, Link, connect, is_loopback, listen
 from .loop import Answer, LiveLoop, no_more
 from .priority import answering_soon
 from .record import NO_RECORD, CountedWork, Record
+from .timed import LiveEvent
 
 CUT_OFF = "the connection is ended because of a message that broke the protocol; connect again"
 LOOK_EVERY_S = 0.05

@@ -86,7 +86,7 @@ def _key(identity: Any, group: Sequence[int]) -> str:
 
 
 def _result(distributed: ModuleType, future: Any, address: str) -> Lines:
-    again = "the trials done so far are kept, run the study again to go on"
+    again = "the trials done before are kept, run the study again to go on"
     try:
         lines: Lines = future.result()
     except distributed.CancelledError as exc:

@@ -99,7 +99,7 @@ def test_a_lost_scheduler_is_told_and_what_was_done_is_kept(tmp_path: Path) -> N
             if share >= 0.1:
                 cluster.close()
 
-        with pytest.raises(DvfIgError, match="was lost; the trials done so far are kept"):
+        with pytest.raises(DvfIgError, match="was lost; the trials done before are kept"):
             run_trials(study, range(40), tmp_path, scheduler=cluster.scheduler_address, progress=stop)
     assert len(lines_on_disk(tmp_path)) >= 4
 

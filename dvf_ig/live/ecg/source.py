@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Protocol
 
 from dvf_ig.intake.live import EcgFieldConfig, EcgStreamConfig, LiveConfig
-from dvf_ig.live.events import LiveEvent
+from dvf_ig.live.timed import LiveEvent
 from dvf_ig.session import EcgSamples
 
 from .lsl import LslEcg
