@@ -12,6 +12,17 @@ TIME_S = 1e10
 """Largest time stamp: seconds since 1970 reach 1.8e9 (2026), milliseconds are beyond this limit."""
 ECG_VALUE = 1e9
 """Largest ECG sample in any unit: converters of 24 bit count to 1.7e7, of 32 bit to 2.1e9 at most."""
+MARKER_MM = (10.0, 1e4)
+"""Farthest position of a marker from its tracker's origin or from another marker; trackers reach 5 m, so
+poses in metres stay below 10."""
+FEWEST_POSES = 10
+"""Poses from which a recording's range is judged: fewer may be single measurements."""
+PERIOD_S = (1e-4, 1.0)
+"""Time between poses or images: 10 kHz to one a second. 50 images a second in ms have 20 "seconds"."""
+SURFACE_MM = (10.0, 1e3)
+"""Longest side of the box around a surface: a newborn's chamber has 15 mm; a heart in m 0.1, in inches 4."""
+SPREAD_MM = (2.0, 1e4)
+"""Largest distance between three or more landmarks; on a body in m it is below 2."""
 
 
 def require_plausible(values: Any, most: float, what: str) -> None:
@@ -25,3 +36,65 @@ def require_plausible(values: Any, most: float, what: str) -> None:
         raise InvalidInputError(
             f"{what} reaches {float(beyond.max()):.3g}; needed at most {most:g}: check its unit and source"
         )
+
+
+def marker_problem(positions_mm: Any) -> str | None:
+    """Say why (n, 3) positions of a moving marker cannot be in mm; None if they can.
+
+    Args:
+        positions_mm: of the valid poses of one recording.
+    """
+    positions = np.asarray(positions_mm, dtype=np.float64)
+    if not len(positions):
+        return None
+    farthest = float(np.linalg.norm(positions, axis=1).max())
+    if farthest > MARKER_MM[1]:
+        return (
+            f"reaches {farthest:.3g} mm, and no tracker measures beyond {MARKER_MM[1]:g} mm: the poses are "
+            "in another unit (um?) or damaged; export them again in mm"
+        )
+    if farthest < MARKER_MM[0] and len(positions) >= FEWEST_POSES and np.ptp(positions, axis=0).any():
+        return (
+            f"stays within {farthest:.3g} mm of the origin, where no marker can be: the poses are in m, not "
+            f"mm (then {farthest:.3g} m); export them again in mm"
+        )
+    return None
+
+
+def period_problem(t_s: Any) -> str | None:
+    """Say why increasing stamps of poses or images cannot be in seconds; None if they can."""
+    times = np.asarray(t_s, dtype=np.float64)
+    if len(times) < 2:
+        return None
+    period_s = float(np.median(np.diff(times)))
+    if PERIOD_S[0] <= period_s <= PERIOD_S[1]:
+        return None
+    unit = f"ms (then {1e3 / period_s:.3g} a second)" if period_s > PERIOD_S[1] else "another unit"
+    return (
+        f"one sample in {period_s:.3g} s, and {PERIOD_S[0]:g} to {PERIOD_S[1]:g} s are usual: the time "
+        f"stamps are in {unit}, or the recording was made picture by picture; export them again in s"
+    )
+
+
+def surface_problem(vertices_mm: Any) -> str | None:
+    """Say why (v, 3) vertices cannot be a surface of an organ in mm; None if they can."""
+    return _side_problem(vertices_mm, SURFACE_MM, "an organ's surface")
+
+
+def spread_problem(points_mm: Any) -> str | None:
+    """Say why (n, 3) landmarks cannot be in mm; None if they can, or are fewer than three."""
+    return _side_problem(points_mm, SPREAD_MM, "a set of landmarks") if len(points_mm) >= 3 else None
+
+
+def _side_problem(xyz_mm: Any, sides_mm: tuple[float, float], what: str) -> str | None:
+    """Compare the longest side of the box around points with a range."""
+    side = float(np.ptp(np.asarray(xyz_mm, dtype=np.float64), axis=0).max(initial=0.0))
+    if side == 0.0 or sides_mm[0] <= side <= sides_mm[1]:
+        return None
+    units = (("m", 1e3), ("cm", 10.0)) if side < sides_mm[0] else (("um", 1e-3),)
+    likely = next((u for u in units if sides_mm[0] <= side * u[1] <= sides_mm[1]), None)
+    guess = "another unit" if likely is None else f"{likely[0]} (then {side * likely[1]:.3g} mm)"
+    return (
+        f"is {side:.3g} mm across, and {what} has {sides_mm[0]:g} to {sides_mm[1]:g} mm: it is in {guess}; "
+        "export it again in mm"
+    )

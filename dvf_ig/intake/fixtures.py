@@ -14,11 +14,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
+import numpy as np
 from pydantic import BeforeValidator, Field, TypeAdapter, field_validator
 
 from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
 from dvf_ig.io.json_file import read_json
-from dvf_ig.io.landmarks import markup_points
+from dvf_ig.io.landmarks import CURVES, markup_points
 from dvf_ig.io.limits import TIME_S
 from dvf_ig.io.reading import reading
 from dvf_ig.io.yaml_config import Section, read_yaml, validated
@@ -128,10 +129,12 @@ class PathConfig(_FixtureConfig):
             return PathTarget.static(frame, self.path)
         file = folder / self.path
         with reading(file, "a curve"):
-            points = markup_points(file)[1]
+            points = markup_points(file, CURVES)[1]
             markups = read_json(file)["markups"]
             if len(markups) != 1:
                 raise UnreadableFileError(f"{file} holds {len(markups)} markups; needed one, the curve")
+            if markups[0].get("type") == "ClosedCurve":
+                points = np.concatenate([points, points[:1]])
             return PathTarget.static(frame, points)
 
 

@@ -322,7 +322,9 @@ def _read_tool(at: Opened) -> Mapping[str, Any]:
 
 def _read_probe(at: Opened) -> Mapping[str, Any]:
     probe = at.config.calibration.probe
-    return {} if probe is None else {"probe": read_probe_source(probe, at.folder, at.names)}
+    sweep = at.read.get("sweep")
+    turned_from = None if sweep is None else sweep.recorded.turned_from
+    return {} if probe is None else {"probe": read_probe_source(probe, at.folder, at.names, turned_from)}
 
 
 def _read_latency(at: Opened) -> Mapping[str, Any]:

@@ -154,15 +154,16 @@ def read_start(config: StartConfig, folder: Path) -> StartFiles:
 
 
 def read_probe_source(
-    source: str | NWireConfig | TargetConfig, folder: Path, names: ProbeNames
+    source: str | NWireConfig | TargetConfig, folder: Path, names: ProbeNames, turned_from: str | None = None
 ) -> ImageMap | NWireRecording | TargetRecording:
     """probe_from_image, or the sweep of a phantom.
 
     Args:
         names: of probe and reference in the recordings; the result's frame is "probe" whatever its name.
+        turned_from: orientation in which the sweep's images are stored, if they were turned.
     """
     if isinstance(source, str):
-        found = read_probe(folder / source, names.probe)
+        found = read_probe(folder / source, names.probe, turned_from=turned_from)
         rigid = found.rigid
         placed = Rigid("probe", rigid.source, rigid.rotation, rigid.translation_mm)
         return ImageMap(placed, found.scale_mm_per_px, found.shear_deg)

@@ -45,13 +45,18 @@ class TipFile(CalibrationFile):
 
 
 class ProbeFile(CalibrationFile):
-    """Result of `calibrate probe`: sensor_from_image in mm per pixel, and its factors if stored."""
+    """Result of `calibrate probe`: sensor_from_image in mm per pixel, and its factors if stored.
+
+    `image_orientation` is that of the images that were calibrated, MF as the reader turns them; None if the
+    recording did not state one, absent in files of earlier versions, which calibrated images as stored.
+    """
 
     kind: Literal["probe"]
     sensor_from_image: Matrix
     sensor_frame: str
     sensor_from_image_rigid: Matrix | None = None
     pixel_mm: tuple[Number, Number] | None = None
+    image_orientation: str | None = None
 
 
 class LatencyFile(CalibrationFile):
@@ -115,15 +120,23 @@ def read_tip(path: Path | str, tool: str | None = None, *, allow_refused: bool =
     return Points(frame, tip_mm[None])
 
 
-def read_probe(path: Path | str, sensor: str = "probe", *, allow_refused: bool = False) -> ImageMap:
-    """Read probe_from_image: JSON of `calibrate probe`, or ImageToProbe of a PLUS device set or result.
+def read_probe(
+    path: Path | str,
+    sensor: str = "probe",
+    *,
+    turned_from: str | None = None,
+    allow_refused: bool = False,
+) -> ImageMap:
+    """Read probe_from_image of images in MF: JSON of `calibrate probe`, or ImageToProbe of a PLUS file.
 
     Args:
         path: the file.
         sensor: frame of the probe's sensor; a PLUS file may hold several sensors.
+        turned_from: orientation in which the images to be used are stored, if they were turned to MF.
         allow_refused: read a calibration that a quality gate refused.
     Raises:
-        UnreadableFileError: absent, not a probe calibration, or that of another sensor.
+        UnreadableFileError: absent, not a probe calibration, that of another sensor, of images in another
+            orientation, or of an unknown one when the images to be used were turned.
         QualityGateError: the calibration was refused.
     """
     path = Path(path)
@@ -135,6 +148,13 @@ def read_probe(path: Path | str, sensor: str = "probe", *, allow_refused: bool =
             f"{path} calibrates '{calibration.sensor_frame}'; needed '{sensor}': give this probe's "
             "calibration, or name its sensor",
             settings=("ultrasound.probe_name",),
+        )
+    orientation = calibration.image_orientation
+    if (orientation is None and turned_from is not None) or (orientation or "MF")[:2] != "MF":
+        raise UnreadableFileError(
+            f"{path} calibrates images in {orientation or 'an orientation that is not stated'}, and "
+            f"the recording's, stored as {turned_from or 'MF'}, are read as MF: they would be mirrored; calibrate "
+            "the probe again (dvf-ig calibrate probe)"
         )
     with reading(path, "a probe calibration"):
         return _image_map(calibration, sensor)

@@ -1,26 +1,53 @@
 """Read and write landmarks in LPS: 3D Slicer markups (`.mrk.json`, `.fcsv`) and MNI `.tag` files."""
 
 import csv
+import logging
 import re
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
 from dvf_ig.core.arrays import FloatArray
-from dvf_ig.core.errors import OutputError, UnreadableFileError
+from dvf_ig.core.errors import InvalidInputError, OutputError, UnreadableFileError
+from dvf_ig.core.plausible import spread_problem
 from dvf_ig.core.space.points import Landmarks, Points
 
 from . import limits
 from .json_file import read_json, write_json
 from .reading import read_text, reading
 
+log = logging.getLogger(__name__)
+
 _SCHEMA = (
     "https://raw.githubusercontent.com/slicer/slicer/master/Modules/Loadable/Markups/Resources/Schema/"
     "markups-schema-v1.0.3.json#"
 )
 _TO_LPS = {"LPS": (1.0, 1.0, 1.0), "1": (1.0, 1.0, 1.0), "RAS": (-1.0, -1.0, 1.0), "0": (-1.0, -1.0, 1.0)}
+_POINTS = ("Fiducial",)
+_NOT_PLACED = ("undefined", "preview", "missing")
+_FCSV_STATUS = {"": "defined", "0": "undefined", "1": "preview", "2": "defined", "3": "missing"}
+"""Numbers of vtkMRMLMarkupsNode's PositionUndefined, PositionPreview, PositionDefined, PositionMissing."""
+CURVES = ("Curve", "ClosedCurve", "Line", "Fiducial")
+_OF_A_POINT = {
+    *("id", "label", "description", "associatedNodeID", "position", "orientation", "selected", "locked"),
+    *("visibility", "positionStatus"),
+}
+_OF_A_MARKUP = {
+    *(
+        "type",
+        "name",
+        "coordinateSystem",
+        "coordinateUnits",
+        "locked",
+        "fixedNumberOfControlPoints",
+        "display",
+    ),
+    *("labelFormat", "lastUsedControlPointNumber", "controlPoints", "measurements"),
+}
+"""Fields of Slicer's schema that are read, or do not move a point."""
 LANDMARK_ENDINGS = (".json", ".fcsv", ".tag")
 _TAG_ROW = re.compile(r'((?:[-+\d.eE]+\s+)*[-+\d.eE]+)\s*(?:"([^"]*)")?')
 
@@ -31,8 +58,11 @@ def read_landmarks(path: Path | str, frame: str) -> Landmarks:
     Args:
         path: `.mrk.json`, `.fcsv` (both name their coordinate system), or a `.tag` with one volume.
         frame: name of the frame that the points are given in.
+    Points that were not placed are left out and named in a logged warning, as is content that is not known.
+
     Raises:
-        UnreadableFileError: absent, another format, no points, repeated names, or no coordinate system.
+        UnreadableFileError: absent, another format, no points, repeated names, no coordinate system, other
+            units than mm, or markups that are no points (curve, plane, ROI).
     """
     path = Path(path)
     with reading(path, "landmarks"):
@@ -47,8 +77,15 @@ def named_points(path: Path) -> tuple[list[str], FloatArray]:
     """
     with reading(path, "landmarks"):
         names, xyz = _points_of(path, path.name.lower())
-        limits.require_lengths(xyz, "a point")
+        _require_mm(xyz)
         return names, xyz
+
+
+def _require_mm(xyz: FloatArray) -> None:
+    """Raise InvalidInputError if points cannot be landmarks in mm."""
+    limits.require_lengths(xyz, "a point")
+    if problem := spread_problem(xyz):
+        raise InvalidInputError(f"its points: the set {problem}")
 
 
 def _points_of(path: Path, name: str) -> tuple[list[str], FloatArray]:
@@ -78,7 +115,8 @@ def read_tag_pair(path: Path | str, frame_first: str, frame_second: str) -> tupl
         if len(sides) != 2:
             raise UnreadableFileError(f"{path} holds one volume's points; needed those of two volumes")
         first, second = sides
-        limits.require_lengths(np.concatenate(sides), "a point")
+        for side in sides:
+            _require_mm(side)
         return _landmarks(path, names, first, frame_first), _landmarks(path, names, second, frame_second)
 
 
@@ -140,21 +178,35 @@ def _to_lps(path: Path, system: Any) -> FloatArray:
     return np.array(signs)
 
 
-def markup_points(path: Path) -> tuple[list[str], FloatArray]:
-    """Read names, which may repeat, and (n, 3) LPS positions of every defined point of 3D Slicer markups."""
+def markup_points(path: Path, kinds: tuple[str, ...] = _POINTS) -> tuple[list[str], FloatArray]:
+    """Read names, which may repeat, and (n, 3) LPS positions of every placed point of 3D Slicer markups.
+
+    Args:
+        kinds: types of markups that are read.
+    Raises:
+        UnreadableFileError: not markups, other types or units, or a position that is not three numbers.
+    """
     try:
         markups = read_json(path, "3D Slicer markups")["markups"]
-        names: list[str] = []
-        rows: list[FloatArray] = []
+        marks, unknown = _Marks(), set[str]()
         for markup in markups:
-            if markup.get("coordinateUnits", "mm") != "mm":
-                raise UnreadableFileError(f"{path}: units are '{markup['coordinateUnits']}'; needed mm")
+            kind, units = markup.get("type", "Fiducial"), markup.get("coordinateUnits", "mm")
+            if kind not in kinds:
+                raise UnreadableFileError(f"{path} holds a markup '{kind}'; needed {' or '.join(kinds)}")
+            if units not in ("mm", ["mm", "UCUM", "millimeter"]):
+                raise UnreadableFileError(f"{path}: its units are {units}; needed mm: save it again in mm")
             signs = _to_lps(path, markup.get("coordinateSystem", "LPS"))
             for point in markup["controlPoints"]:
-                if point.get("positionStatus", "defined") == "defined":
-                    names.append(str(point.get("label") or point.get("id") or len(names) + 1))
-                    rows.append(np.array(point["position"], dtype=np.float64) * signs)
-        return names, np.array(rows).reshape(-1, 3)
+                name = str(point.get("label") or point.get("id") or len(marks.names) + 1)
+                unknown |= set(point) - _OF_A_POINT
+                seen = point.get("visibility", True) is True and point.get("selected", True) is True
+                if marks.is_placed(name, point.get("positionStatus", "defined"), is_shown=seen):
+                    marks.add(name, np.array(point["position"], dtype=np.float64) * signs)
+            unknown |= set(markup) - _OF_A_MARKUP
+        marks.warn(path)
+        if unknown:
+            log.warning("%s: the fields %s are not known and are ignored", path, ", ".join(sorted(unknown)))
+        return marks.names, np.array(marks.rows).reshape(-1, 3)
     except (KeyError, TypeError, AttributeError, OverflowError) as exc:
         raise UnreadableFileError(f"{path} is not a 3D Slicer markups file (no {exc})") from exc
     except ValueError as exc:
@@ -175,12 +227,57 @@ def _from_fcsv(path: Path) -> tuple[list[str], FloatArray]:
     columns = fields.get("columns", "id,x,y,z,ow,ox,oy,oz,vis,sel,lock,label").split(",")
     try:
         at, label = [columns.index(axis) for axis in "xyz"], columns.index("label")
-        table = list(csv.reader(line for line in lines if line.strip() and not line.startswith("#")))
-        names = [row[label] if label < len(row) and row[label] else row[0] for row in table]
-        xyz = np.array([[float(row[i]) for i in at] for row in table]).reshape(-1, 3)
+        status, shown = _status_column(columns), [columns.index(c) for c in ("vis", "sel") if c in columns]
+        marks = _Marks()
+        for row in csv.reader(line for line in lines if line.strip() and not line.startswith("#")):
+            name = row[label] if label < len(row) and row[label] else row[0]
+            state = row[status] if status < len(row) else ""
+            seen = all(float(row[i]) != 0 for i in shown if i < len(row) and row[i])
+            if marks.is_placed(name, _FCSV_STATUS.get(state.strip(), state), is_shown=seen):
+                marks.add(name, np.array([float(row[i]) for i in at]) * signs)
     except (ValueError, IndexError, csv.Error) as exc:
         raise UnreadableFileError(f"{path} is not a 3D Slicer fiducial list ({exc})") from exc
-    return names, xyz * signs
+    marks.warn(path)
+    return marks.names, np.array(marks.rows).reshape(-1, 3)
+
+
+def _status_column(columns: list[str]) -> int:
+    """Return the column of a point's status, which 3D Slicer writes after those that it names."""
+    return columns.index("positionStatus") if "positionStatus" in columns else len(columns)
+
+
+@dataclass(slots=True)
+class _Marks:
+    """Placed points of a file of 3D Slicer, and what else it says of its points."""
+
+    names: list[str] = field(default_factory=list)
+    rows: list[FloatArray] = field(default_factory=list)
+    left_out: list[str] = field(default_factory=list)
+    hidden: list[str] = field(default_factory=list)
+
+    def is_placed(self, name: str, status: str, *, is_shown: bool) -> bool:
+        """Return whether a point has a position; note one that has none, or that Slicer does not show."""
+        if status not in ("defined", *_NOT_PLACED):
+            raise ValueError(
+                f"the status of '{name}' is '{status}'; needed defined, {', '.join(_NOT_PLACED)}"
+            )
+        (self.left_out if status in _NOT_PLACED else self.hidden if not is_shown else []).append(name)
+        return status == "defined"
+
+    def add(self, name: str, xyz: FloatArray) -> None:
+        self.names.append(name)
+        self.rows.append(xyz)
+
+    def warn(self, path: Path) -> None:
+        """Log the points that are left out or may be unintended."""
+        origin = [name for name, xyz in zip(self.names, self.rows, strict=True) if not xyz.any()]
+        for names, what in (
+            (self.left_out, "not placed in 3D Slicer and left out"),
+            (self.hidden, "hidden or not selected in 3D Slicer, and used"),
+            (origin, "exactly at 0, 0, 0, and used: check that they were placed"),
+        ):
+            if names:
+                log.warning("%s: points %s are %s", path, ", ".join(names), what)
 
 
 def _from_tag(path: Path) -> tuple[list[str], list[FloatArray]]:

@@ -1,55 +1,59 @@
 """Read points for evaluation: a table of x, y, z, or a list of points from 3D Slicer."""
 
-import csv
 from pathlib import Path
 
 import numpy as np
 
 from dvf_ig.core.arrays import FloatArray
-from dvf_ig.core.errors import UnreadableFileError
+from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
+from dvf_ig.core.plausible import spread_problem
 from dvf_ig.core.space.points import Points
 
 from . import limits
 from .landmarks import LANDMARK_ENDINGS, named_points
-from .reading import read_text, reading
+from .number_table import read_number_table, scaled
+from .reading import reading
+
+_IN_MM = {"mm": 1.0, "cm": 10.0, "m": 1e3}
+_AXES = {"x": (0, 1.0), "y": (1, 1.0), "z": (2, 1.0), "l": (0, 1.0), "p": (1, 1.0), "s": (2, 1.0)} | {
+    "r": (0, -1.0),
+    "a": (1, -1.0),
+}
+"""Axis in LPS, and its sign, by the name of a column."""
 
 
 def read_points(path: Path | str, frame: str) -> Points:
     """Read points, LPS, mm; names are ignored and may repeat.
 
     Args:
-        path: CSV with x, y, z in LPS, whose first row may be a header; or `.mrk.json`, `.fcsv` or a `.tag`
-            of one volume, which state LPS or RAS.
+        path: table of x, y, z in LPS, whose first row may name the columns in any order, with units ("x_m")
+            or as R, A, S; or `.mrk.json`, `.fcsv` or a `.tag` of one volume, which state LPS or RAS.
         frame: name of the frame that the points are given in.
     Raises:
-        UnreadableFileError: absent, empty, or a row that is not three numbers.
+        UnreadableFileError: absent, empty, a row that is not three numbers, or points that cannot be in mm.
     """
     path = Path(path)
     slicer = path.name.lower().endswith(LANDMARK_ENDINGS)
     with reading(path, "points"):
-        xyz_mm = named_points(path)[1] if slicer else _from_csv(path)
+        xyz_mm = named_points(path)[1] if slicer else _from_table(path)
         limits.require_lengths(xyz_mm, "a point")
+        if problem := spread_problem(xyz_mm):
+            raise InvalidInputError(f"its points: the set {problem}")
     if not len(xyz_mm):
         raise UnreadableFileError(f"{path} holds no points; needed x, y, z in mm of at least one")
     return Points(frame, xyz_mm)
 
 
-def _from_csv(path: Path) -> FloatArray:
-    rows: list[list[float]] = []
-    try:
-        table = list(csv.reader(read_text(path, "points").splitlines()))
-    except csv.Error as exc:
-        raise UnreadableFileError(f"{path} is not a table of points ({exc})") from exc
-    for number, row in enumerate(table, start=1):
-        if not row:
-            continue
-        try:
-            values = [float(cell) for cell in row]
-        except ValueError as exc:
-            if number == 1:
-                continue
-            raise UnreadableFileError(f"{path}, line {number}: '{','.join(row)}' is not x,y,z in mm") from exc
-        if len(values) != 3:
-            raise UnreadableFileError(f"{path}, line {number}: {len(values)} columns; needed x,y,z in mm")
-        rows.append(values)
-    return np.array(rows).reshape(-1, 3)
+def _from_table(path: Path) -> FloatArray:
+    table = read_number_table(path, "points: rows of x, y, z in mm")
+    names = table.names or ("x", "y", "z")
+    axes = [_AXES.get(name, (-1, 0.0)) for name in names]
+    if table.values.shape[1] != 3 or sorted(axis for axis, _ in axes) != [0, 1, 2]:
+        raise UnreadableFileError(
+            f"{path} has {table.values.shape[1]} columns ({', '.join(names)[:60]}); needed x,y,z in mm"
+        )
+    for line, row in zip(table.lines, table.values, strict=True):
+        if not np.isfinite(row).all():
+            raise UnreadableFileError(f"{path}, line {line}: a cell is empty or nan; needed x,y,z in mm")
+    stored = scaled(path, table, (0, 1, 2), _IN_MM) * [sign for _, sign in axes]
+    return stored[:, np.argsort([axis for axis, _ in axes])]

@@ -19,7 +19,14 @@ from dvf_ig.core import (
     Rigid,
     UnreadableFileError,
 )
-from dvf_ig.io import read_landmarks, read_tag_pair, read_transform, write_landmarks, write_transform
+from dvf_ig.io import (
+    read_landmarks,
+    read_points,
+    read_tag_pair,
+    read_transform,
+    write_landmarks,
+    write_transform,
+)
 
 POINTS = Landmarks(
     ("apex", "mitral, septal", "RV–LV"), Points("mr", np.array([[1.5, 2, 3], [4, 5, 6], [0.1, -7, 1e-9]]))
@@ -71,6 +78,96 @@ def test_fcsv(tmp_path: Path) -> None:
     (tmp_path / "a.fcsv").write_text(text.replace("# CoordinateSystem = RAS\n", ""))
     with pytest.raises(UnreadableFileError, match="names no CoordinateSystem"):
         read_landmarks(tmp_path / "a.fcsv", "mr")
+
+
+def test_points_that_were_not_placed_are_left_out_by_name(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Slicer 5 writes a point's status after the named columns: 0 undefined, 1 preview, 2 defined, 3 missing."""
+    rows = [(2, 5, "a", 1), (0, 0, "b", 1), (3, 0, "c", 1), (2, 7, "hidden", 0), (2, 0, "origin", 1)]
+    columns = "id,x,y,z,ow,ox,oy,oz,vis,sel,lock,label,desc,associatedNodeID"
+    text = f"# CoordinateSystem = LPS\n# columns = {columns}\n"
+    text += "".join(f"1,{x},0,0,0,0,0,1,{vis},1,0,{n},,,{s},0\n" for s, x, n, vis in rows)
+    (tmp_path / "a.fcsv").write_text(text)
+    statuses = {0: "undefined", 2: "defined", 3: "missing"}
+    points = [
+        {"label": n, "position": [x, 0, 0], "positionStatus": statuses[s], "visibility": bool(vis), "fog": 1}
+        for s, x, n, vis in rows
+    ]
+    (tmp_path / "a.mrk.json").write_text(json.dumps({"markups": [{"controlPoints": points}]}))
+    for name in ("a.fcsv", "a.mrk.json"):
+        caplog.clear()
+        back = read_landmarks(tmp_path / name, "mr")
+        assert back.names == ("a", "hidden", "origin")
+        assert "points b, c are not placed in 3D Slicer and left out" in caplog.text
+        assert "points hidden are hidden or not selected in 3D Slicer, and used" in caplog.text
+        assert "points origin are exactly at 0, 0, 0" in caplog.text
+        assert ("the fields fog are not known" in caplog.text) == (name == "a.mrk.json")
+    (tmp_path / "a.fcsv").write_text(text.replace(",,,2,0", ",,,7,0", 1))
+    with pytest.raises(UnreadableFileError, match="the status of 'a' is '7'"):
+        read_landmarks(tmp_path / "a.fcsv", "mr")
+
+
+def marked(points: list[list[float]], **markup: object) -> str:
+    rows = [{"label": str(i), "position": xyz} for i, xyz in enumerate(points)]
+    return json.dumps({"markups": [{"controlPoints": rows, **markup}]})
+
+
+def test_units_and_kinds_of_markups(tmp_path: Path) -> None:
+    path = tmp_path / "a.mrk.json"
+    path.write_text(marked([[1, 2, 3]], coordinateUnits=["mm", "UCUM", "millimeter"]))
+    assert read_landmarks(path, "mr").points.xyz_mm.tolist() == [[1, 2, 3]]
+    for markup, message in (
+        ({"coordinateUnits": ["m", "UCUM", "meter"]}, "its units are .*meter.*; needed mm"),
+        ({"type": "ROI"}, "holds a markup 'ROI'; needed Fiducial"),
+        ({"type": "ClosedCurve"}, "holds a markup 'ClosedCurve'"),
+    ):
+        path.write_text(marked([[1, 2, 3]], **markup))
+        with pytest.raises(UnreadableFileError, match=message):
+            read_landmarks(path, "mr")
+
+
+def test_landmarks_in_metres_are_refused(tmp_path: Path) -> None:
+    points = np.array([[0.01, 0.02, 0.03], [-0.015, 0.04, 0.055], [0.042, 0.008, 0.025]])
+    (tmp_path / "a.mrk.json").write_text(marked(points.tolist()))
+    (tmp_path / "a.csv").write_text("\n".join(",".join(map(str, row)) for row in points))
+    (tmp_path / "um.csv").write_text("\n".join(",".join(map(str, row * 1e6)) for row in points))
+    for read, name in ((read_landmarks, "a.mrk.json"), (read_points, "a.mrk.json"), (read_points, "a.csv")):
+        with pytest.raises(UnreadableFileError, match=r"0\.057 mm across.* it is in m \(then 57 mm\)"):
+            read(tmp_path / name, "mr")
+    with pytest.raises(UnreadableFileError, match=r"it is in um \(then 57 mm\)"):
+        read_points(tmp_path / "um.csv", "mr")
+
+
+@pytest.mark.parametrize(
+    ("text", "xyz"),
+    [
+        ("x,y,z\n1,2,3\n", [1, 2, 3]),
+        ("z;x;y\n3,5;1,5;2,5\n", [1.5, 2.5, 3.5]),
+        ("R A S\n1 2 3\n", [-1, -2, 3]),
+        ("x [m],y [m],z [m]\n0.1,0.2,0.3\n", [100, 200, 300]),
+        ("1 2 3\n", [1, 2, 3]),
+    ],
+)
+def test_points_of_a_table(tmp_path: Path, text: str, xyz: list[float]) -> None:
+    (tmp_path / "a.csv").write_text(text)
+    np.testing.assert_allclose(read_points(tmp_path / "a.csv", "mr").xyz_mm, [xyz], rtol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("1,,3\n4,5,6\n", "line 1: a cell is empty"),
+        ("x,y,w\n1,2,3\n", "columns \\(x, y, w\\); needed x,y,z"),
+        ("x,y,z\n1,2\n", "line 2: 2 cells; needed 3"),
+        ("1,2,3,4\n", "has 4 columns"),
+        ("x [km],y,z\n1,2,3\n", "column 1 is in 'km'"),
+    ],
+)
+def test_bad_tables_of_points(tmp_path: Path, text: str, message: str) -> None:
+    (tmp_path / "a.csv").write_text(text)
+    with pytest.raises(UnreadableFileError, match=message):
+        read_points(tmp_path / "a.csv", "mr")
 
 
 PAIR = (

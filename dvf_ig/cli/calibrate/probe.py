@@ -71,6 +71,7 @@ def probe(
         import numpy as np
 
         from dvf_ig.io import ProbeNames
+        from dvf_ig.io.plus.sequence_read import image_orientation
 
         names = ProbeNames.from_plus(probe_name, reference_name)
         rng = np.random.default_rng(seed)
@@ -94,6 +95,8 @@ def probe(
                 sequence, device_set, validate, tables, names, method, picture, max_residual_mm, rng
             )
         result, rows, error_mm = calibrated
+        of_plus = phantom is Phantom.nwire and points is not None  # PLUS's own points are of images in MF
+        result["image_orientation"] = "MF" if of_plus else image_orientation(sequence)
         matrix = np.array(result["sensor_from_image"])
         save(output, result, f"{result['sensor_frame']}_from_image", matrix, error_mm)
         show(result, rows, as_json=as_json)

@@ -9,7 +9,7 @@ Row = tuple[str, str]
 def sequence_rows(facts: Facts) -> list[Row]:
     """Build rows (label, text) of the facts of one tracked sequence."""
     return [
-        ("frames", str(facts["frames"])),
+        ("frames", _frames(facts)),
         _images(facts),
         *_clock(facts),
         *_tree(facts),
@@ -18,13 +18,19 @@ def sequence_rows(facts: Facts) -> list[Row]:
     ]
 
 
+def _frames(facts: Facts) -> str:
+    left_out = facts["frames_left_out"]
+    return f"{facts['frames']}" + (f"; {left_out} without a time stamp are left out" if left_out else "")
+
+
 def _images(facts: Facts) -> Row:
     size = facts["image_size_px"]
     if size is None:
         return ("images", "none: poses only")
     kind = "" if facts["pixel_type"] in ("MET_UCHAR", "uchar", "uint8") else f", pixels {facts['pixel_type']}"
     valid = _valid(facts["invalid_image_share"])
-    return ("images", f"{size[0]} x {size[1]} px, orientation {facts['orientation']}, {valid}{kind}")
+    turned = f" (read as {facts['turned_to']})" if facts["turned_to"] else ""
+    return ("images", f"{size[0]} x {size[1]} px, orientation {facts['orientation']}{turned}, {valid}{kind}")
 
 
 def _clock(facts: Facts) -> list[Row]:
@@ -113,7 +119,9 @@ def _moves(moved: Facts) -> str:
         return _valid(moved["invalid_share"])
     extent = " x ".join(f"{side:.1f}" for side in moved["extent_mm"])
     frozen = f", frozen for {moved['frozen_share']:.0%}" if moved["frozen_share"] else ""
-    return f"{_valid(moved['invalid_share'])}{frozen}, moves {extent} mm, turns {moved['turn_deg']:.1f} deg"
+    wrong = f"; it {moved['problem']}" if moved["problem"] else ""
+    turned = f"turns {moved['turn_deg']:.1f} deg"
+    return f"{_valid(moved['invalid_share'])}{frozen}, moves {extent} mm, {turned}{wrong}"
 
 
 def _valid(invalid_share: float) -> str:

@@ -1,6 +1,7 @@
 """A tracked image sequence as PLUS and 3D Slicer record it, in internal units and frame names."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,7 +55,9 @@ class TrackedSequence:
         image_valid: (n,) False if the recorder marked the image INVALID.
         poses: streams by name, e.g. "tracker_from_probe"; their `t_s` equals this sequence's.
         has_timestamps: False if the file has none.
-        orientation: PLUS image orientation as read, e.g. "MFA"; images are as stored.
+        orientation: PLUS orientation of the images, e.g. "MFA"; "XX" if unknown.
+        turned_from: orientation in which a file stores the images, if they were turned when it was read.
+        image_maps: (4, 4) fixed transforms from or to pixels that were recorded with the images, by name.
     """
 
     t_s: FloatArray
@@ -63,6 +66,8 @@ class TrackedSequence:
     poses: dict[str, PoseStream]
     has_timestamps: bool = True
     orientation: str = "MFA"
+    turned_from: str | None = None
+    image_maps: Mapping[str, FloatArray] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         t_s = frozen_floats(self.t_s, "frame times", (None,))

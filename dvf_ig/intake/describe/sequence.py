@@ -7,14 +7,14 @@ import numpy as np
 
 from dvf_ig.core.arrays import BoolArray, FloatArray
 from dvf_ig.core.errors import UnreadableFileError
+from dvf_ig.core.plausible import marker_problem
 from dvf_ig.core.recordings.sequence import TrackedSequence
 from dvf_ig.core.recordings.signal import Signal
 from dvf_ig.core.recordings.stream import MAX_GAP_S, PoseStream
 from dvf_ig.io.plus.ecg_field import ecg_fields, ecg_of_sequence
-from dvf_ig.io.plus.names import split_transform
 from dvf_ig.io.plus.numeric_fields import numeric_fields
 from dvf_ig.io.plus.raw_sequence import RawSequence, read_raw_sequence
-from dvf_ig.io.plus.sequence_read import PIXEL_FRAMES, clock_restart, indexed_sequence, read_sequence
+from dvf_ig.io.plus.sequence_read import clock_restart, indexed_sequence, read_sequence
 
 FROZEN_SAMPLES = 5
 """A pose that repeats bit for bit this often is counted as frozen: a live tracker always shows noise."""
@@ -30,12 +30,15 @@ def sequence_file_facts(path: Path) -> Facts:
     facts = sequence_facts(sequence)
     return {
         **facts,
+        "frames_left_out": int(raw.bare.sum()),
         "image_size_px": size,
+        "orientation": raw.orientation or sequence.orientation,
+        "turned_to": sequence.orientation if sequence.turned_from else None,
         "pixel_type": raw.pixel_type if size else None,
         "invalid_image_share": None if size is None else 1.0 - float(sequence.image_valid.mean()),
         **_stamp_facts(raw),
-        "image_maps": [f"{target}_from_{source}" for target, source in _image_maps(raw)],
-        "frame_tree": frame_tree([*_edges(sequence), *_image_maps(raw)]),
+        "image_maps": sorted(sequence.image_maps),
+        "frame_tree": frame_tree([*_edges(sequence), *map(_pair, sequence.image_maps)]),
         "numeric_fields": list(numeric_fields(raw)),
         "ecg": {name: _ecg_facts(path, raw, name) for name in ecg_fields(raw)},
     }
@@ -109,7 +112,8 @@ def clock_facts(t_s: FloatArray | None) -> Facts:
 def stream_facts(stream: PoseStream) -> Facts:
     """Summarise validity, the bitwise frozen share, and the motion and turn of a tracked object."""
     usable = stream.valid
-    facts: Facts = {"samples": len(stream), "invalid_share": float((~usable).mean())}
+    problem = marker_problem(stream.translations_mm[usable])
+    facts: Facts = {"samples": len(stream), "invalid_share": float((~usable).mean()), "problem": problem}
     if not usable.any():
         return {**facts, "frozen_share": 0.0, "extent_mm": None, "turn_deg": None}
     flat = np.column_stack([stream.rotations.reshape(-1, 9), stream.translations_mm])[usable]
@@ -159,11 +163,9 @@ def _edges(sequence: TrackedSequence) -> list[tuple[str, str]]:
     return [(stream.target, stream.source) for stream in sequence.poses.values()]
 
 
-def _image_maps(raw: RawSequence) -> list[tuple[str, str]]:
-    """(target, source) of the recorded transforms from or to pixels, which are not poses."""
-    names = (field.removesuffix("Transform") for field in raw.frame_fields if field.endswith("Transform"))
-    pairs = (split_transform(name) for name in sorted(names))
-    return [pair for pair in pairs if pair is not None and set(pair) & set(PIXEL_FRAMES)]
+def _pair(name: str) -> tuple[str, str]:
+    target, _, source = name.partition("_from_")
+    return target, source
 
 
 def _stamp_facts(raw: RawSequence) -> Facts:
@@ -174,18 +176,20 @@ def _stamp_facts(raw: RawSequence) -> Facts:
     if stamps is None:
         names = ("repeated_stamps", "backward_stamps", "stamp_filter_shift_s", "clock_restart")
         return dict.fromkeys(names)
+    used = np.flatnonzero(np.isfinite(stamps))
+    stamps = stamps[used]
     steps, restart = np.diff(stamps), clock_restart(stamps)
     return {
         "repeated_stamps": int(np.count_nonzero(steps == 0)),
         "backward_stamps": int(np.count_nonzero(steps < 0)),
-        "stamp_filter_shift_s": None if plain is None else float(np.abs(stamps - plain).max()),
+        "stamp_filter_shift_s": None if plain is None else float(np.nanmax(np.abs(stamps - plain[used]))),
         "clock_restart": None
         if restart is None
         else {
-            "frame": restart,
+            "frame": int(used[restart]),
             "at_s": float(stamps[restart]),
             "back_s": float(stamps[:restart].max() - stamps[restart]),
-            "unused_frames": raw.frames - restart,
+            "unused_frames": len(used) - restart,
         },
     }
 

@@ -38,7 +38,7 @@ def add_ecg_field(sequence: Path | str, signal: Signal, path: Path | str, *, nam
     stamps_s = raw.numbers("Timestamp")
     data = read_bytes(sequence, "a tracked sequence")
     place = _DATA_FILE_LINE.search(data)
-    if stamps_s is None or place is None:
+    if stamps_s is None or place is None or not np.isfinite(stamps_s).all():
         raise InvalidInputError(
             f"{sequence} is not an .mha with a time stamp on every frame; needed to place the ECG"
         )

@@ -9,10 +9,12 @@ from dvf_ig.core.errors import UnreadableFileError
 from dvf_ig.core.recordings.sequence import TrackedSequence
 from dvf_ig.core.recordings.stream import PoseStream
 from dvf_ig.io import limits
-from dvf_ig.io.reading import read_text, reading
+from dvf_ig.io.number_table import read_number_table
+from dvf_ig.io.reading import reading
 
 from .names import USUAL_NAMES, ProbeNames
-from .poses import SEQUENCE_SUFFIXES, read_poses
+from .orientation import turned_points
+from .poses import SEQUENCE_SUFFIXES, read_poses, usable
 from .sequence_read import read_indexed_sequence
 
 LARGEST_PX = 1e6
@@ -34,29 +36,41 @@ def read_feature_points(path: Path | str, frames: int | None = None) -> FloatArr
             sequence.
     """
     path = Path(path)
-    text = read_text(path, "segmented points")
-    lines = [_cells(line) for line in text.splitlines() if line.strip() and line.lstrip()[0] not in "#%"]
-    head = _header(path, lines)
-    count = (len(head) - 1) // 2
-    numbers: list[int] = []
-    rows: list[FloatArray] = []
-    for number, line in enumerate(lines[1:], start=2):
-        frame, *cells = _numbers(path, number, line, len(head))
-        if not 0 <= frame < limits.FRAMES or frame != int(frame):
-            raise UnreadableFileError(
-                f"{path}, line {number}: '{line[0]}' is not a frame number (0, 1, 2, …)"
-            )
-        numbers.append(int(frame))
-        rows.append(np.array(cells).reshape(count, 2))
-    total = max(numbers, default=-1) + 1 if frames is None else frames
-    if len(set(numbers)) < len(numbers):
+    with reading(path, "segmented points"):
+        numbers, points = _rows(path)
+    if (np.abs(points[np.isfinite(points)]) > LARGEST_PX).any():
+        raise UnreadableFileError(f"{path} has a position beyond {LARGEST_PX:g} px; export it again")
+    whole = (numbers >= 0) & (numbers < limits.FRAMES) & (numbers == np.floor(numbers))
+    if not whole.all():
+        raise UnreadableFileError(
+            f"{path}: '{numbers[np.argmin(whole)]:g}' is not a frame number (0, 1, 2, …)"
+        )
+    last = int(numbers.max(initial=-1))
+    total = last + 1 if frames is None else frames
+    if len(set(numbers.tolist())) < len(numbers):
         raise UnreadableFileError(f"{path} lists a frame twice; needed one row per image")
-    if numbers and max(numbers) >= total:
-        raise UnreadableFileError(f"{path} has frame {max(numbers)}, the sequence has {total} images")
-    points = np.full((total, count, 2), np.nan)
-    for at, row in zip(numbers, rows, strict=True):
-        points[at] = row
-    return points
+    if last >= total:
+        raise UnreadableFileError(f"{path} has frame {last}, the sequence has {total} images")
+    out = np.full((total, *points.shape[1:]), np.nan)
+    out[numbers.astype(np.int64)] = points
+    return out
+
+
+def _rows(path: Path) -> tuple[FloatArray, FloatArray]:
+    """Read (rows,) frames and (rows, points, 2) positions; an even number of columns lacks the frame."""
+    table = read_number_table(path, "segmented points: frame, column1_px, row1_px, …")
+    values, count = table.values, (table.values.shape[1] - 1) // 2
+    needed = ("frame", *(f"{axis}{k + 1}" for k in range(count) for axis in ("column", "row")))
+    if table.names is None and values.shape[1] % 2 == 0:
+        values = np.column_stack([np.arange(len(values)), values])
+    elif (
+        count < 1 or table.names not in (None, needed) or any(unit not in ("", "px") for unit in table.units)
+    ):
+        raise UnreadableFileError(
+            f"{path} has the columns {', '.join(table.names or ())[:60] or values.shape[1]}; needed frame, "
+            "column1_px, row1_px, … (or those numbers without names)"
+        )
+    return values[:, 0], values[:, 1:].reshape(len(values), -1, 2)
 
 
 def read_target_recording(
@@ -67,7 +81,8 @@ def read_target_recording(
     Args:
         poses_path: PLUS sequence with the probe tracked against the reference sensor or the tracker; or poses
             as text, one row or file per frame (see `read_poses`).
-        points_path: see `read_feature_points`; frame numbers count the frames of the poses' file from 0.
+        points_path: see `read_feature_points`; frame numbers count the frames of the poses' file from 0,
+            positions are those of the images as the file stores them.
         names: of probe and reference in the sequence; poses as text are given these names.
     Returns:
         reference_from_probe if a reference was tracked, else tracker_from_probe, and (n, points, 2) px.
@@ -81,61 +96,18 @@ def read_target_recording(
             return poses, read_feature_points(points_path, len(poses))
         sequence, indices, frames = read_indexed_sequence(path)
         poses = tracked_probe(sequence, names)
-    return poses, read_feature_points(points_path, frames)[indices]
+    points_px = read_feature_points(points_path, frames)[indices]
+    if sequence.turned_from is None or sequence.images is None:
+        return poses, points_px
+    rows, columns = sequence.images.shape[1:]
+    return poses, turned_points(points_px, sequence.turned_from, (rows, columns))
 
 
 def tracked_probe(sequence: TrackedSequence, names: ProbeNames = USUAL_NAMES) -> PoseStream:
     """Return the probe's pose relative to the reference sensor if one was tracked, else to the tracker.
 
     Raises:
-        InvalidInputError: the sequence does not connect the two frames.
+        InvalidInputError: the sequence does not connect the two frames, or its positions cannot be in mm.
     """
     has_reference = any("reference" in (stream.target, stream.source) for stream in sequence.poses.values())
-    return names.stream(sequence, names.reference or ("reference" if has_reference else "tracker"))
-
-
-def _cells(line: str) -> list[str]:
-    """Split a line at commas if it has any, else at blanks."""
-    return [cell.strip() for cell in line.split(",")] if "," in line else line.split()
-
-
-def _header(path: Path, lines: list[list[str]]) -> list[str]:
-    """Return the column names, and complete the lines with a header and frame numbers if they lack them."""
-    head = lines[0] if lines else []
-    bare = bool(head) and all(_is_number(cell) for cell in head)
-    count = len(head) // 2 if bare else (len(head) - 1) // 2
-    needed = ["frame", *(f"{axis}{k + 1}_px" for k in range(count) for axis in ("column", "row"))]
-    if bare and count:
-        if len(head) % 2 == 0:
-            lines[:] = [[str(i), *line] for i, line in enumerate(lines)]
-        lines.insert(0, needed)
-    elif count < 1 or head != needed:
-        shown = ", ".join(head)[:60] or "none"
-        raise UnreadableFileError(
-            f"{path} has the columns {shown}; needed frame, column1_px, row1_px, … (or those "
-            "numbers without names)"
-        )
-    return needed
-
-
-def _is_number(cell: str) -> bool:
-    try:
-        float(cell)
-    except ValueError:
-        return False
-    return True
-
-
-def _numbers(path: Path, number: int, line: list[str], count: int) -> list[float]:
-    """Parse the numbers of a line; NaN for an empty cell."""
-    if len(line) != count:
-        raise UnreadableFileError(f"{path}, line {number}: {len(line)} cells; needed {count}")
-    try:
-        values = [float(cell) if cell.strip() else float("nan") for cell in line]
-    except ValueError as exc:
-        raise UnreadableFileError(f"{path}, line {number}: {exc}") from exc
-    if any(abs(value) > LARGEST_PX for value in values[1:]):
-        raise UnreadableFileError(
-            f"{path}, line {number}: a position beyond {LARGEST_PX:g} px; export it again"
-        )
-    return values
+    return usable(names.stream(sequence, names.reference or ("reference" if has_reference else "tracker")))

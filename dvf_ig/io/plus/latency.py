@@ -9,6 +9,7 @@ import numpy as np
 
 from dvf_ig.core.arrays import FloatArray, IntArray
 from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
+from dvf_ig.core.plausible import period_problem
 from dvf_ig.core.recordings.scenario import LatencyRecording
 from dvf_ig.core.recordings.sequence import TrackedSequence
 from dvf_ig.core.recordings.signal import Trace
@@ -18,6 +19,7 @@ from dvf_ig.io.reading import reading
 
 from .feature_points import tracked_probe
 from .names import USUAL_NAMES, ProbeNames
+from .poses import usable
 from .sequence_read import read_indexed_sequence, read_sequence
 from .xml import numbers, parse_xml, write_xml
 
@@ -65,7 +67,7 @@ def read_line_table(xml: Path | str, column_px: float | None = None) -> tuple[In
 def _probe(sequence: TrackedSequence, names: ProbeNames) -> PoseStream:
     if names.reference is None:
         with suppress(InvalidInputError):
-            return names.stream(sequence, "tracker")
+            return usable(names.stream(sequence, "tracker"))
     return tracked_probe(sequence, names)
 
 
@@ -89,11 +91,13 @@ def read_latency_recording(
     with reading(Path(tracker_sequence), "a sequence with a tracked probe"):
         tracked = _probe(read_sequence(tracker_sequence), names)
         probe = replace(tracked, target="tracker", source="probe")
+    require_seconds(Path(tracker_sequence), probe.t_s)
     video, frame_indices, frames = read_indexed_sequence(video_sequence)
     if not video.has_timestamps:
         raise UnreadableFileError(
             f"{video_sequence} has no time stamps; needed for the latency: record it again with time stamps"
         )
+    require_seconds(Path(video_sequence), video.t_s)
     center = None if video.images is None else (video.images.shape[2] - 1) / 2
     index, rows = read_line_table(line_table, center)
     if index[-1] >= frames:
@@ -107,6 +111,12 @@ def read_latency_recording(
     t_s, values = video.t_s[at[at >= 0]][order], rows[at >= 0][order]
     with reading(Path(line_table), "a line table"):
         return LatencyRecording(probe, Trace(t_s, values))
+
+
+def require_seconds(path: Path, t_s: FloatArray) -> None:
+    """Raise UnreadableFileError if the stamps of a recording cannot be in seconds."""
+    if problem := period_problem(t_s):
+        raise UnreadableFileError(f"{path} has {problem}")
 
 
 def write_line_table(path: Path | str, rows_px: FloatArray, column_px: float = 0.0) -> None:

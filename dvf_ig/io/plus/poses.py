@@ -1,5 +1,6 @@
 """Read pose streams from a PLUS sequence, a folder of 4×4 text files, or a table of quaternions."""
 
+import logging
 import re
 from pathlib import Path
 
@@ -8,17 +9,27 @@ from scipy.spatial.transform import Rotation
 
 from dvf_ig.core.arrays import FloatArray
 from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
+from dvf_ig.core.plausible import marker_problem, period_problem
 from dvf_ig.core.recordings.sequence import TrackedSequence
 from dvf_ig.core.recordings.stream import PoseStream
 from dvf_ig.io import limits
-from dvf_ig.io.reading import read_text, reading
+from dvf_ig.io.number_table import NumberTable, read_number_table, scaled
+from dvf_ig.io.reading import reading
 
+from .sequence_read import SEQUENCE_SUFFIXES as SEQUENCE_SUFFIXES
 from .sequence_read import read_sequence
 
-SEQUENCE_SUFFIXES = (".mha", ".mhd", ".nrrd", ".nhdr")
-LARGEST = 1e12
-"""Largest number in a table; squares of larger ones may overflow."""
 _USUAL_TOOLS = ("stylus", "tool")
+_IN_MM = {"mm": 1.0, "cm": 10.0, "m": 1e3}
+_IN_S = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+_NAMES = {
+    "t": {"t", "time", "times", "timestamp", "stamp", "seconds", "sec"},
+    **{axis: {axis, f"t{axis}", f"p{axis}", f"pos_{axis}", f"position_{axis}"} for axis in "xyz"},
+    **{f"q{axis}": {f"q{axis}", f"quat_{axis}", f"rot_{axis}", f"orientation_{axis}"} for axis in "xyz"},
+    "qw": {"qw", "q0", "qs", "quat_w", "rot_w", "orientation_w"},
+}
+"""Names of the columns of a pose in the tables of trackers, in the order of a table without names."""
+log = logging.getLogger(__name__)
 
 
 def read_poses(path: Path | str, target: str | None = None, source: str | None = None) -> PoseStream:
@@ -26,14 +37,16 @@ def read_poses(path: Path | str, target: str | None = None, source: str | None =
 
     Args:
         path: a PLUS sequence; a folder of text files with one 4×4 each, in natural order of their names; or a
-            text table with rows `x y z qx qy qz qw` (or `t x y z qx qy qz qw`), mm and s.
+            text table with rows `x y z qx qy qz qw` (or `t x y z qx qy qz qw`), mm and s. A row with the
+            names of the columns gives their order and units (`x [m]`, `t_ms`). Rows that are incomplete, nan
+            or all zero are lost poses.
         target, source: frames. Without them, the only tracked tool of a sequence is used, relative to the
             reference sensor if one is recorded; for text they name the frames, by default
             tracker_from_tool.
     Returns:
         the poses; without times, sample i is at i seconds.
     Raises:
-        UnreadableFileError: absent, malformed, or not rotations.
+        UnreadableFileError: absent, malformed, not rotations, or positions that cannot be in mm.
         InvalidInputError: a sequence has several tools and none is chosen; the message lists them.
     """
     path = Path(path)
@@ -41,16 +54,29 @@ def read_poses(path: Path | str, target: str | None = None, source: str | None =
         if not path.exists():
             raise FileNotFoundError(path)
         if path.suffix.lower() in SEQUENCE_SUFFIXES:
-            return _from_sequence(path, read_sequence(path), target, source)
-        if path.is_dir():
-            times, matrices = _read_folder(path)
-        else:
-            times, matrices = _read_table(path)
+            return usable(_from_sequence(path, read_sequence(path), target, source))
+        times, matrices = _read_folder(path) if path.is_dir() else _read_table(path)
         limits.require_times(times, "its column of times")
-        limits.require_lengths(matrices, "a pose")
-        valid = np.ones(len(matrices), dtype=np.bool_)
+        valid = np.isfinite(matrices).all(axis=(1, 2))
+        limits.require_lengths(matrices[valid], "a pose")
+        if not valid.all():
+            log.warning("%s: %d of %d poses were lost (nan, empty or zero)", path, (~valid).sum(), len(valid))
+        if problem := period_problem(times):
+            log.warning("%s has %s", path, problem)
         rotations, translations = matrices[:, :3, :3], matrices[:, :3, 3]
-        return PoseStream(target or "tracker", source or "tool", times, rotations, translations, valid)
+        stream = PoseStream(target or "tracker", source or "tool", times, rotations, translations, valid)
+        return usable(stream)
+
+
+def usable(stream: PoseStream) -> PoseStream:
+    """Return a stream whose positions can be in mm.
+
+    Raises:
+        InvalidInputError: they cannot; the message states the likely unit.
+    """
+    if problem := marker_problem(stream.translations_mm[stream.valid]):
+        raise InvalidInputError(f"{stream.name} {problem}")
+    return stream
 
 
 def _from_sequence(
@@ -98,46 +124,65 @@ def _natural(path: Path) -> list[tuple[int, str]]:
 
 
 def _read_matrix(path: Path) -> FloatArray:
-    rows = _numbers(path)
+    rows = read_number_table(path, "the rows of a 4x4 matrix").values
     if rows.size != 16:
         raise UnreadableFileError(f"{path} holds {rows.size} numbers; needed the 16 of a 4x4 matrix")
     matrix = rows.reshape(4, 4)
-    if not np.allclose(matrix[3], (0, 0, 0, 1), atol=1e-9):
+    if not np.allclose(matrix[3], (0, 0, 0, 1), atol=1e-9) and not np.isnan(matrix).all():
         raise UnreadableFileError(f"{path}: the last row is {matrix[3].tolist()}; needed 0 0 0 1")
     return matrix
 
 
 def _read_table(path: Path) -> tuple[FloatArray, FloatArray]:
-    table = _numbers(path)
-    if table.shape[1] not in (7, 8):
-        raise UnreadableFileError(
-            f"{path} has {table.shape[1]} columns; needed x y z qx qy qz qw (7), or a time first (8)"
-        )
-    times = np.arange(len(table), dtype=np.float64) if table.shape[1] == 7 else table[:, 0]
-    position, quaternion = table[:, -7:-4], table[:, -4:]
-    norm = np.linalg.norm(quaternion, axis=1)
+    """Read (n,) times and (n, 4, 4) matrices; NaN for rows that are incomplete or all zero."""
+    table = read_number_table(path, "poses: rows x y z qx qy qz qw, or with a time first")
+    at = _columns(path, table)
+    position = scaled(path, table, at[1:4], _IN_MM)
+    quaternion = table.values[:, at[4:]]
+    if at[0] < 0:
+        times = np.arange(len(position), dtype=np.float64)
+    else:
+        times = scaled(path, table, at[:1], _IN_S)[:, 0]
+    pose = np.column_stack([position, quaternion])
+    lost = np.isnan(pose).any(axis=1) | ~pose.any(axis=1)
+    norm = np.where(lost, 1.0, np.linalg.norm(quaternion, axis=1))
     if (np.abs(norm - 1) > 1e-2).any():
         row = int(np.abs(norm - 1).argmax())
         raise UnreadableFileError(
-            f"{path}: the quaternion of row {row + 1} has length {norm[row]:.3g}; needed unit quaternions "
-            "in the order qx qy qz qw"
+            f"{path}, line {table.lines[row]}: the quaternion of row {row + 1} has length {norm[row]:.3g}; "
+            "needed unit quaternions in the order qx qy qz qw, or columns with names"
         )
-    matrices = np.tile(np.eye(4), (len(table), 1, 1))
-    matrices[:, :3, :3] = Rotation.from_quat(quaternion).as_matrix()
+    matrices = np.tile(np.eye(4), (len(pose), 1, 1))
+    matrices[~lost, :3, :3] = Rotation.from_quat(quaternion[~lost]).as_matrix()
     matrices[:, :3, 3] = position
+    matrices[lost] = np.nan
     return times, matrices
 
 
-def _numbers(path: Path) -> FloatArray:
-    """Read the (rows, columns) of a text table with blanks or commas; skip lines that start with # or %."""
-    lines = [line for line in read_text(path, "a text table").replace(",", " ").splitlines() if line.strip()]
-    rows = [line.split() for line in lines if line.lstrip()[0] not in "#%"]
-    try:
-        table = np.array([[float(cell) for cell in row] for row in rows])
-    except ValueError as exc:
-        raise UnreadableFileError(f"{path} is not a table of numbers: {exc}") from exc
-    if table.ndim != 2 or not (np.abs(table) < LARGEST).all():
-        raise UnreadableFileError(
-            f"{path}: needed rows of finite numbers below {LARGEST:g}, each of the same length"
-        )
-    return table
+def _columns(path: Path, table: NumberTable) -> list[int]:
+    """Find the columns of time (-1 without one), position and quaternion by their names, else by their count.
+
+    Other columns are listed in a logged warning.
+    """
+    count = table.values.shape[1]
+    names = table.names or ()
+    known = [next((q for q, words in _NAMES.items() if name in words), None) for name in names]
+    if not all(known.count(quantity) == 1 for quantity in _NAMES if quantity != "t"):
+        if names and any(known):
+            lacking = [quantity for quantity in _NAMES if quantity != "t" and known.count(quantity) != 1]
+            raise UnreadableFileError(
+                f"{path} has the columns {', '.join(names)[:80]}; needed each of x, y, z, qx, qy, qz, "
+                f"qw once (not {', '.join(lacking)}): name them so"
+            )
+        if count not in (7, 8):
+            raise UnreadableFileError(
+                f"{path} has {count} columns; needed x y z qx qy qz qw (7), or a time first (8), or "
+                "a row with their names"
+            )
+        return [*([-1] if count == 7 else []), *range(count)]
+    if known.count("t") > 1:
+        raise UnreadableFileError(f"{path} has two columns of times ({', '.join(names)[:70]}); delete one")
+    other = [name for name, quantity in zip(names, known, strict=True) if quantity is None]
+    if other:
+        log.warning("%s: the columns %s are not part of a pose and are left out", path, ", ".join(other))
+    return [known.index(quantity) if quantity in known else -1 for quantity in _NAMES]

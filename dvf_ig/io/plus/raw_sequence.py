@@ -7,10 +7,11 @@ per-frame fields are named Seq_FrameNNNN_<field>. `sequence_read` interprets the
 import re
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from dvf_ig.core.arrays import FloatArray
+from dvf_ig.core.arrays import BoolArray, FloatArray
 from dvf_ig.core.errors import UnreadableFileError
 from dvf_ig.io import limits
 from dvf_ig.io.file_within import file_within
@@ -52,26 +53,58 @@ class RawSequence:
         return not self.columns or self.pixel_type in _UINT8
 
     def numbers(self, name: str) -> FloatArray | None:
-        """Parse (frames,) values of a per-frame field; None if a frame lacks a finite number."""
+        """Parse (frames,) values of a per-frame field, NaN for frames without it; None if no frame has it.
+
+        Also None if a value is not a finite number.
+        """
         texts = self.frame_fields.get(name, {})
         try:
-            values = np.array([float(texts[i]) for i in range(self.frames)])
-        except (KeyError, ValueError):
+            values = np.array([float(texts.get(i, "nan")) for i in range(self.frames)])
+            finite = bool(np.isfinite([float(text) for text in texts.values()]).all())
+        except ValueError:
             return None
-        return values if np.isfinite(values).all() else None
+        return values if texts and finite else None
+
+    @property
+    def bare(self) -> BoolArray:
+        """Mark (frames,) frames without a time stamp; none if no frame has one."""
+        stamped = self.frame_fields.get("Timestamp", {})
+        return np.array([bool(stamped) and i not in stamped for i in range(self.frames)])
+
+    @property
+    def orientation(self) -> str:
+        """Orientation of the stored images as the header states it; "" if it does not."""
+        names = ("UltrasoundImageOrientation", "ultrasound image orientation")
+        return next((self.fields[name] for name in names if name in self.fields), "")
 
 
 @dataclass(slots=True)
 class _Header:
+    path: Path
     fields: dict[str, str] = field(default_factory=dict)
     frame_fields: dict[str, dict[int, str]] = field(default_factory=dict)
 
     def add(self, name: str, value: str) -> None:
+        """Add a field.
+
+        Raises:
+            UnreadableFileError: it has another value already.
+        """
         match = _FRAME_FIELD.fullmatch(name)
-        if match:
-            self.frame_fields.setdefault(match[2], {})[int(match[1])] = value
-        else:
-            self.fields[name] = value
+        fields: dict[Any, str] = self.frame_fields.setdefault(match[2], {}) if match else self.fields
+        if fields.setdefault(int(match[1]) if match else name, value) != value:
+            raise UnreadableFileError(
+                f"{self.path}: its header states {name[:60]} twice, with different values; correct it, or "
+                "record again"
+            )
+
+    def require_frames(self, frames: int) -> None:
+        """Raise UnreadableFileError for a field of a frame beyond the `frames` that the header counts."""
+        for name, values in self.frame_fields.items():
+            if values and (last := max(values)) >= frames:
+                raise UnreadableFileError(
+                    f"{self.path}: a field of frame {last} ({name}), but the header counts {frames} frames"
+                )
 
 
 def read_raw_sequence(path: Path, *, pixels: bool = True) -> RawSequence:
@@ -95,7 +128,7 @@ def _read_metaimage(path: Path, data: bytes, read_pixels: bool) -> RawSequence:
             f"{path} is not a sequence metafile: no ElementDataFile line in its {len(data)} bytes; "
             "needed a PLUS .igs.mha, .igs.mhd or .igs.nrrd file"
         )
-    header = _Header()
+    header = _Header(path)
     for line in _header_text(path, data[: end.start()]).splitlines():
         name, equals, value = line.partition("=")
         if equals:
@@ -105,6 +138,8 @@ def _read_metaimage(path: Path, data: bytes, read_pixels: bool) -> RawSequence:
     fields = header.fields
     sizes = _integers(path, "DimSize", fields.get("DimSize"))
     columns, rows, frames = _layout(path, sizes, fields.get("Kinds", "").split())
+    header.require_frames(frames)
+    _require_nothing_skipped(path, fields, ("HeaderSize",))
     expected = columns * rows * frames
     if expected == 0 or not read_pixels:
         return _without_pixels(path, header, (columns, rows, frames), len(data))
@@ -115,7 +150,7 @@ def _read_metaimage(path: Path, data: bytes, read_pixels: bool) -> RawSequence:
     if fields.get("CompressedData", "False").lower() == "true":
         pixels = _inflated(path, payload, expected)
     else:
-        pixels = payload[:expected]
+        pixels = payload
     require_size(path, len(pixels), expected)
     return RawSequence(fields, header.frame_fields, columns, rows, frames, pixels)
 
@@ -132,7 +167,7 @@ def _without_pixels(path: Path, header: _Header, shape: tuple[int, int, int], si
 def _read_nrrd(path: Path, data: bytes, read_pixels: bool) -> RawSequence:
     end = re.search(rb"\r?\n\r?\n", data)
     stop, start = (end.start(), end.end()) if end else (len(data), len(data))
-    header = _Header()
+    header = _Header(path)
     for line in _header_text(path, data[:stop]).splitlines()[1:]:
         if line.startswith("#") or not line.strip():
             continue
@@ -143,6 +178,8 @@ def _read_nrrd(path: Path, data: bytes, read_pixels: bool) -> RawSequence:
     fields = header.fields
     sizes = _integers(path, "sizes", fields.get("sizes"))
     columns, rows, frames = _layout(path, sizes, fields.get("kinds", "").split())
+    header.require_frames(frames)
+    _require_nothing_skipped(path, fields, ("line skip", "lineskip", "byte skip", "byteskip"))
     expected = columns * rows * frames
     if expected == 0 or not read_pixels:
         return _without_pixels(path, header, (columns, rows, frames), len(data))
@@ -152,11 +189,21 @@ def _read_nrrd(path: Path, data: bytes, read_pixels: bool) -> RawSequence:
     if encoding in ("gzip", "gz"):
         pixels = _inflated(path, payload, expected)
     elif encoding == "raw":
-        pixels = payload[:expected]
+        pixels = payload
     else:
         raise UnreadableFileError(f"{path}: encoding '{encoding}' is not supported; save it as raw or gzip")
     require_size(path, len(pixels), expected)
     return RawSequence(fields, header.frame_fields, columns, rows, frames, pixels)
+
+
+def _require_nothing_skipped(path: Path, fields: dict[str, str], names: tuple[str, ...]) -> None:
+    """Refuse a header after which bytes are to be skipped: which of them are pixels is not certain."""
+    for name in names:
+        if fields.get(name, "0").strip() not in ("0", ""):
+            raise UnreadableFileError(
+                f"{path}: {name} is '{fields[name][:20]}'; needed 0, pixels right after the header: save it "
+                "again"
+            )
 
 
 def _header_text(path: Path, header: bytes) -> str:

@@ -1,25 +1,34 @@
 """Read PLUS / 3D Slicer tracked sequences: `.igs.mha`, `.igs.mhd`, `.igs.nrrd`."""
 
 import logging
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dvf_ig.core.arrays import BoolArray, FloatArray, IntArray
 from dvf_ig.core.errors import UnreadableFileError
+from dvf_ig.core.plausible import period_problem
 from dvf_ig.core.recordings.sequence import TrackedSequence
 from dvf_ig.core.recordings.stream import PoseStream
 from dvf_ig.io import limits
 from dvf_ig.io.reading import reading
 
 from .names import split_transform
+from .orientation import UNKNOWN, require_orientation, turned_images, turned_orientation
 from .raw_sequence import RawSequence, read_raw_sequence
 
 log = logging.getLogger(__name__)
 
+SEQUENCE_SUFFIXES = (".mha", ".mhd", ".nrrd", ".nhdr")
 PIXEL_FRAMES = ("image", "transducer_origin_pixel")
 """Frames in pixels: transforms from or to them carry scale and are image maps, not poses."""
 
+MOST_BARE = 0.5
+"""Share of frames without a time stamp from which the file is refused; fewer such frames are left out."""
+LISTED = 10
+"""Most numbers of frames that a message lists."""
 REORDERING_S = 0.1
 """Largest step back in time of frames that are only out of order. A recorder's buffers and threads swap
 neighbours, 0.08 s apart in the slowest streams (12 frames/s); a restarted clock goes back further."""
@@ -30,15 +39,15 @@ def read_sequence(path: Path | str) -> TrackedSequence:
 
     Frames that repeat an earlier time stamp are dropped, and frames out of order by up to REORDERING_S are
     sorted. If time runs back further, the recording ends and no later frame is used: stamps before and
-    after belong to two clocks. All of this is logged. Without time stamps `t_s` is the frame index and
-    `has_timestamps` is False. Without status fields a pose counts as OK. A pose whose status is not OK is
-    invalid and its matrix is not checked. Transforms from or to pixel frames (ImageToProbe) are skipped:
-    they are image maps.
+    after belong to two clocks. Frames without a time stamp are left out if most have one. All of this is
+    logged. Without time stamps `t_s` is the frame index and `has_timestamps` is False. Without status fields
+    a pose counts as OK. A pose whose status is not OK is invalid and its matrix is not checked. Transforms
+    from or to pixel frames (ImageToProbe) are image maps, not poses. Images are turned to MF (`orientation`).
 
     Args:
         path: `.igs.mha`, `.igs.mhd`, `.igs.nrrd`, or the same without `.igs`.
     Returns:
-        the sequence; matrices keep the digits of the file, images keep their stored orientation.
+        the sequence; matrices keep the digits of the file.
     Raises:
         UnreadableFileError: absent, not a sequence, truncated, not uint8, or with malformed fields.
     """
@@ -53,47 +62,74 @@ def read_indexed_sequence(path: Path | str) -> tuple[TrackedSequence, IntArray, 
         return *indexed_sequence(path, raw), raw.frames
 
 
+def image_orientation(path: Path) -> str | None:
+    """Return the orientation of a file's images as they are read; None if unknown, or no sequence."""
+    if path.suffix.lower() not in SEQUENCE_SUFFIXES:
+        return None
+    stored = require_orientation(path, read_raw_sequence(path, pixels=False).orientation)
+    return None if stored == UNKNOWN else (turned_orientation(stored) or stored)[:2]
+
+
 def indexed_sequence(path: Path, raw: RawSequence) -> tuple[TrackedSequence, IntArray]:
     """Interpret a parsed sequence; without its pixels it has no images. See `read_indexed_sequence`."""
     with reading(path, "a tracked sequence"):
         t_s, has_timestamps = _times(path, raw)
         order = _usable_order(path, t_s)
         t_s = t_s[order]
+        stored = require_orientation(path, raw.orientation)
+        turned = turned_orientation(stored) if raw.columns else None
         sequence = TrackedSequence(
             t_s=t_s,
-            images=_images(raw, order),
+            images=_images(path, raw, order, stored),
             image_valid=_statuses(raw, _image_status_field(raw))[order],
             poses=_streams(path, raw, t_s, order),
             has_timestamps=has_timestamps,
-            orientation=_orientation(raw),
+            orientation=turned or stored,
+            turned_from=stored if turned else None,
+            image_maps=_image_maps(path, raw, order),
         )
+        if has_timestamps and (problem := period_problem(t_s)):
+            log.warning("%s has %s", path, problem)
     return sequence, order
 
 
 def _times(path: Path, raw: RawSequence) -> tuple[FloatArray, bool]:
-    """Return (frames,) time stamps as stored, or the frame index if the file has none."""
-    texts = raw.frame_fields.get("Timestamp")
-    if not texts:
-        return np.arange(raw.frames, dtype=np.float64), False
-    missing = [i for i in range(raw.frames) if i not in texts]
-    if missing:
+    """Return (frames,) time stamps, NaN for frames without; the frame index if the file has none."""
+    texts, bare = raw.frame_fields.get("Timestamp", {}), raw.bare
+    if bare.sum() >= MOST_BARE * raw.frames:
         raise UnreadableFileError(
-            f"{path}: {len(missing)} of {raw.frames} frames have no Timestamp (first: frame {missing[0]}); "
+            f"{path}: {bare.sum()} of {raw.frames} frames have no Timestamp (first: frame {bare.argmax()}); "
             "needed one on every frame or on none"
         )
+    if bare.any():
+        log.warning(
+            "%s: %d of %d frames have no Timestamp and are left out: %s",
+            path,
+            bare.sum(),
+            raw.frames,
+            _listed(np.flatnonzero(bare).tolist()),
+        )
     try:
-        t_s = np.array([float(texts[i]) for i in range(raw.frames)])
+        t_s = np.array([float(texts[i]) if texts and not bare[i] else float(i) for i in range(raw.frames)])
     except ValueError as exc:
         raise UnreadableFileError(f"{path}: a Timestamp is not a number ({exc})") from exc
     if not np.isfinite(t_s).all():
         bad = int(np.flatnonzero(~np.isfinite(t_s))[0])
         raise UnreadableFileError(f"{path}: the Timestamp of frame {bad} is not finite; record again")
     limits.require_times(t_s, "a Timestamp")
-    return t_s, True
+    return np.where(bare, np.nan, t_s), bool(texts)
+
+
+def _listed(numbers: list[int]) -> str:
+    """List numbers of frames, at most LISTED of them."""
+    more = f" and {len(numbers) - LISTED} more" if len(numbers) > LISTED else ""
+    return f"frame {', '.join(map(str, numbers[:LISTED]))}{more}"
 
 
 def _usable_order(path: Path, t_s: FloatArray) -> IntArray:
-    """Sort frame indices by time, up to a clock restart; keep the first of equal times."""
+    """Sort indices of frames with a time, up to a clock restart; keep the first of equal times."""
+    kept = np.flatnonzero(np.isfinite(t_s))
+    t_s = t_s[kept]
     restart = clock_restart(t_s)
     frames = len(t_s) if restart is None else restart
     if restart is not None:
@@ -103,7 +139,7 @@ def _usable_order(path: Path, t_s: FloatArray) -> IntArray:
             "the %d frames from there on are not used: split the file there, or record again",
             path,
             latest_s - t_s[restart],
-            restart,
+            kept[restart],
             latest_s,
             t_s[restart],
             len(t_s) - restart,
@@ -119,7 +155,7 @@ def _usable_order(path: Path, t_s: FloatArray) -> IntArray:
             frames,
             late,
         )
-    return np.asarray(unique, dtype=np.int64)
+    return np.asarray(kept[unique], dtype=np.int64)
 
 
 def clock_restart(t_s: FloatArray) -> int | None:
@@ -132,12 +168,46 @@ def clock_restart(t_s: FloatArray) -> int | None:
     return int(restarts[0]) if len(restarts) else None
 
 
-def _images(raw: RawSequence, order: IntArray) -> np.ndarray[tuple[int, ...], np.dtype[np.uint8]] | None:
+def _images(path: Path, raw: RawSequence, order: IntArray, stored: str) -> NDArray[np.uint8] | None:
     if not len(raw.pixels):
         return None
     images = np.frombuffer(raw.pixels, np.uint8).reshape(raw.frames, raw.rows, raw.columns)
     in_order = len(order) == raw.frames and bool((np.diff(order) > 0).all())
-    return images if in_order else images[order]
+    if turned := turned_orientation(stored):
+        log.warning(
+            "%s: its images are stored as %s and were turned to %s, in which PLUS calibrates",
+            path,
+            stored,
+            turned,
+        )
+    elif stored[0] in "FN":
+        log.warning("%s holds lines of the transducer (%s), not scan-converted images", path, stored)
+    elif stored == UNKNOWN and raw.orientation:
+        log.warning("%s does not say how its images are oriented (%s); MF is assumed", path, raw.orientation)
+    return turned_images(images if in_order else images[order], stored)
+
+
+def _image_maps(path: Path, raw: RawSequence, order: IntArray) -> dict[str, FloatArray]:
+    """Read the recorded (4, 4) transforms from or to pixels by name; warn of one that is not constant."""
+    maps: dict[str, FloatArray] = {}
+    for field, (target, source) in _transform_fields(raw):
+        if target not in PIXEL_FRAMES and source not in PIXEL_FRAMES:
+            continue
+        matrices, valid = _matrices(path, raw, field)
+        matrices = matrices[order][valid[order]]
+        if len(matrices) and np.isfinite(matrices[0]).all() and (matrices == matrices[0]).all():
+            maps[f"{target}_from_{source}"] = matrices[0]
+        else:
+            log.warning("%s: %s is not one fixed map of the image and is left out", path, field)
+    return maps
+
+
+def _transform_fields(raw: RawSequence) -> Iterator[tuple[str, tuple[str, str]]]:
+    """Yield the fields that hold transforms, each with its target and source."""
+    for field in sorted(raw.frame_fields):
+        frames = split_transform(field.removesuffix("Transform")) if field.endswith("Transform") else None
+        if frames is not None:
+            yield field, frames
 
 
 def _statuses(raw: RawSequence, name: str) -> BoolArray:
@@ -151,22 +221,10 @@ def _image_status_field(raw: RawSequence) -> str:
     return "ImageStatus" if "ImageStatus" in raw.frame_fields else "Status"
 
 
-def _orientation(raw: RawSequence) -> str:
-    for name in ("UltrasoundImageOrientation", "ultrasound image orientation"):
-        if name in raw.fields:
-            return raw.fields[name]
-    return "XX"
-
-
 def _streams(path: Path, raw: RawSequence, t_s: FloatArray, order: IntArray) -> dict[str, PoseStream]:
     streams: dict[str, PoseStream] = {}
-    for field in sorted(raw.frame_fields):
-        frames = split_transform(field.removesuffix("Transform")) if field.endswith("Transform") else None
-        if frames is None:
-            continue
-        target, source = frames
+    for field, (target, source) in _transform_fields(raw):
         if target in PIXEL_FRAMES or source in PIXEL_FRAMES:
-            log.info("%s: %s is an image map, not a pose; skipped", path, field)
             continue
         matrices, valid = _matrices(path, raw, field)
         matrices, valid = matrices[order], valid[order]
@@ -181,10 +239,6 @@ def _matrices(path: Path, raw: RawSequence, field: str) -> tuple[FloatArray, Boo
     valid = _statuses(raw, f"{field}Status") & np.array([i in texts for i in range(raw.frames)])
     flat = np.full((raw.frames, 16), np.nan)
     for i, text in texts.items():
-        if i >= raw.frames:
-            raise UnreadableFileError(
-                f"{path}: a field of frame {i} ({field}), but the header counts {raw.frames} frames"
-            )
         try:
             numbers = [float(part) for part in text.split()]
         except ValueError:

@@ -1,13 +1,14 @@
 """Pose streams from sequences, folders and tables."""
 
+import logging
 from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from dvf_ig.core import PoseStream, TrackedSequence, UnreadableFileError
-from dvf_ig.io import read_poses, write_poses, write_sequence
+from dvf_ig.core import InvalidInputError, PoseStream, TrackedSequence, UnreadableFileError
+from dvf_ig.io import read_poses, read_sequence, tracked_probe, write_poses, write_sequence
 
 
 def stream(target: str, source: str, shift: float = 0.0, n: int = 4) -> PoseStream:
@@ -82,15 +83,59 @@ def test_table_with_times_and_commas(tmp_path: Path) -> None:
     )
 
 
+TABLES = {
+    "names in another order, m and ms": "t_ms;qw;qx;qy;qz;x [m];y [m];z [m]\n500;1;0;0;0;0,1;0,2;0,3\n"
+    "520;;;;;;;\n540;1;0;0;0;0,4;0,5;0,6\n",
+    "NDI": "Q0,Qx,Qy,Qz,Tx,Ty,Tz,Error\n1,0,0,0,100,200,300,0.1\nMISSING,,,,,,,\n1,0,0,0,400,500,600,0.1\n",
+    "TUM comment": "# timestamp tx ty tz qx qy qz qw\n1 100 200 300 0 0 0 1\n2 nan nan nan nan nan nan nan\n"
+    "3 400 500 600 0 0 0 1\n",
+    "zeros where it was lost": "100 200 300 0 0 0 1\n0 0 0 0 0 0 0\n400 500 600 0 0 0 1\n",
+    "one cell dropped": "100,200,300,0,0,0,1\n,200,300,0,0,0,1\n400,500,600,0,0,0,1\n",
+}
+
+
+@pytest.mark.parametrize("text", TABLES.values(), ids=list(TABLES))
+def test_tables_as_trackers_write_them(tmp_path: Path, text: str, caplog: pytest.LogCaptureFixture) -> None:
+    (tmp_path / "a.csv").write_text(text)
+    with caplog.at_level(logging.WARNING, "dvf_ig.io"):
+        poses = read_poses(tmp_path / "a.csv")
+    assert poses.valid.tolist() == [True, False, True]
+    np.testing.assert_allclose(poses.translations_mm[[0, 2]], [[100, 200, 300], [400, 500, 600]], rtol=1e-12)
+    np.testing.assert_array_equal(poses.rotations[[0, 2]], np.tile(np.eye(3), (2, 1, 1)))
+    assert "1 of 3 poses were lost" in caplog.text
+    assert ("columns error are not part of a pose" in caplog.text) == ("Error" in text)
+    if "t_ms" in text:
+        assert poses.t_s.tolist() == [0.5, 0.52, 0.54]
+
+
+def test_a_sequence_in_metres_is_refused(tmp_path: Path) -> None:
+    """Twelve poses between 1.1 and 1.3 m, stamped 50 s apart for 50 ms."""
+    moved = np.column_stack([np.linspace(0.1, 0.3, 12), np.full(12, 0.2), np.full(12, -1.1)])
+    turns, valid = np.tile(np.eye(3), (12, 1, 1)), np.ones(12, bool)
+    path = write(tmp_path / "a.igs.mha", PoseStream("tracker", "probe", np.arange(12.0), turns, moved, valid))
+    with pytest.raises(
+        UnreadableFileError, match=r"tracker_from_probe stays within 1\.16 mm .* are in m, not mm"
+    ):
+        read_poses(path)
+    with pytest.raises(InvalidInputError, match="are in m, not mm"):
+        tracked_probe(read_sequence(path))
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "rows of finite numbers"),
+        ("", "no rows of numbers"),
         ("1 2 3\n", "has 3 columns"),
         ("1 2 3 0 0 0 9\n", "quaternion of row 1 has length 9"),
-        ("1 2 3 0 0 0 one\n", "not a table of numbers"),
-        ("1 2 3 0 0 0 1\n1 2\n", "not a table of numbers|same length"),
-        ("nan 2 3 0 0 0 1\n", "finite"),
+        ("1 2 3 0 0 0 one\n", "line 1: 'one' is not a number"),
+        ("1 2 3 0 0 0 1\n1 2\n", "line 2: 2 cells; needed 7"),
+        ("inf 2 3 0 0 0 1\n", "'inf' is not a number"),
+        ("1,5 2,5 3,5 0,0 0,0 0,0 1,0\n", "may have decimal commas"),
+        ("t,x,y,z,qx,qy,qz,qw\nnan,1,2,3,0,0,0,1\n", "a time that is not finite"),
+        ("x,y,z,qx,qy,qz\n1,2,3,0,0,0\n", "once \\(not qw\\)"),
+        ("x [in],y,z,qx,qy,qz,qw\n1,2,3,0,0,0,1\n", "column 1 is in 'in'; needed mm, cm, m"),
+        ("".join(f"0.{i} 0.2 1.1 0 0 0 1\n" for i in range(10, 30)), "are in m, not mm"),
+        ("".join(f"{i}e4 2 3 0 0 0 1\n" for i in range(1, 5)), "no tracker measures beyond"),
     ],
 )
 def test_bad_tables(tmp_path: Path, text: str, message: str) -> None:

@@ -1,7 +1,9 @@
 """Tracked sequences: real PLUS recordings, exact round trips, and other readers."""
 
+import logging
 import zlib
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +14,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from dvf_ig.core import OutputError, PoseStream, TrackedSequence, UnreadableFileError
-from dvf_ig.io import read_sequence, write_poses, write_sequence
+from dvf_ig.io import read_sequence, read_target_recording, write_poses, write_sequence
 
 Same = Callable[..., None]
 
@@ -87,7 +89,7 @@ def sequences(draw: st.DrawFn) -> TrackedSequence:
             n: PoseStream(p.target, p.source, times, p.rotations, p.translations_mm, p.valid)
             for n, p in poses.items()
         }
-    orientation = draw(st.sampled_from(["MF", "MFA", "UN"]))
+    orientation = draw(st.sampled_from(["MF", "MFA", "XX"]))
     return TrackedSequence(
         times, images, rng.random(frames) > 0.5, dict(sorted(poses.items())), timed, orientation
     )
@@ -155,3 +157,33 @@ def test_pose_only_header(tmp_path: Path) -> None:
 def test_other_endings_are_not_written(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match=r"\.igs\.mha"):
         write_sequence(known_shift(), tmp_path / "a.nrrd")
+
+
+@pytest.mark.parametrize(("stored", "flips"), [("UFA", (2,)), ("MN", (1,)), ("UND", (1, 2)), ("MFA", ())])
+def test_images_are_turned_to_the_orientation_of_calibrations(
+    tmp_path: Path, stored: str, flips: tuple[int, ...], caplog: pytest.LogCaptureFixture
+) -> None:
+    """One recording, its pixels stored in four ways; a table of points counts them as they are stored."""
+    whole = known_shift()
+    assert whole.images is not None
+    path, table = tmp_path / "a.igs.mha", tmp_path / "points.csv"
+    write_sequence(replace(whole, images=np.flip(whole.images, flips).copy(), orientation=stored), path)
+    row, column = np.argwhere(np.flip(whole.images, flips)[1] == 201)[0]
+    table.write_text(f"frame,column1_px,row1_px\n1,{column},{row}\n")
+    with caplog.at_level(logging.WARNING, "dvf_ig.io"):
+        back = read_sequence(path)
+    np.testing.assert_array_equal(back.images, whole.images)
+    assert (back.orientation[:2], back.turned_from) == ("MF", stored if flips else None)
+    assert ("were turned to MF" in caplog.text) == bool(flips)
+    _, points_px = read_target_recording(path, table)
+    assert points_px[1, 0].tolist() == [3, 2]
+
+
+def test_lines_of_the_transducer_and_volumes(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    path = tmp_path / "a.igs.mha"
+    write_sequence(replace(known_shift(), orientation="FM"), path)
+    assert read_sequence(path).orientation == "FM"
+    assert "not scan-converted" in caplog.text
+    write_sequence(replace(known_shift(), orientation="AMF"), path)
+    with pytest.raises(UnreadableFileError, match="UltrasoundImageOrientation is 'AMF'"):
+        read_sequence(path)

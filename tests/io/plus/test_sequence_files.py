@@ -3,6 +3,7 @@
 import contextlib
 import gzip
 import logging
+import re
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from hypothesis import strategies as st
 
 from dvf_ig.core import InvalidInputError, OutputError, PoseStream, TrackedSequence, UnreadableFileError
 from dvf_ig.io import read_sequence, write_poses, write_sequence
+from dvf_ig.io.plus.sequence_read import read_indexed_sequence
 
 
 def two_frames() -> TrackedSequence:
@@ -86,6 +88,36 @@ def test_repeated_and_reordered_time_stamps(tmp_path: Path, caplog: pytest.LogCa
     assert sequence.poses["tracker_from_tool"].translations_mm[:, 0].tolist() == [0, 3, 1, 4]
     assert "dropped 1 of 5 frames" in caplog.text
     assert "jumps back" not in caplog.text
+
+
+def test_frames_without_fields_are_left_out(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Frame 2 of five has no field at all, as in a recording whose first frames PLUS dropped."""
+    path = stamped(tmp_path / "a.igs.mha", [1.0, 1.1, 1.2, 1.3, 1.4])
+    path.write_bytes(re.sub(rb"Seq_Frame0002_.*\n", b"", path.read_bytes()))
+    with caplog.at_level(logging.WARNING, "dvf_ig.io"):
+        sequence, indices, frames = read_indexed_sequence(path)
+    assert (indices.tolist(), frames) == ([0, 1, 3, 4], 5)
+    assert sequence.images is not None
+    assert sequence.images.ravel().tolist() == [10, 11, 13, 14]
+    assert sequence.poses["tracker_from_tool"].translations_mm[:, 0].tolist() == [0, 1, 3, 4]
+    assert "1 of 5 frames have no Timestamp and are left out: frame 2" in caplog.text
+
+
+def test_stamps_in_ms_are_noted(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    read_sequence(stamped(tmp_path / "a.igs.mha", [0.0, 50.0, 100.0]))
+    assert "one sample in 50 s" in caplog.text
+    assert "are in ms (then 20 a second)" in caplog.text
+
+
+def test_recorded_image_maps_are_kept_or_named(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    fixed = "".join(f"Seq_Frame000{i}_ImageToProbeTransform = {MATRIX}\n" for i in range(2))
+    moving = f"Seq_Frame0000_ImageToTrackerTransform = {MATRIX}\n" + (
+        f"Seq_Frame0001_ImageToTrackerTransform = 2{MATRIX[1:]}\n"
+    )
+    path = tmp_path / "a.igs.mha"
+    path.write_text(metafile(fixed + moving))
+    assert list(read_sequence(path).image_maps) == ["probe_from_image"]
+    assert "ImageToTrackerTransform is not one fixed map of the image and is left out" in caplog.text
 
 
 def test_frozen_poses_are_kept(tmp_path: Path) -> None:
@@ -182,6 +214,14 @@ BAD = [
     (metafile("Seq_Frame0000_Timestamp = soon\nSeq_Frame0001_Timestamp = 2\n"), "not a number"),
     (metafile("Seq_Frame0000_ToolToTrackerTransform = 1 2 3\n"), "frame 0 is '1 2 3'; needed 16 numbers"),
     (metafile(FRAME0.replace("0000", "0007")), "a field of frame 7"),
+    (metafile("Seq_Frame0009_Timestamp = 1\n"), "a field of frame 9"),
+    (
+        metafile(FRAME0 + FRAME0.replace("= 1 0", "= 0 1")),
+        "states Seq_Frame0000_ToolToTrackerTransform twice",
+    ),
+    (metafile("", extra="DimSize = 4 3 3\n"), "states DimSize twice, with different values"),
+    (metafile("", size="1 1 2", extra="HeaderSize = 16\n") + "ab", "HeaderSize is '16'; needed 0"),
+    (metafile("", size="1 1 2") + "abc", "longer than its header says"),
     (metafile(FRAME0.replace(" 0 0 0 1\n", " 0 0 0 2\n")), "last row"),
     (metafile(FRAME0.replace("= 1 0", "= 2 0")), "not a rotation"),
     (metafile(FRAME0.replace("= 1 0", "= nan 0")), "non-finite poses whose status is OK"),
