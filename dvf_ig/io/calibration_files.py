@@ -153,8 +153,8 @@ def read_probe(
     if (orientation is None and turned_from is not None) or (orientation or "MF")[:2] != "MF":
         raise UnreadableFileError(
             f"{path} calibrates images in {orientation or 'an orientation that is not stated'}, and "
-            f"the recording's, stored as {turned_from or 'MF'}, are read as MF: they would be mirrored; calibrate "
-            "the probe again (dvf-ig calibrate probe)"
+            f"the recording's, stored as {turned_from or 'MF'}, are read as MF: they would be mirrored; "
+            "calibrate the probe again (dvf-ig calibrate probe)"
         )
     with reading(path, "a probe calibration"):
         return _image_map(calibration, sensor)

@@ -11,15 +11,17 @@ from .provenance import file_stamp, record_file, record_folder
 from .writing.listing import require_finished
 
 _LFS_POINTER = b"version https://git-lfs.github.com/spec/"
+_APPLE_DOUBLE = b"\x00\x05\x16\x07"
+"""First bytes of the files "._NAME" that macOS adds to archives and network drives (RFC 1740)."""
 
 
 def refuse_lfs_pointer(path: Path) -> None:
-    """Refuse the short text that Git-LFS leaves in place of a large file that was not downloaded.
+    """Refuse what is not the file itself: a Git-LFS pointer, or what macOS keeps next to a file.
 
     Source: git-lfs docs/spec.md, "The Pointer".
 
     Raises:
-        UnreadableFileError: `path` is such a pointer.
+        UnreadableFileError: `path` is one of them.
     """
     try:
         if not path.is_file():
@@ -28,6 +30,11 @@ def refuse_lfs_pointer(path: Path) -> None:
             head = file.read(len(_LFS_POINTER))
     except OSError:
         return  # the reader of the file reports why it cannot be opened
+    if head[:4] == _APPLE_DOUBLE:
+        raise UnreadableFileError(
+            f"{path} holds attributes that macOS keeps of a file, not the file itself; give "
+            f"{path.name.removeprefix('._')}, and delete this one"
+        )
     if head == _LFS_POINTER:
         raise UnreadableFileError(
             f"{path} is a Git-LFS pointer, not the file itself; download it with: git lfs pull"

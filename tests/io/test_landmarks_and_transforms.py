@@ -83,7 +83,7 @@ def test_fcsv(tmp_path: Path) -> None:
 def test_points_that_were_not_placed_are_left_out_by_name(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """Slicer 5 writes a point's status after the named columns: 0 undefined, 1 preview, 2 defined, 3 missing."""
+    """Slicer 5 writes a status after the named columns: 0 undefined, 1 preview, 2 defined, 3 missing."""
     rows = [(2, 5, "a", 1), (0, 0, "b", 1), (3, 0, "c", 1), (2, 7, "hidden", 0), (2, 0, "origin", 1)]
     columns = "id,x,y,z,ow,ox,oy,oz,vis,sel,lock,label,desc,associatedNodeID"
     text = f"# CoordinateSystem = LPS\n# columns = {columns}\n"

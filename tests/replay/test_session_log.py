@@ -1,6 +1,7 @@
 """A log read back: by the decoder of another package for ROS tools, and by ours to the last bit."""
 
 import json
+import struct
 import tracemalloc
 from dataclasses import replace
 from io import BytesIO
@@ -39,6 +40,7 @@ from dvf_ig.core import (
     VolumeSeries,
 )
 from dvf_ig.intake.session_log.read import read_session_log
+from dvf_ig.intake.session_log.topics import EXACT_TOOL
 from dvf_ig.replay.events import events_of
 from dvf_ig.replay.export.session_log import write_session_log
 
@@ -280,6 +282,41 @@ def test_chunks_that_are_not_what_they_state(
         assert tracemalloc.get_traced_memory()[1] < 64 << 20
     finally:
         tracemalloc.stop()
+
+
+@pytest.mark.parametrize(
+    ("number", "sentence"),
+    [
+        (float("nan"), "bad.mcap: the tool's poses holds a value that is not finite"),
+        (1e9, "bad.mcap: the tool's poses reaches 1e.09 mm"),
+        (None, r"truncated or damaged \(.*(sequence|size|deserialize).*copy it again"),
+    ],
+)
+def test_messages_with_broken_content_are_refused_in_one_sentence(
+    tmp_path: Path, log: Path, number: float | None, sentence: str
+) -> None:
+    """The last number of the tool's first pose, or the length of its list."""
+    from mcap.data_stream import RecordBuilder
+    from mcap.records import Chunk, Message
+    from mcap.stream_reader import StreamReader, breakup_chunk
+
+    records = StreamReader(BytesIO(log.read_bytes()), emit_chunks=True).records
+    chunk = next(record for record in records if isinstance(record, Chunk))
+    inner, names, changed = RecordBuilder(), dict[int, str](), False
+    for record in breakup_chunk(chunk):
+        names |= {record.id: record.topic} if hasattr(record, "topic") else {}
+        if isinstance(record, Message) and names[record.channel_id] == EXACT_TOOL and not changed:
+            data, changed = bytearray(record.data), True
+            if number is None:
+                data[-120:-112] = b"\xff\xff\xff\x7f" * 2
+            else:
+                data[-8:] = struct.pack("<d", number)
+            record.data = bytes(data)
+        record.write(inner)
+    assert changed
+    with pytest.raises(UnreadableFileError, match=sentence) as caught:
+        read_session_log(with_chunk(log, tmp_path / "bad.mcap", inner.end()))
+    assert "\n" not in str(caught.value)
 
 
 def test_damaged_logs_are_refused_in_one_sentence(tmp_path: Path, log: Path) -> None:

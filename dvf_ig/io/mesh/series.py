@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
+from dvf_ig.core.plausible import surface_problem
 from dvf_ig.core.space.mesh import SurfaceSeries
 from dvf_ig.core.timing.cycle import CycleTiming
 from dvf_ig.io import limits
@@ -65,8 +66,8 @@ def read_surface_series(
     Returns:
         the series; the patient id is the prefix of the surface's name, "unknown" without one.
     Raises:
-        UnreadableFileError: no such surface (the message lists the others), a phase missing, or phases
-            that do not share vertices and triangles.
+        UnreadableFileError: no such surface (the message lists the others), a phase missing, phases that do
+            not share vertices and triangles, or a surface that cannot be in mm.
     """
     folder = Path(folder)
     with reading(folder, "a folder of surfaces"):
@@ -81,6 +82,9 @@ def read_surface_series(
             if isinstance(timing_file, CycleTiming)
             else read_timing(timing_file, beside=folder, phases=len(files), rr_s=rr_s)
         )
+        for file, mesh in zip(files, meshes, strict=True):
+            if problem := surface_problem(mesh.vertices):
+                raise UnreadableFileError(f"{file.path}: the surface {problem}")
         caps = meshes[0].cell_flags.get(_CAP)
         return SurfaceSeries(
             name,

@@ -9,7 +9,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import IO, Any
 
-from dvf_ig.core.errors import MissingDependencyError, UnreadableFileError
+from dvf_ig.core.errors import InvalidInputError, MissingDependencyError, UnreadableFileError
 from dvf_ig.io import limits
 from dvf_ig.io.reading import reading
 from dvf_ig.io.writing.atomic import atomic_file
@@ -120,8 +120,8 @@ def opened_log(path: Path) -> Iterator["LogReader"]:
         stream.seek(0)
         try:
             yield CutLogReader(stream, path) if path.name.endswith(UNFINISHED) else LogReader(stream, path)
-        except UnreadableFileError:
-            raise
+        except InvalidInputError:
+            raise  # a value that no session has; `reading` names the file
         except _damage() as exc:
             raise UnreadableFileError(f"{path} is truncated or damaged ({exc}); copy it again") from exc
 
