@@ -38,10 +38,11 @@ def require_plausible(values: Any, most: float, what: str) -> None:
         )
 
 
-def marker_problem(positions_mm: Any) -> str | None:
+def marker_problem(name: str, positions_mm: Any) -> str | None:
     """Say why (n, 3) positions of a moving marker cannot be in mm; None if they can.
 
     Args:
+        name: of the poses, for the sentence.
         positions_mm: of the valid poses of one recording.
     """
     positions = np.asarray(positions_mm, dtype=np.float64)
@@ -50,13 +51,13 @@ def marker_problem(positions_mm: Any) -> str | None:
     farthest = float(np.linalg.norm(positions, axis=1).max())
     if farthest > MARKER_MM[1]:
         return (
-            f"reaches {farthest:.3g} mm, and no tracker measures beyond {MARKER_MM[1]:g} mm: the poses are "
-            "in another unit (um?) or damaged; export them again in mm"
+            f"{name} reaches {farthest:.3g} mm; no tracker measures beyond {MARKER_MM[1]:g} mm: the poses "
+            "are in another unit (um?) or damaged; export them again in mm"
         )
     if farthest < MARKER_MM[0] and len(positions) >= FEWEST_POSES and np.ptp(positions, axis=0).any():
         return (
-            f"stays within {farthest:.3g} mm of the origin, where no marker can be: the poses are in m, not "
-            f"mm (then {farthest:.3g} m); export them again in mm"
+            f"every position of {name} lies within {farthest:.2g} mm of the origin, where no marker can be: "
+            "the poses are in m, not mm; export them again in mm"
         )
     return None
 

@@ -22,7 +22,7 @@ from dvf_ig.io.plus.feature_points import read_target_recording, tracked_probe
 from dvf_ig.io.plus.latency import read_latency_recording
 from dvf_ig.io.plus.names import ProbeNames, frame_from_plus, same_sensor
 from dvf_ig.io.plus.nwire import read_nwire_recording
-from dvf_ig.io.plus.poses import SEQUENCE_SUFFIXES, read_poses
+from dvf_ig.io.plus.poses import SEQUENCE_SUFFIXES, read_poses, recorded_poses
 from dvf_ig.io.plus.sequence_read import read_sequence
 from dvf_ig.io.points_file import read_points
 from dvf_ig.io.reading import reading
@@ -86,7 +86,7 @@ def read_tool(config: ToolConfig | None, folder: Path, sweep: Sweep | None) -> P
     path = folder / config.file
     with concerning("tool.file", path):
         try:
-            poses = read_poses(path, held, None if config.name is None else frame_from_plus(config.name))
+            poses = recorded_poses(path, held, None if config.name is None else frame_from_plus(config.name))
         except UnreadableFileError as exc:
             if isinstance(exc.__cause__, InvalidInputError):  # the poses that are asked for are not in it
                 exc.settings = exc.settings or ("tool.name", "ultrasound.reference_name")

@@ -19,6 +19,7 @@ from .reading import read_bytes
 _AFFINE = ("AffineTransform", "MatrixOffsetTransformBase")
 _CENTER = {"TranslationTransform": (0,), "IdentityTransform": (0,), "Euler3DTransform": (3, 4)}
 """Numbers of FixedParameters of types that do not have a centre of three."""
+_TEXT = b"#Insight"
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 _SECONDS, _MEMORY_BYTES = 20, 2 << 30
 _CHILD = """
@@ -35,6 +36,12 @@ else:
 """
 
 
+def is_itk_text(path: Path) -> bool:
+    """Return whether a file begins as ITK's text of transforms does."""
+    with path.open("rb") as stream:
+        return stream.read(len(_TEXT)) == _TEXT
+
+
 def linear_matrix(path: Path) -> FloatArray:
     """Read the (4, 4) LPS matrix of a linear 3-D transform, source to target; exact for affine text.
 
@@ -43,7 +50,7 @@ def linear_matrix(path: Path) -> FloatArray:
     """
     with path.open("rb") as stream:
         begin = stream.read(8)
-    if begin == b"#Insight":
+    if begin == _TEXT:
         if path.stat().st_size > SETTINGS_BYTES:
             raise UnreadableFileError(f"{path} is too long for the text of a linear transform")
         text = read_bytes(path, "an ITK transform").decode("ascii", "replace")

@@ -178,6 +178,12 @@ def _to_lps(path: Path, system: Any) -> FloatArray:
     return np.array(signs)
 
 
+def is_markups(path: Path) -> bool:
+    """Return whether a JSON file holds 3D Slicer markups."""
+    document = read_json(path, "a JSON file")
+    return isinstance(document, dict) and "markups" in document
+
+
 def markup_points(path: Path, kinds: tuple[str, ...] = _POINTS) -> tuple[list[str], FloatArray]:
     """Read names, which may repeat, and (n, 3) LPS positions of every placed point of 3D Slicer markups.
 

@@ -38,8 +38,7 @@ def read_transform(path: Path | str, target: str | None = None, source: str | No
     """
     path = Path(path)
     refuse_lfs_pointer(path)
-    sidecar = path.with_suffix(".json")
-    recorded = _sidecar_frames(sidecar) if sidecar.is_file() and sidecar != path else None
+    sidecar, recorded = path.with_suffix(".json"), sidecar_frames(path)
     if recorded is not None:
         recorded_target, recorded_source = recorded
         frames = (target or recorded_target, source or recorded_source)
@@ -127,9 +126,12 @@ def rigid_from_matrix(matrix: Any, target: str, source: str) -> Rigid:
     return Rigid.from_matrix(array, target, source)
 
 
-def _sidecar_frames(path: Path) -> tuple[str, str] | None:
-    """Read target and source from a sidecar; None if the JSON file is something else."""
-    document = read_json(path, "a transform sidecar")
+def sidecar_frames(path: Path) -> tuple[str, str] | None:
+    """Read target and source of a transform from its sidecar; None without one."""
+    sidecar = path.with_suffix(".json")
+    if sidecar == path or not sidecar.is_file():
+        return None
+    document = read_json(sidecar, "a transform sidecar")
     if not isinstance(document, dict) or not {"from", "to"} <= document.keys():
         return None
     return str(document["to"]), str(document["from"])

@@ -119,7 +119,7 @@ def _moves(moved: Facts) -> str:
         return _valid(moved["invalid_share"])
     extent = " x ".join(f"{side:.1f}" for side in moved["extent_mm"])
     frozen = f", frozen for {moved['frozen_share']:.0%}" if moved["frozen_share"] else ""
-    wrong = f"; it {moved['problem']}" if moved["problem"] else ""
+    wrong = f"; {moved['problem']}" if moved["problem"] else ""
     turned = f"turns {moved['turn_deg']:.1f} deg"
     return f"{_valid(moved['invalid_share'])}{frozen}, moves {extent} mm, {turned}{wrong}"
 

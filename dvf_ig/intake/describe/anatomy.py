@@ -6,17 +6,21 @@ from typing import Any
 import numpy as np
 
 from dvf_ig.core.arrays import AnyArray
+from dvf_ig.core.errors import InvalidInputError
+from dvf_ig.core.plausible import surface_problem
 from dvf_ig.core.space.mesh import Mesh
 from dvf_ig.core.space.points import Landmarks
 from dvf_ig.core.space.volume import Grid
 from dvf_ig.core.timing.cycle import CycleTiming
 from dvf_ig.io.dicom.cine import read_dicom_cine
 from dvf_ig.io.image.volume import image_dimension, read_volume, read_volume_series
+from dvf_ig.io.itk_transform import linear_matrix
 from dvf_ig.io.landmarks import read_landmarks, read_tag_pair
 from dvf_ig.io.mesh.file import read_mesh
 from dvf_ig.io.mesh.series import read_surface_series, surface_names
 from dvf_ig.io.model.model_file import model_digest, read_model
-from dvf_ig.io.transform import read_transform
+from dvf_ig.io.reading import reading
+from dvf_ig.io.transform import rigid_from_matrix, sidecar_frames
 
 Facts = dict[str, Any]
 
@@ -86,6 +90,7 @@ def mesh_facts(path: Path) -> Facts:
 
 
 def _mesh_facts(mesh: Mesh) -> Facts:
+    problem = surface_problem(mesh.vertices_mm)
     edges = np.sort(mesh.triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
     _, uses = np.unique(edges, axis=0, return_counts=True)
     closed = bool((uses == 2).all())
@@ -97,6 +102,7 @@ def _mesh_facts(mesh: Mesh) -> Facts:
         "closed": closed,
         "open_edges": int(np.count_nonzero(uses == 1)),
         "volume_ml": mesh.volume_mm3() / 1000.0 if closed else None,
+        "problem": problem and f"the surface {problem}",
     }
 
 
@@ -137,11 +143,21 @@ def model_facts(path: Path) -> Facts:
 
 
 def transform_facts(path: Path) -> Facts:
-    """Summarise frames, angle and shift of a transform."""
-    rigid = read_transform(path)
+    """Summarise frames, angle and shift of a transform; one that is not rigid has its matrix alone."""
+    recorded = sidecar_frames(path)
+    with reading(path, "an ITK transform"):
+        matrix = linear_matrix(path)
+    facts: Facts = {
+        "name": "_from_".join(recorded) if recorded else None,
+        "frames": None if recorded else "not known: from the fixed to the moving image, LPS",
+        "matrix": matrix.tolist(),
+    }
+    try:
+        rigid = rigid_from_matrix(matrix, *(recorded or ("moving", "fixed")))
+    except InvalidInputError as exc:
+        return {**facts, "problem": f"not rigid: {exc.message}"}
     return {
-        "name": rigid.name,
-        "matrix": rigid.matrix.tolist(),
+        **facts,
         "angle_deg": float(np.degrees(rigid.angle_rad)),
         "translation_mm": rigid.translation_mm.tolist(),
     }

@@ -5,6 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
 from dvf_ig.core.recordings.phantom import NWireRecording
 from dvf_ig.core.recordings.scenario import LatencyRecording, Scenario
@@ -17,13 +19,17 @@ from dvf_ig.intake.session import read_scenario
 from dvf_ig.io.dicom.cine import is_dicom_folder
 from dvf_ig.io.ecg.beat_annotations import read_annotations
 from dvf_ig.io.ecg.recording import names_ecg, read_ecg
+from dvf_ig.io.itk_transform import is_itk_text
+from dvf_ig.io.landmarks import is_markups
 from dvf_ig.io.mesh.file import DECODERS
 from dvf_ig.io.mesh.series import surface_names
-from dvf_ig.io.plus.feature_points import tracked_probe
+from dvf_ig.io.number_table import read_number_table
+from dvf_ig.io.plus.feature_points import read_feature_points, tracked_probe
 from dvf_ig.io.plus.names import ProbeNames
 from dvf_ig.io.plus.poses import read_poses
 from dvf_ig.io.plus.sequence_read import PIXEL_FRAMES, read_sequence
 from dvf_ig.io.plus.xml import CoordinateDefinition, parse_xml, read_transforms
+from dvf_ig.io.points_file import read_points
 from dvf_ig.io.reading import read_bytes
 
 from .anatomy import (
@@ -36,6 +42,7 @@ from .anatomy import (
     tag_facts,
     transform_facts,
 )
+from .own import RUN, SESSION, json_facts, log_facts, run_facts, session_facts, yaml_facts
 from .sequence import (
     clock_facts,
     sequence_facts,
@@ -45,6 +52,10 @@ from .sequence import (
 )
 
 Facts = dict[str, Any]
+TABLES = (".txt", ".csv", ".tsv", ".dat")
+UNIT = 0.01
+MOST_NAMES = 10
+"""Most names of files that a message lists."""
 Reader = Callable[[Path], Facts]
 
 
@@ -67,7 +78,9 @@ def describe(spec: str, rate_hz: float | None = None, names: ProbeNames | None =
         UnreadableFileError: absent, of no known kind, or not readable as the kind that it claims to be.
         InvalidInputError: a rate for anything but an ECG table, or names that are not in a tracked sequence.
     """
-    if names_ecg(spec):
+    path = Path(spec)
+    tabled = path.is_file() and spec.lower().endswith(TABLES) and _table_kind(path) is not None
+    if names_ecg(spec) and not tabled:
         if names is not None:
             raise InvalidInputError(
                 f"names of probe and reference belong to a tracked sequence; '{spec}' is an ECG"
@@ -78,7 +91,6 @@ def describe(spec: str, rate_hz: float | None = None, names: ProbeNames | None =
         return Description("ECG", facts_of_ecg)
     if rate_hz is not None:
         raise InvalidInputError(f"a sampling rate belongs to an ECG text table; '{spec}' is not one")
-    path = Path(spec)
     if not path.exists():
         raise UnreadableFileError(f"{path} does not exist; check the name")
     kind, facts = _folder_kind(path) if path.is_dir() else _file_kind(path)
@@ -95,11 +107,22 @@ def describe(spec: str, rate_hz: float | None = None, names: ProbeNames | None =
 def _folder_kind(path: Path) -> tuple[str, Reader]:
     if (path / CONFIG).is_file():
         return "scenario folder", _scenario_facts
+    if (path / RUN).is_file():
+        return "folder of a replay", run_facts
+    if (path / SESSION).is_file():
+        return "folder of a session", lambda folder: session_facts(folder / SESSION)
     if is_dicom_folder(path):
         return "cine of DICOM images", cine_facts
     if surface_names(path):
         return "surfaces through the cycle", surface_facts
-    return "tool poses, one 4x4 text file each", _pose_facts
+    endings = {one.suffix.lower() for one in path.iterdir() if one.is_file() and one.name[0] != "."}
+    if endings and endings <= {"", *TABLES}:
+        return "tool poses, one 4x4 text file each", _pose_facts
+    listed = ", ".join(sorted(one.name for one in path.iterdir())[:MOST_NAMES]) or "nothing"
+    raise UnreadableFileError(
+        f"{path} is a folder of no kind that can be read, with {listed}; give a scenario, a run, surfaces, "
+        "DICOM images or poses, or one of its files"
+    )
 
 
 def _file_kind(path: Path) -> tuple[str, Reader]:
@@ -107,16 +130,23 @@ def _file_kind(path: Path) -> tuple[str, Reader]:
     by_ending: list[tuple[tuple[str, ...], str, Reader]] = [
         (tuple(DECODERS), "triangle mesh", mesh_facts),
         ((".npz",), "fixture model", model_facts),
-        ((".tfm",), "rigid transform", transform_facts),
+        ((".tfm", ".h5", ".mat"), "transform", transform_facts),
         ((".mrk.json", ".fcsv"), "landmarks", landmark_facts),
+        ((".mcap",), "log of a session", log_facts),
         ((".tag",), "landmarks in two volumes", tag_facts),
         ((".nii", ".nii.gz"), "image", image_facts),
         ((".xml",), "PLUS configuration or result", _xml_facts),
-        ((".txt",), "tool poses, one row each", _pose_facts),
     ]
     for endings, kind, facts in by_ending:
         if name.endswith(endings):
             return kind, facts
+    if name.endswith((".json", ".yaml", ".yml")):
+        if name.endswith(".json") and is_markups(path):
+            return "landmarks", landmark_facts
+        kind, own = (json_facts if name.endswith(".json") else yaml_facts)(path)
+        return kind, lambda _: own
+    if name.endswith(TABLES):
+        return _table_kind(path) or ("tool poses, one row each", _pose_facts)
     if name.endswith((".mha", ".mhd", ".nrrd", ".nhdr")):
         tracked = (
             ".igs." in name or b"Seq_Frame" in read_bytes(path, "an image or a tracked sequence")[:65536]
@@ -124,9 +154,39 @@ def _file_kind(path: Path) -> tuple[str, Reader]:
         return ("tracked sequence", sequence_file_facts) if tracked else ("image", image_facts)
     raise UnreadableFileError(
         f"{path} is of no kind that can be read; give a tracked sequence (.igs.mha, .igs.nrrd), an image "
-        "(.nii.gz, .nrrd, .mha), mesh (.obj, .stl, .ply, .vtp), model (.npz), transform (.tfm), "
-        "landmarks (.mrk.json, .fcsv, .tag), PLUS .xml, ECG (wfdb:, edf:, csv:, plus:) or scenario folder"
+        "(.nii.gz, .nrrd, .mha), mesh (.obj, .stl, .ply, .vtp), model (.npz), transform (.tfm, .h5), "
+        "landmarks (.mrk.json, .fcsv, .tag), table (.csv, .txt), PLUS .xml, session (.yaml, .mcap), result "
+        "(.json), ECG (wfdb:, edf:, csv:, plus:) or the folder of a scenario, replay or session"
     )
+
+
+def _table_kind(path: Path) -> tuple[str, Reader] | None:
+    """Identify a text file as an ITK transform, poses, points or segmented points; None for another table."""
+    if is_itk_text(path):
+        return "transform", transform_facts
+    try:
+        table = read_number_table(path, "a table of numbers")
+    except UnreadableFileError:
+        return None  # an ECG has other forms, whose reader states what is wrong
+    columns, names = table.values.shape[1], set(table.names or ())
+    lengths = np.linalg.norm(table.values[:, -4:], axis=1)
+    unit = bool((np.abs(lengths[np.isfinite(lengths)] - 1) < UNIT).all())  # as the quaternions of poses
+    if {"qx", "qy", "qz"} <= names or (not names and columns in (7, 8) and unit):
+        return "tool poses, one row each", _pose_facts
+    if names in ({"x", "y", "z"}, {"r", "a", "s"}, {"l", "p", "s"}):
+        return "points", _point_facts
+    if "frame" in names and "column1" in names:
+        return "segmented points, one row an image", lambda file: {"images": len(read_feature_points(file))}
+    return None
+
+
+def _point_facts(path: Path) -> Facts:
+    xyz_mm = read_points(path, "file").xyz_mm
+    return {
+        "points": len(xyz_mm),
+        "lower_lps_mm": xyz_mm.min(axis=0).tolist(),
+        "upper_lps_mm": xyz_mm.max(axis=0).tolist(),
+    }
 
 
 def _pose_facts(path: Path) -> Facts:

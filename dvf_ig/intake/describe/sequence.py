@@ -112,7 +112,7 @@ def clock_facts(t_s: FloatArray | None) -> Facts:
 def stream_facts(stream: PoseStream) -> Facts:
     """Summarise validity, the bitwise frozen share, and the motion and turn of a tracked object."""
     usable = stream.valid
-    problem = marker_problem(stream.translations_mm[usable])
+    problem = marker_problem(stream.name, stream.translations_mm[usable])
     facts: Facts = {"samples": len(stream), "invalid_share": float((~usable).mean()), "problem": problem}
     if not usable.any():
         return {**facts, "frozen_share": 0.0, "extent_mm": None, "turn_deg": None}

@@ -50,11 +50,17 @@ def read_poses(path: Path | str, target: str | None = None, source: str | None =
         InvalidInputError: a sequence has several tools and none is chosen; the message lists them.
     """
     path = Path(path)
+    with reading(path, "tool poses"):
+        return usable(recorded_poses(path, target, source))
+
+
+def recorded_poses(path: Path, target: str | None = None, source: str | None = None) -> PoseStream:
+    """Read poses as `read_poses` does, in whatever unit they are; what uses them judges it."""
     with reading(path, "tool poses (a PLUS sequence, a folder of 4x4 text files, or a text table)"):
         if not path.exists():
             raise FileNotFoundError(path)
         if path.suffix.lower() in SEQUENCE_SUFFIXES:
-            return usable(_from_sequence(path, read_sequence(path), target, source))
+            return _from_sequence(path, read_sequence(path), target, source)
         times, matrices = _read_folder(path) if path.is_dir() else _read_table(path)
         limits.require_times(times, "its column of times")
         valid = np.isfinite(matrices).all(axis=(1, 2))
@@ -64,8 +70,7 @@ def read_poses(path: Path | str, target: str | None = None, source: str | None =
         if problem := period_problem(times):
             log.warning("%s has %s", path, problem)
         rotations, translations = matrices[:, :3, :3], matrices[:, :3, 3]
-        stream = PoseStream(target or "tracker", source or "tool", times, rotations, translations, valid)
-        return usable(stream)
+        return PoseStream(target or "tracker", source or "tool", times, rotations, translations, valid)
 
 
 def usable(stream: PoseStream) -> PoseStream:
@@ -74,8 +79,8 @@ def usable(stream: PoseStream) -> PoseStream:
     Raises:
         InvalidInputError: they cannot; the message states the likely unit.
     """
-    if problem := marker_problem(stream.translations_mm[stream.valid]):
-        raise InvalidInputError(f"{stream.name} {problem}")
+    if problem := marker_problem(stream.name, stream.translations_mm[stream.valid]):
+        raise InvalidInputError(problem)
     return stream
 
 

@@ -90,8 +90,14 @@ def read_calibrations(path: Path | str) -> dict[str, CoordinateDefinition]:
 def read_transforms(path: Path, section: ElementTree.Element) -> dict[str, CoordinateDefinition]:
     """Read every `<Transform From To Matrix>` below an element by its name; `path` is for messages."""
     elements = [e for e in section.iter("Transform") if {"From", "To", "Matrix"} & e.attrib.keys()]
-    definitions = [_definition(path, element) for element in elements]
-    return {definition.name: definition for definition in definitions}
+    definitions: dict[str, CoordinateDefinition] = {}
+    for definition in (_definition(path, element) for element in elements):
+        first = definitions.setdefault(definition.name, definition)
+        if not np.array_equal(first.matrix, definition.matrix):
+            raise UnreadableFileError(
+                f"{path} holds {definition.name} twice, with different matrices; keep the one that is true"
+            )
+    return definitions
 
 
 def read_coordinate_definitions(path: Path | str) -> dict[str, FloatArray]:

@@ -114,7 +114,8 @@ def test_a_sequence_in_metres_is_refused(tmp_path: Path) -> None:
     turns, valid = np.tile(np.eye(3), (12, 1, 1)), np.ones(12, bool)
     path = write(tmp_path / "a.igs.mha", PoseStream("tracker", "probe", np.arange(12.0), turns, moved, valid))
     with pytest.raises(
-        UnreadableFileError, match=r"tracker_from_probe stays within 1\.16 mm .* are in m, not mm"
+        UnreadableFileError,
+        match=r"every position of tracker_from_probe lies within 1\.2 mm .* are in m, not mm",
     ):
         read_poses(path)
     with pytest.raises(InvalidInputError, match="are in m, not mm"):
