@@ -16,6 +16,7 @@ from .parts import SessionFiles
 from .places import place_findings
 from .preop import PreopFiles, heart_surfaces
 from .problems import Use
+from .readers import Sweep
 
 HEART_MM = (60.0, 200.0)
 """Longest side of the box about its surfaces: a small left ventricle; a dilated heart with its vessels."""
@@ -33,6 +34,8 @@ SHORTEST_TOOL_MM = 2.0
 """Tips calibrated in m lie 0.05 to 0.5 from the marker; a tip that is the marker's origin lies at 0."""
 PROBE_MM = 300.0
 """Transthoracic probes hold their marker 50 to 150 mm from the middle of the image."""
+SAME_IMAGE_MM = 1.0
+"""Two calibrations of one probe agree to less."""
 SAME_MM = 1e-6
 """Poses that were written and read again differ by less; measured ones never agree to it."""
 LEAST_POSES = 10
@@ -80,6 +83,7 @@ def unit_findings(files: SessionFiles) -> Iterator[Finding]:
         yield from _tip(files.tip)
     if isinstance(files.probe, ImageMap) and files.sweep is not None:
         yield from _image(files.probe, files.sweep.recorded.images)
+        yield from _recorded_map(files.probe, files.sweep)
 
 
 def _heart(heart: PreopFiles) -> Iterator[Finding]:
@@ -138,6 +142,19 @@ def _image(probe: ImageMap, images: AnyArray | None) -> Iterator[Finding]:
     middle = probe.apply_pixels(np.array([[columns / 2, rows / 2]]))
     if (away_mm := float(np.linalg.norm(middle.xyz_mm))) > PROBE_MM:
         yield finding(Disagreement.IMAGE_FAR_FROM_PROBE, "calibration.probe", mm=away_mm)
+
+
+def _recorded_map(probe: ImageMap, sweep: Sweep) -> Iterator[Finding]:
+    """Compare the calibration with the one that was recorded with the images."""
+    name, images = f"{sweep.probe.source}_from_image", sweep.recorded.images
+    recorded = sweep.recorded.image_maps.get(name)
+    if recorded is None or images is None:
+        return
+    rows, columns = images.shape[1:]
+    corners = np.array([[0, columns, 0, columns], [0, 0, rows, rows], [0] * 4, [1] * 4])
+    apart_mm = float(np.linalg.norm(((recorded - probe.matrix) @ corners)[:3], axis=0).max())
+    if apart_mm > SAME_IMAGE_MM:
+        yield finding(Disagreement.OTHER_IMAGE_MAP, "calibration.probe", name=name, mm=apart_mm)
 
 
 def name_findings(files: SessionFiles) -> Iterator[Finding]:

@@ -84,6 +84,11 @@ class Disagreement(Enum):
         "the middle of the image lies {mm:.0f} mm from the probe's marker; check that the calibration is of "
         "this probe, and in mm",
     )
+    OTHER_IMAGE_MAP = Rule(
+        False,
+        "the recording holds its own {name}, which places the image {mm:.3g} mm from where this calibration "
+        "does; the calibration is used: check that it is the newer one, of this probe, depth and orientation",
+    )
     OTHER_PATIENT = Rule(
         False,
         "the surfaces are of patient '{named}' by the names of their files, the session is of '{patient}'; "

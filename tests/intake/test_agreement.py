@@ -129,6 +129,15 @@ def tip(*xyz_mm: float) -> Change:
     return lambda parts: replace(parts, tip=Points("tool", np.array([xyz_mm])))
 
 
+def recorded_map(parts: SessionFiles) -> SessionFiles:
+    """The recording holds the calibration in use, its columns the other way round."""
+    assert parts.sweep is not None
+    mirrored = parts.probe.matrix @ np.diag([-1.0, 1.0, 1.0, 1.0])  # type: ignore[union-attr]
+    maps = {f"{parts.sweep.probe.source}_from_image": mirrored}
+    recorded = replace(parts.sweep.recorded, image_maps=maps)
+    return replace(parts, sweep=replace(parts.sweep, recorded=recorded))
+
+
 def image_moved(parts: SessionFiles) -> SessionFiles:
     far = replace(parts.probe.rigid, translation_mm=np.array([0.0, 0.0, -400.0]))  # type: ignore[union-attr]
     return replace(parts, probe=replace(parts.probe, rigid=far))  # type: ignore[type-var]
@@ -238,6 +247,11 @@ CASES: dict[str, tuple[Change, Disagreement, str]] = {
     "a tip in µm": (tip(0.0, 0.0, 1.5e5), Disagreement.TIP_OUT_OF_REACH, "calibration.tip"),
     "a tip in m": (tip(0.0, 0.0, 0.15), Disagreement.TIP_NEAR_MARKER, "calibration.tip"),
     "an image far from its probe": (image_moved, Disagreement.IMAGE_FAR_FROM_PROBE, "calibration.probe"),
+    "another calibration in the recording": (
+        recorded_map,
+        Disagreement.OTHER_IMAGE_MAP,
+        "calibration.probe",
+    ),
     "a start of another day": (start_at(-700.0), Disagreement.IMAGES_OFF_HEART, "start.transform"),
     "landmarks of another heart": (landmarks(900.0), Disagreement.LANDMARKS_OFF_HEART, "start.landmarks_mr"),
     "one set of landmarks": (

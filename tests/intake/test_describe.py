@@ -9,14 +9,18 @@ import SimpleITK
 from typer.testing import CliRunner
 
 from dvf_ig.cli.main import app
-from dvf_ig.core import (
-    PoseStream,
-    TrackedSequence,
-    UnreadableFileError,
-)
+from dvf_ig.core import Mesh, PoseStream, Rigid, TrackedSequence, UnreadableFileError
 from dvf_ig.intake import describe
 from dvf_ig.intake.describe.sequence import clock_facts, frame_tree
-from dvf_ig.io import read_image_map, write_coordinate_definitions, write_poses, write_sequence
+from dvf_ig.io import (
+    read_image_map,
+    write_coordinate_definitions,
+    write_json,
+    write_mesh,
+    write_poses,
+    write_sequence,
+    write_transform,
+)
 
 
 def shown(path: Path) -> str:
@@ -184,3 +188,67 @@ def test_annotated_beats_are_read_where_their_file_is_named(data_dir: Path, tmp_
     (tmp_path / "101.atr").write_bytes((tmp_path / "101.atr").read_bytes()[:2000])
     with pytest.raises(UnreadableFileError, match="truncated"):
         describe(str(tmp_path / "101.atr"))
+
+
+def test_foreign_transforms_have_a_matrix_and_no_frames(tmp_path: Path) -> None:
+    euler = SimpleITK.Euler3DTransform((5.0, 6, 7), 0.0, 0.0, np.pi / 2, (1.0, 2, 3))
+    affine = SimpleITK.AffineTransform(3)
+    affine.Scale(1.1)
+    for name in ("a.tfm", "a.h5", "a.txt"):
+        SimpleITK.WriteTransform(euler, str(tmp_path / name))
+        facts = describe(str(tmp_path / name)).facts
+        assert facts["angle_deg"] == pytest.approx(90)
+        np.testing.assert_allclose(np.array(facts["matrix"])[:3, 3], euler.TransformPoint((0.0, 0, 0)))
+        assert (facts["name"], facts["frames"][:9]) == (None, "not known")
+    SimpleITK.WriteTransform(affine, str(tmp_path / "b.tfm"))
+    assert "not rigid" in shown(tmp_path / "b.tfm")
+    write_transform(Rigid("mr", "tracker", np.eye(3), np.ones(3)), tmp_path / "c.tfm")
+    assert describe(str(tmp_path / "c.tfm")).facts["name"] == "mr_from_tracker"
+
+
+def test_results_sessions_runs_and_tables(tmp_path: Path) -> None:
+    verdict = {"refused": False, "refused_because": []}
+    tip = {**verdict, "kind": "tip", "tip_mm": [1, 2, 3], "tip_frame": "tool", "inputs": [{"file": "x"}]}
+    (tmp_path / "run").mkdir()
+    write_json(
+        tmp_path / "run" / "result.json", {"tre_mm": {"mean": 1.5, "all": list(range(99))}, "ticks": 60000}
+    )
+    (tmp_path / "run" / "ticks.csv").write_text("t_s\n")
+    write_json(tmp_path / "tip.json", tip)
+    write_json(tmp_path / "bad.json", {**tip, "tip_mm": "near"})
+    write_json(tmp_path / "other.json", {"a": 1})
+    (tmp_path / "session.yaml").write_text("schema: dvf_ig.session/1\nultrasound: {file: b.mha}\n")
+    (tmp_path / "t.csv").write_text("x,y,z\n1,2,3\n")
+    (tmp_path / "p.csv").write_text("0;1,5;2;3;0;0;0;1\n1;2,5;2;3;0;0;0;1\n")
+    assert "tip mm     (1, 2, 3)" in shown(tmp_path / "tip.json")
+    run = describe(str(tmp_path / "run"))
+    assert (run.kind, run.facts) == (
+        "folder of a replay",
+        {"tre_mm": {"mean": 1.5}, "ticks": 60000, "files": ["ticks.csv"]},
+    )
+    session = describe(str(tmp_path / "session.yaml"))
+    assert (session.kind, session.facts["missing"]) == ("session", ["ultrasound.file"])
+    assert describe(str(tmp_path)).kind == "folder of a session"
+    assert describe(str(tmp_path / "t.csv")).kind == "points"
+    assert describe(str(tmp_path / "p.csv")).facts["extent_mm"] == [1, 0, 0]
+    with pytest.raises(UnreadableFileError, match=r"bad\.json"):
+        describe(str(tmp_path / "bad.json"))
+    with pytest.raises(UnreadableFileError, match="no JSON file that dvf-ig wrote"):
+        describe(str(tmp_path / "other.json"))
+    (tmp_path / "session.yaml").unlink()
+    with pytest.raises(UnreadableFileError, match=r"a folder of no kind that can be read, with bad\.json"):
+        describe(str(tmp_path))
+
+
+def test_what_cannot_be_in_mm_or_s_has_a_row_that_says_so(tmp_path: Path) -> None:
+    corners = np.array([[0, 0, 0], [0.09, 0, 0], [0, 0.09, 0], [0, 0, 0.09]])
+    write_mesh(
+        Mesh("mr", corners, np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])), tmp_path / "m.stl"
+    )
+    assert "the surface is 0.09 mm across" in shown(tmp_path / "m.stl")
+    turns, moved = np.tile(np.eye(3), (12, 1, 1)), np.linspace(1.0, 1.2, 36).reshape(12, 3)
+    poses = PoseStream("tracker", "tool", 50.0 * np.arange(12), turns, moved, np.ones(12, bool))
+    write_poses(poses, tmp_path / "s.igs.mha")
+    done = CliRunner().invoke(app, ["inspect", str(tmp_path / "s.igs.mha")])
+    assert "every position of tracker_from_tool lies within 2.1 mm of the origin" in done.stdout
+    assert "are in ms (then 20 a second)" in done.stderr

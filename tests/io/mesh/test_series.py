@@ -1,13 +1,14 @@
 """A surface through the cycle: folders, archives, timing, correspondence."""
 
 import tarfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from dvf_ig.core import CycleTiming, Mesh, SurfaceSeries, UnreadableFileError
-from dvf_ig.io import read_surface_series, surface_names, write_mesh, write_surface_series
+from dvf_ig.io import read_mesh, read_surface_series, surface_names, write_mesh, write_surface_series
 
 CORNERS = np.array([[0.1, 0, 0], [10, 0.2, 0], [0, 10, 0.3], [0.4, 0, 10]])
 FACES = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])
@@ -77,6 +78,25 @@ def test_bad_series(tmp_path: Path) -> None:
     (tmp_path / "empty" / "broken.tar.gz").write_bytes(b"garbage")
     with pytest.raises(UnreadableFileError, match=r"broken\.tar\.gz is not a readable archive"):
         read_surface_series(tmp_path / "empty")
+
+
+@pytest.mark.parametrize(
+    ("factor", "unit"), [(0.001, r"in m \(then 10\.1 mm\)"), (0.1, "in cm"), (1e3, "in um")]
+)
+def test_surfaces_in_another_unit_are_refused(tmp_path: Path, factor: float, unit: str) -> None:
+    small = series()
+    write_surface_series(replace(small, vertices_mm=1.01 * factor * small.vertices_mm), tmp_path)
+    with pytest.raises(UnreadableFileError, match=rf"EPICARDIAL_000\.vtp: the surface is .* {unit}"):
+        read_surface_series(tmp_path)
+
+
+def test_attributes_of_macos_are_no_surface(tmp_path: Path) -> None:
+    write_surface_series(series(), tmp_path)
+    alone = tmp_path / "._EPICARDIAL_000.vtp"
+    alone.write_bytes(b"\x00\x05\x16\x07\x00\x02\x00\x00Mac OS X")
+    assert len(read_surface_series(tmp_path).timing) == 3
+    with pytest.raises(UnreadableFileError, match=r"attributes that macOS keeps.*give EPICARDIAL_000\.vtp"):
+        read_mesh(alone)
 
 
 def test_timing_of_another_number_of_phases(tmp_path: Path) -> None:

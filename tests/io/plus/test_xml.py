@@ -1,6 +1,7 @@
 """PLUS XML: coordinate definitions, phantoms, wire points, line tables; real files and round trips."""
 
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -15,12 +16,15 @@ from dvf_ig.io import (
     CoordinateDefinition,
     read_calibrations,
     read_coordinate_definitions,
+    read_image_map,
     read_latency_recording,
     read_line_table,
     read_nwire_phantom,
     read_nwire_recording,
+    read_probe,
     read_wire_points,
     write_coordinate_definitions,
+    write_json,
     write_line_table,
     write_nwire_phantom,
     write_wire_points,
@@ -235,3 +239,50 @@ def test_bad_line_tables(tmp_path: Path, frame: str, message: str) -> None:
     (tmp_path / "l.xml").write_text(f"<LineSegmentationResults>{frame}</LineSegmentationResults>")
     with pytest.raises(UnreadableFileError, match=message):
         read_line_table(tmp_path / "l.xml")
+
+
+def test_the_image_is_reached_through_a_chain_or_not_at_all(tmp_path: Path) -> None:
+    """Pixels of 0.1 mm to the transducer, 5 mm along x from the sensor; the wrong one reverses rows."""
+    path, scaled, shifted = tmp_path / "a.xml", np.diag([0.1, 0.1, 0.1, 1.0]), np.eye(4)
+    shifted[0, 3] = 5.0
+    chain = {"transducer_from_image": scaled, "transducer_from_probe": np.linalg.inv(shifted)}
+    write_coordinate_definitions(path, chain)
+    np.testing.assert_allclose(read_image_map(path).matrix[:, [0, 1, 3]], (shifted @ scaled)[:, [0, 1, 3]])
+    write_coordinate_definitions(path, {**chain, "probe_from_image": shifted @ scaled})
+    read_image_map(path)
+    write_coordinate_definitions(
+        path, {**chain, "probe_from_image": shifted @ scaled @ np.diag([1, -1, 1, 1])}
+    )
+    with pytest.raises(
+        UnreadableFileError, match=r"image to transducer to probe and image to probe .* 100 mm apart"
+    ):
+        read_image_map(path)
+    text = path.read_text()
+    path.write_text(
+        text.replace(
+            "</CoordinateDefinitions>",
+            "<Transform From='Image' To='Probe' Matrix='"
+            + "1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1'/></CoordinateDefinitions>",
+        )
+    )
+    with pytest.raises(UnreadableFileError, match="holds probe_from_image twice, with different matrices"):
+        read_image_map(path)
+
+
+@pytest.mark.parametrize(
+    ("stated", "turned_from", "sentence"),
+    [
+        ({"image_orientation": "MF"}, "UFA", None),
+        ({"image_orientation": None}, None, None),
+        ({}, "UFA", "an orientation that is not stated, and the recording's, stored as UFA"),
+        ({"image_orientation": "UF"}, None, "calibrates images in UF"),
+        ({"image_orientation": "FM"}, "UFA", "calibrates images in FM"),
+    ],
+)
+def test_orientation_of_calibration_and_recording_are_compared(
+    tmp_path: Path, stated: dict[str, object], turned_from: str | None, sentence: str | None
+) -> None:
+    verdict = {"kind": "probe", "refused": False, "refused_because": [], "sensor_frame": "probe"}
+    write_json(tmp_path / "a.json", {**verdict, "sensor_from_image": np.diag([0.1, 0.1, 1, 1]), **stated})
+    with nullcontext() if sentence is None else pytest.raises(UnreadableFileError, match=sentence):
+        read_probe(tmp_path / "a.json", turned_from=turned_from)
