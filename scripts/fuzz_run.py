@@ -175,6 +175,7 @@ def main() -> int:
     parser.add_argument("--cli", type=int, metavar="N", help="N damaged command lines, and no files")
     parser.add_argument("--kill", type=int, metavar="N", help="N kills of each writing command, and no files")
     parser.add_argument("--command", action="append", metavar="NAME", help="of --kill; default: all")
+    parser.add_argument("--traits", type=int, metavar="N", help="N traits of people's files a reader")
     parser.add_argument("--forces", type=int, metavar="N", help="N forces at hostile places, and no files")
     for hidden in ("--child", "--seeds"):
         parser.add_argument(hidden, help=argparse.SUPPRESS)
@@ -208,6 +209,15 @@ def main() -> int:
     with tempfile.TemporaryDirectory(dir=MEMORY_DISK if MEMORY_DISK.is_dir() else None) as scratch:
         seeds = Path(scratch) / "seeds"
         seeds.mkdir()
+        if options.traits:
+            from scripts.fuzz_traits import TRAITS, silent_traits, write_trait_seeds
+
+            write_trait_seeds(seeds)
+            results = [silent_traits(reader, options.seed, options.traits, seeds) for reader in TRAITS]
+            silent = [one for found, _ in results for one in found]
+            changed = sum(count for _, count in results)
+            print("\n".join((*silent, f"{changed} files with a trait, {len(silent)} taken silently")))
+            return 1 if silent else 0
         write_seeds(seeds)
         return _once(options, seeds) if options.once else _for_minutes(options, seeds)
 

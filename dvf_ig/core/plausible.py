@@ -21,6 +21,14 @@ PERIOD_S = (1e-4, 1.0)
 """Time between poses or images: 10 kHz to one a second. 50 images a second in ms have 20 "seconds"."""
 SURFACE_MM = (10.0, 1e3)
 """Longest side of the box around a surface: a newborn's chamber has 15 mm; a heart in m 0.1, in inches 4."""
+PIXEL_MM = (0.005, 2.0)
+"""Smallest and largest side of an ultrasound pixel: probes of 50 MHz have 0.01 mm; an inverse map has 5."""
+TIP_MM = (0.6, 1000.0)
+"""Distance of a tool's tip from its marker, unless it is 0; a tip in m has 0.05 to 0.5."""
+LAG_S = 5.0
+"""Largest latency of images: frame grabbers take 0.03 to 0.5 s; a latency in ms has 30 to 500."""
+PHANTOM_MM = (5.0, 1000.0)
+"""Longest side of the box around the wires or landmarks of a phantom."""
 SPREAD_MM = (2.0, 1e4)
 """Largest distance between three or more landmarks; on a body in m it is below 2."""
 
@@ -85,6 +93,38 @@ def surface_problem(vertices_mm: Any) -> str | None:
 def spread_problem(points_mm: Any) -> str | None:
     """Say why (n, 3) landmarks cannot be in mm; None if they can, or are fewer than three."""
     return _side_problem(points_mm, SPREAD_MM, "a set of landmarks") if len(points_mm) >= 3 else None
+
+
+def phantom_problem(points_mm: Any) -> str | None:
+    """Say why (n, 3) end points of wires or landmarks cannot be a phantom in mm; None if they can."""
+    return _side_problem(points_mm, PHANTOM_MM, "a phantom")
+
+
+def pixel_problem(sides_mm: Any) -> str | None:
+    """Say why an ultrasound pixel cannot have these sides, mm; None if it can."""
+    least, most = float(np.min(sides_mm)), float(np.max(sides_mm))
+    if least >= PIXEL_MM[0] and most <= PIXEL_MM[1]:
+        return None
+    return (
+        f"its pixels have {least:.3g} to {most:.3g} mm; {PIXEL_MM[0]:g} to {PIXEL_MM[1]:g} mm are possible: "
+        "it is not in mm per pixel, or the inverse (image_from_probe); calibrate the probe again"
+    )
+
+
+def tip_problem(tip_mm: Any) -> str | None:
+    """Say why a tool's tip cannot be where it is in the frame of its marker; None if it can."""
+    length = float(np.linalg.norm(tip_mm))
+    if length == 0.0 or TIP_MM[0] <= length <= TIP_MM[1]:
+        return None
+    unit = "in m, not mm" if length < TIP_MM[0] else "in another unit than mm"
+    return f"the tip lies {length:.3g} mm from the tool's marker: it is {unit}; calibrate it again"
+
+
+def lag_problem(lag_s: float) -> str | None:
+    """Say why a latency cannot be in seconds; None if it can."""
+    if abs(lag_s) <= LAG_S:
+        return None
+    return f"the latency is {lag_s:.3g} s, and at most {LAG_S:g} s are possible: it is in ms; give it in s"
 
 
 def _side_problem(xyz_mm: Any, sides_mm: tuple[float, float], what: str) -> str | None:

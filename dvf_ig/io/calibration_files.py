@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from dvf_ig.core import ImageMap, Points, QualityGateError, Rigid
 from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
+from dvf_ig.core.plausible import lag_problem, pixel_problem, tip_problem
 
 from . import limits
 from .json_file import read_json
@@ -105,6 +106,7 @@ def read_tip(path: Path | str, tool: str | None = None, *, allow_refused: bool =
             raise UnreadableFileError(f"{path} is the tip of '{tip.tip_frame}'; needed that of '{tool}'")
         with reading(path, "a tool tip"):
             limits.require_lengths(tip.tip_mm, "tip_mm")
+            _refuse(tip_problem(tip.tip_mm))
             return Points(tip.tip_frame, np.array([tip.tip_mm]))
     tips = {
         d.target: d.matrix[:3, 3]
@@ -117,6 +119,8 @@ def read_tip(path: Path | str, tool: str | None = None, *, allow_refused: bool =
             f"{path} has tips of {len(tips)} tools ({listed}); needed one: name the tool"
         )
     frame, tip_mm = tips.popitem()
+    with reading(path, "a tool tip"):
+        _refuse(tip_problem(tip_mm))
     return Points(frame, tip_mm[None])
 
 
@@ -164,6 +168,7 @@ def _image_map(calibration: ProbeFile, sensor: str) -> ImageMap:
     """Build the map from its factors, which keep every digit, if the file has them."""
     limits.require_lengths(calibration.sensor_from_image, "sensor_from_image")
     whole = ImageMap.from_matrix(calibration.sensor_from_image, sensor)
+    _refuse(pixel_problem(whole.scale_mm_per_px))
     if calibration.sensor_from_image_rigid is None or calibration.pixel_mm is None:
         return whole
     rigid = rigid_from_matrix(calibration.sensor_from_image_rigid, sensor, "image")
@@ -183,6 +188,7 @@ def read_lag(path: Path | str, *, allow_refused: bool = False) -> float:
     lag_s = _read(LatencyFile, Path(path), "a latency", "latency", allow_refused=allow_refused).lag_s
     with reading(Path(path), "a latency"):
         limits.require_times(lag_s, "lag_s")
+        _refuse(lag_problem(lag_s))
     return lag_s
 
 
@@ -219,6 +225,12 @@ def read_hand_eye(
         if definition is None:
             raise InvalidInputError(f"it has no transform {hand}_from_{camera}")
         return rigid_from_matrix(definition.matrix, hand, camera)
+
+
+def _refuse(problem: str | None) -> None:
+    """Raise InvalidInputError if there is a problem; `reading` names the file."""
+    if problem is not None:
+        raise InvalidInputError(problem)
 
 
 def _read(schema: type[F], path: Path, what: str, command: str, *, allow_refused: bool) -> F:

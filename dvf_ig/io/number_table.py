@@ -118,10 +118,13 @@ def _numbers(path: Path, line: int, cells: list[str]) -> list[float]:
     for cell in (cell.strip('"') for cell in cells):
         if cell.lower() in _EMPTY:
             values.append(math.nan)
-        elif _NUMBER.fullmatch(cell) is None or abs(float(cell)) > LARGEST:
+        elif _NUMBER.fullmatch(cell) is None:
             raise UnreadableFileError(
-                f"{path}, line {line}: '{cell[:40]}' is not a number up to {LARGEST:g}; write it with a "
-                "decimal point"
+                f"{path}, line {line}: '{cell[:40]}' is not a number; write it with a decimal point"
+            )
+        elif abs(float(cell)) > LARGEST:
+            raise UnreadableFileError(
+                f"{path}, line {line}: {cell[:40]} is beyond {LARGEST:g}; check the unit, or export it again"
             )
         else:
             values.append(float(cell))

@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 
 from dvf_ig.core.arrays import FloatArray
-from dvf_ig.core.errors import UnreadableFileError
+from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
+from dvf_ig.core.plausible import pixel_problem
 from dvf_ig.core.space.image_map import ImageMap
 from dvf_ig.io.reading import reading
 
@@ -50,7 +51,10 @@ def read_image_map(path: Path | str, sensor: str = "probe") -> ImageMap:
                     f"{path}: the transforms {' to '.join(way)} and {' to '.join(chosen)} place the image "
                     f"{apart:.3g} mm apart; keep the ones that are true"
                 )
-        return ImageMap.from_matrix(ways[chosen], sensor)
+        placed = ImageMap.from_matrix(ways[chosen], sensor)
+        if problem := pixel_problem(placed.scale_mm_per_px):
+            raise InvalidInputError(problem)
+        return placed
 
 
 def _ways(

@@ -9,6 +9,7 @@ import numpy as np
 
 from dvf_ig.core.arrays import FloatArray
 from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
+from dvf_ig.core.plausible import phantom_problem
 from dvf_ig.core.recordings.phantom import NWirePhantom, NWireRecording, Wire
 from dvf_ig.core.recordings.sequence import TrackedSequence
 from dvf_ig.core.recordings.stream import PoseStream
@@ -38,7 +39,10 @@ def read_nwire_phantom(device_set_xml: Path | str) -> NWirePhantom:
             raise UnreadableFileError(
                 f"{path} defines no NWire pattern; give the device set with the phantom"
             )
-        return NWirePhantom(tuple(_pattern(path, pattern) for pattern in patterns))
+        phantom = NWirePhantom(tuple(_pattern(path, pattern) for pattern in patterns))
+        if problem := phantom_problem([end for w in phantom.wires for end in (w.front_mm, w.back_mm)]):
+            raise InvalidInputError(f"its phantom {problem}")
+        return phantom
 
 
 def read_wire_points(
@@ -62,6 +66,8 @@ def read_wire_points(
         if part is None:
             raise UnreadableFileError(f"{path} has no <{section}>; give a PLUS calibration result")
         elements = [(_index(path, e), e) for e in part.findall("Frame")]
+        if len({index for index, _ in elements}) < len(elements):
+            raise UnreadableFileError(f"{path}: <{section}> lists a frame twice; needed one entry per frame")
         count = max((i for i, _ in elements), default=-1) + 1 if frames is None else frames
         limits.require_count(count, limits.FRAMES, "frames")
         order = {wire.name: w for w, wire in enumerate(phantom.wires)}
@@ -75,6 +81,8 @@ def read_wire_points(
                 continue
             for point in element.findall("SegmentedPoints/Point"):
                 name = point.attrib.get("WireName", "")
+                if name in order and not np.isnan(points[index, order[name]]).any():
+                    raise UnreadableFileError(f"{path}: frame {index} has wire '{name}' twice; keep one")
                 if name not in order:
                     raise UnreadableFileError(
                         f"{path}: wire '{name}' is not in the phantom ({', '.join(order)})"

@@ -4,7 +4,8 @@ from pathlib import Path
 
 import numpy as np
 
-from dvf_ig.core.errors import UnreadableFileError
+from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
+from dvf_ig.core.plausible import phantom_problem
 from dvf_ig.core.space.points import Landmarks, Points
 from dvf_ig.io.reading import reading
 
@@ -27,5 +28,7 @@ def read_phantom_landmarks(device_set_xml: Path | str) -> Landmarks:
         if not elements:
             raise UnreadableFileError(f"{path} defines no <Landmark>; give the device set with the phantom")
         positions = np.array([numbers(path, element, "Position", 3) for element in elements])
+        if problem := phantom_problem(positions):
+            raise InvalidInputError(f"its phantom {problem}")
         names = tuple(element.attrib.get("Name", f"#{i + 1}") for i, element in enumerate(elements))
         return Landmarks(names, Points("phantom", positions))
