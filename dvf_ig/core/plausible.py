@@ -112,7 +112,7 @@ def pixel_problem(sides_mm: Any) -> str | None:
 
 
 def tip_problem(tip_mm: Any) -> str | None:
-    """Say why a tool's tip cannot be where it is in the frame of its marker; None if it can."""
+    """Say why a tool's tip cannot have this position relative to its marker; None if it can."""
     length = float(np.linalg.norm(tip_mm))
     if length == 0.0 or TIP_MM[0] <= length <= TIP_MM[1]:
         return None

@@ -65,7 +65,7 @@ def _affine_text(path: Path, text: str) -> FloatArray | None:
     """Parse the matrix of one affine transform; None for other transforms whose text is complete.
 
     Raises:
-        UnreadableFileError: truncated text, or numbers that are missing, too many or not finite.
+        UnreadableFileError: truncated text, or numbers that are missing, superfluous or not finite.
     """
     lines = [line.partition(":")[::2] for line in text.splitlines() if line.strip() and line[0] != "#"]
     rows = [(name.strip(), value.split()) for name, value in lines]

@@ -1,4 +1,4 @@
-"""Write JSON results with their provenance, and a mark that tells a reader which program made a file.
+"""Write JSON results with their provenance, and a mark that names the program that made a file.
 
 The mark is the field `written_by` in JSON, with the kind of content, and a comment in XML, HTML and the
 header of a sequence. What a command may replace is decided by the folder's listing (`io/writing/listing`).

@@ -58,8 +58,8 @@ def fit_batch_times(counts: IntArray, stamps_s: FloatArray) -> BatchTimes:
     """
     if len(counts) < FEWEST_BATCHES:
         raise InvalidInputError(
-            f"samples came with {len(counts)} frames, too few to estimate their times; needed "
-            f"at least {FEWEST_BATCHES}"
+            f"samples came with {len(counts)} frames, not enough to estimate their times; "
+            f"needed at least {FEWEST_BATCHES}"
         )
     delivered = np.cumsum(counts)
     period_s = float(np.quantile(np.diff(stamps_s) / counts[1:], USUAL_STEPS))

@@ -171,10 +171,10 @@ def _columns(path: Path, table: NumberTable) -> list[int]:
     """
     count = table.values.shape[1]
     names = table.names or ()
-    known = [next((q for q, words in _NAMES.items() if name in words), None) for name in names]
-    if not all(known.count(quantity) == 1 for quantity in _NAMES if quantity != "t"):
-        if names and any(known):
-            lacking = [quantity for quantity in _NAMES if quantity != "t" and known.count(quantity) != 1]
+    quantities = [next((q for q, words in _NAMES.items() if name in words), None) for name in names]
+    if not all(quantities.count(quantity) == 1 for quantity in _NAMES if quantity != "t"):
+        if names and any(quantities):
+            lacking = [quantity for quantity in _NAMES if quantity != "t" and quantities.count(quantity) != 1]
             raise UnreadableFileError(
                 f"{path} has the columns {', '.join(names)[:80]}; needed each of x, y, z, qx, qy, qz, "
                 f"qw once (not {', '.join(lacking)}): name them so"
@@ -185,9 +185,9 @@ def _columns(path: Path, table: NumberTable) -> list[int]:
                 "a row with their names"
             )
         return [*([-1] if count == 7 else []), *range(count)]
-    if known.count("t") > 1:
+    if quantities.count("t") > 1:
         raise UnreadableFileError(f"{path} has two columns of times ({', '.join(names)[:70]}); delete one")
-    other = [name for name, quantity in zip(names, known, strict=True) if quantity is None]
+    other = [name for name, quantity in zip(names, quantities, strict=True) if quantity is None]
     if other:
         log.warning("%s: the columns %s are not part of a pose and are left out", path, ", ".join(other))
-    return [known.index(quantity) if quantity in known else -1 for quantity in _NAMES]
+    return [quantities.index(quantity) if quantity in quantities else -1 for quantity in _NAMES]

@@ -128,8 +128,8 @@ def _listed(numbers: list[int]) -> str:
 
 def _usable_order(path: Path, t_s: FloatArray) -> IntArray:
     """Sort indices of frames with a time, up to a clock restart; keep the first of equal times."""
-    kept = np.flatnonzero(np.isfinite(t_s))
-    t_s = t_s[kept]
+    stamped = np.flatnonzero(np.isfinite(t_s))
+    t_s = t_s[stamped]
     restart = clock_restart(t_s)
     frames = len(t_s) if restart is None else restart
     if restart is not None:
@@ -139,7 +139,7 @@ def _usable_order(path: Path, t_s: FloatArray) -> IntArray:
             "the %d frames from there on are not used: split the file there, or record again",
             path,
             latest_s - t_s[restart],
-            kept[restart],
+            stamped[restart],
             latest_s,
             t_s[restart],
             len(t_s) - restart,
@@ -155,7 +155,7 @@ def _usable_order(path: Path, t_s: FloatArray) -> IntArray:
             frames,
             late,
         )
-    return np.asarray(kept[unique], dtype=np.int64)
+    return np.asarray(stamped[unique], dtype=np.int64)
 
 
 def clock_restart(t_s: FloatArray) -> int | None:
