@@ -296,7 +296,7 @@ def write_trait_seeds(folder: Path) -> None:
     header = ["# CoordinateSystem = LPS", f"# columns = {columns}"]
     (folder / "points.fcsv").write_text("\n".join([*header, *placed]) + "\n")
     turns = np.tile(np.eye(3), (12, 1, 1))
-    stream = PoseStream("tracker", "probe", 0.05 * np.arange(12), turns, places[:12], np.ones(12, bool))
+    stream = PoseStream("tracker", "probe", np.linspace(0.0, 0.55, 12), turns, places[:12], np.ones(12, bool))
     images = rng.integers(1, 127, (12, 2, 2)).astype(np.uint8)
     sequence = TrackedSequence(stream.t_s, images, np.ones(12, bool), {stream.name: stream}, orientation="MF")
     io.write_sequence(sequence, folder / "sequence.igs.mha", compression=0)

@@ -1,5 +1,6 @@
 """Facts about the files and folders that this program writes: results, sessions, runs, session logs."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,12 @@ RUN = "result.json"
 SESSION = "session.yaml"
 MOST_NUMBERS = 16
 """Longest list of numbers in a result that is shown, as of a 4x4 matrix; longer ones are evidence."""
+_CALIBRATIONS: dict[str, Callable[..., Any]] = {
+    "tip": read_tip,
+    "latency": read_lag,
+    "landmarks": read_landmark_map,
+    "hand-eye": read_hand_eye,
+}
 _PROVENANCE = ("inputs", "versions", "written_by", "kind", "@schema")
 
 
@@ -46,13 +53,8 @@ def json_facts(path: Path) -> tuple[str, Facts]:
         )
     if kind == "probe":
         read_probe(path, str(document.get("sensor_frame")), allow_refused=True)
-    elif reader := {
-        "tip": read_tip,
-        "latency": read_lag,
-        "landmarks": read_landmark_map,
-        "hand-eye": read_hand_eye,
-    }.get(str(kind)):
-        reader(path, allow_refused=True)
+    elif str(kind) in _CALIBRATIONS:
+        _CALIBRATIONS[str(kind)](path, allow_refused=True)
     what = kind or (str(schema) if schema else "phase times" if "fractions" in document else "replay")
     return f"result of dvf-ig: {what}", _shown(document)
 

@@ -40,10 +40,10 @@ def read_feature_points(path: Path | str, frames: int | None = None) -> FloatArr
         numbers, points = _rows(path)
     if (np.abs(points[np.isfinite(points)]) > LARGEST_PX).any():
         raise UnreadableFileError(f"{path} has a position beyond {LARGEST_PX:g} px; export it again")
-    half = np.isnan(points).any(axis=2) & ~np.isnan(points).all(axis=2)
+    half = np.isnan(points).sum(axis=2) == 1
     if half.any():
         raise UnreadableFileError(
-            f"{path}: a point of frame {numbers[half.any(axis=1)][0]:g} has a column or a row alone; give "
+            f"{path}: a point of frame {numbers[half.sum(axis=1) > 0][0]:g} has a column or a row alone; give "
             "both, or leave both empty"
         )
     whole = (numbers >= 0) & (numbers < limits.FRAMES) & (numbers == np.floor(numbers))

@@ -63,7 +63,7 @@ def recorded_poses(path: Path, target: str | None = None, source: str | None = N
             return _from_sequence(path, read_sequence(path), target, source)
         times, matrices = _read_folder(path) if path.is_dir() else _read_table(path)
         limits.require_times(times, "its column of times")
-        valid = np.isfinite(matrices).all(axis=(1, 2))
+        valid = np.asarray(np.isfinite(matrices).all(axis=(1, 2)), dtype=np.bool_)
         limits.require_lengths(matrices[valid], "a pose")
         if not valid.all():
             log.warning("%s: %d of %d poses were lost (nan, empty or zero)", path, (~valid).sum(), len(valid))
