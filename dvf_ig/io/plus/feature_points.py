@@ -43,8 +43,8 @@ def read_feature_points(path: Path | str, frames: int | None = None) -> FloatArr
     half = np.isnan(points).sum(axis=2) == 1
     if half.any():
         raise UnreadableFileError(
-            f"{path}: a point of frame {numbers[half.sum(axis=1) > 0][0]:g} has a column or a row alone; give "
-            "both, or leave both empty"
+            f"{path}: a point of frame {numbers[half.sum(axis=1) > 0][0]:g} has a column or a row alone; "
+            "give both, or leave both empty"
         )
     whole = (numbers >= 0) & (numbers < limits.FRAMES) & (numbers == np.floor(numbers))
     if not whole.all():
