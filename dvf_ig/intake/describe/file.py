@@ -52,7 +52,7 @@ from .sequence import (
 )
 
 Facts = dict[str, Any]
-TABLES = (".txt", ".csv", ".tsv", ".dat")
+TABLES = (".txt", ".csv", ".tsv")
 UNIT = 0.01
 MOST_NAMES = 10
 """Most names of files that a message lists."""
@@ -116,7 +116,7 @@ def _folder_kind(path: Path) -> tuple[str, Reader]:
     if surface_names(path):
         return "surfaces through the cycle", surface_facts
     endings = {one.suffix.lower() for one in path.iterdir() if one.is_file() and one.name[0] != "."}
-    if endings and endings <= {"", *TABLES}:
+    if endings and endings <= {"", ".dat", *TABLES}:
         return "tool poses, one 4x4 text file each", _pose_facts
     listed = ", ".join(sorted(one.name for one in path.iterdir())[:MOST_NAMES]) or "nothing"
     raise UnreadableFileError(
