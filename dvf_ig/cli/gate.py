@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from .shell import EcgRateOption, JsonFlag, command, emit, output_file, progress, warn, wrote
+from .shell import EcgLeadOption, EcgRateOption, JsonFlag, command, emit, output_file, progress, warn, wrote
 
 if TYPE_CHECKING:
     from dvf_ig.cardiac import PhaseClockOptions, PhaseTracking
@@ -19,11 +19,12 @@ def gate(
         str,
         typer.Argument(
             help="wfdb:RECORD, edf:FILE, csv:FILE or plus:SEQUENCE[#FIELD] (an ending .hea, .dat, .edf, "
-            ".csv, .tsv, .mha or .nrrd is enough), or trigger:FILE.",
+            ".bdf, .csv, .tsv, .ecg, .mha or .nrrd is enough), or trigger:FILE.",
             metavar="ECG",
         ),
     ],
     rate: EcgRateOption = None,
+    lead: EcgLeadOption = None,
     phase_at: Annotated[
         float | None,
         typer.Option("--phase-at", help="Also give phase at this rate (Hz).", min=0.1, max=10_000.0),
@@ -48,7 +49,7 @@ def gate(
         if output is not None:
             require_outputs(output, output.with_suffix(".png"))
         rate_hz = phase_at or VALIDITY_RATE_HZ
-        signal, tracking = _track(ecg, rate, rate_hz, predictor, delay_s)
+        signal, tracking = _track(ecg, rate, lead, rate_hz, predictor, delay_s)
         result = _result(tracking, with_phase=phase_at is not None)
         if output is not None:
             picture = output.with_suffix(".png")
@@ -61,7 +62,12 @@ def gate(
 
 
 def _track(
-    spec: str, ecg_rate_hz: float | None, rate_hz: float, predictor: str, delay_s: float | None
+    spec: str,
+    ecg_rate_hz: float | None,
+    lead: str | None,
+    rate_hz: float,
+    predictor: str,
+    delay_s: float | None,
 ) -> "tuple[Signal | None, PhaseTracking]":
     import numpy as np
 
@@ -70,7 +76,7 @@ def _track(
     from dvf_ig.io import read_beat_source
 
     options = _options(predictor)
-    source = read_beat_source(spec, rate_hz=ecg_rate_hz, delay_s=delay_s)
+    source = read_beat_source(spec, rate_hz=ecg_rate_hz, delay_s=delay_s, lead=lead)
     if isinstance(source, Signal):
         duration_s = len(source) / source.rate_hz
         t_s = source.start_s + np.arange(max(1, int(duration_s * rate_hz))) / rate_hz

@@ -72,7 +72,7 @@ def test_the_whole_records_of_an_edf_are_read_with_a_warning(
         ({"high": "1e300"}, "the value '1e300'"),
         ({"low": "5"}, "same smallest and largest"),
         ({"digital_low": "32767"}, "same smallest and largest"),
-        ({"unit": "degC"}, "leads are in 'degC'"),
+        ({"unit": "degC"}, "no channel of an ECG, only ECG II .degC. at 250 Hz"),
         ({"form": "EDF+D"}, "interruptions"),
         ({"version": "garbage"}, "not a readable EDF"),
     ],
