@@ -10,10 +10,12 @@ from dvf_ig.core import BoolArray, FloatArray, IntArray
 FLAT_S = 0.2
 """A lead that keeps one value, or has no samples, for this long is off (LOST: docs/theory/cardiac.md)."""
 RESTING_S = 1.5
-"""A lead that came to rest smoothly between beats, as a clean or coarsely digitised one does, is off after this:
+"""A lead that came to rest between beats, as a clean or coarsely digitised one does, is off after this:
 longer than the rest between two beats at 40 per minute."""
 APPROACH_S = 0.06
 """Stretch before a flat one by which rest is distinguished from loss."""
+MOST_TURNS = 3
+"""Turns of the signal within a QRS complex (Q, R and S)."""
 EXTREME_SHARE = 0.5
 """A flat value at an end of a lead's range, this share of it away from the mean, is saturation."""
 
@@ -25,7 +27,7 @@ _CAUSES: tuple[LeadOffCause, ...] = ("", "lead off (flat line)", "saturation", "
 
 @dataclass(frozen=True, slots=True)
 class LeadChange:
-    """Time at which the ECG as a whole was lost (`on` False) or came back (`on` True), and why it was lost."""
+    """Time at which the whole ECG was lost (`on` False) or came back (`on` True), and why it was lost."""
 
     t_s: float
     on: bool
@@ -41,7 +43,9 @@ class LeadOffDetector:
     def push(self, samples: FloatArray) -> tuple[FloatArray, BoolArray]:
         """Convert (n, leads) samples, NaN if missing, to samples with gaps filled, and lead-off flags."""
         columns = [lead.push(column) for lead, column in zip(self._leads, samples.T, strict=True)]
-        return np.column_stack([filled for filled, _ in columns]), np.column_stack([off for _, off in columns])
+        return np.column_stack([filled for filled, _ in columns]), np.column_stack(
+            [off for _, off in columns]
+        )
 
     def cause(self, index: int) -> LeadOffCause:
         """Return why the first lead is off at a sample of the last chunk."""
@@ -69,21 +73,19 @@ class _Lead:
         joined = np.concatenate([before, np.where(last >= 0, column[np.maximum(last, 0)], before[-1])])
         filled = joined[len(before) :]
         steps = np.abs(np.diff(joined)[len(before) - 1 :])
-        quanta = np.minimum.accumulate(
-            np.concatenate([[self._quantum], np.where(steps == 0, np.inf, steps)])
-        )
+        quanta = np.minimum.accumulate(np.concatenate([[self._quantum], np.where(steps == 0, np.inf, steps)]))
         equal, missing = _runs(steps == 0, self._equal), _runs(~finite, self._missing)
         limits, causes = np.full(n, self._flat), np.ones(n, np.int8)
         begins = np.flatnonzero(steps)
         ends = np.append(begins[1:], n)[: len(begins)]
         limits[: begins[0] if len(begins) else n] = self._limit
         causes[: begins[0] if len(begins) else n] = self._cause
-        for begin, end in zip(begins.tolist(), ends.tolist(), strict=True):
-            if end - begin > self._flat or end == n:
-                at = len(before) + begin
-                self._limit = self._limit_of(joined[max(at - self._width, 0) : at + 1], quanta[begin + 1])
-                self._cause = self._cause_of(filled[:begin], float(filled[begin]))
-                limits[begin:end], causes[begin:end] = self._limit, self._cause
+        long = (ends - begins > self._flat) | (ends == n)
+        for begin, end in zip(begins[long].tolist(), ends[long].tolist(), strict=True):
+            at = len(before) + begin
+            self._limit = self._limit_of(joined[max(at - self._width, 0) : at + 1], quanta[begin + 1])
+            self._cause = self._cause_of(filled[:begin], float(filled[begin]))
+            limits[begin:end], causes[begin:end] = self._limit, self._cause
         causes[missing >= self._flat] = 3
         self._tail, self._quantum = joined[-self._width - 1 :], float(quanta[-1])
         self._equal, self._missing = int(equal[-1]), int(missing[-1])
@@ -95,8 +97,8 @@ class _Lead:
     def _limit_of(self, approach: FloatArray, quantum: float) -> int:
         """Return after how many equal samples the lead is off, from the samples before and the first of them.
 
-        It came to rest if steps of more than one quantum turn at most once, as a fading wave does and noise
-        does not, and the last step is as small as the smallest, as a jump to a rail is not.
+        It came to rest if steps of more than one quantum turn no more often than in a QRS complex, as noise
+        does, and the last step is about as small as the smallest, as a jump to a rail is not.
         """
         steps = np.diff(approach)
         if len(steps) < 3:
@@ -105,7 +107,8 @@ class _Lead:
         turns = int(np.count_nonzero(np.diff(large)))
         earlier = np.abs(steps[:-1][steps[:-1] != 0])
         smallest = max(quantum, float(earlier.min()) if len(earlier) else 0.0)
-        return self._resting if turns <= 1 and abs(steps[-1]) <= 1.5 * smallest else self._flat
+        few = min(MOST_TURNS, max(2, len(steps) // 5))
+        return self._resting if turns <= few and abs(steps[-1]) <= 2.5 * smallest else self._flat
 
     def _cause_of(self, chunk: FloatArray, value: float) -> int:
         """Return the cause of a run at `value`, from all samples before it."""

@@ -50,7 +50,7 @@ def gate(
             require_outputs(output, output.with_suffix(".png"))
         rate_hz = phase_at or VALIDITY_RATE_HZ
         signal, tracking = _track(ecg, rate, lead, rate_hz, predictor, delay_s)
-        result = _result(tracking, with_phase=phase_at is not None)
+        result = _result(signal, tracking, with_phase=phase_at is not None)
         if output is not None:
             picture = output.with_suffix(".png")
             with files_together(output.parent, (output.name, picture.name)) as new:
@@ -109,10 +109,10 @@ def _options(predictor: str) -> "PhaseClockOptions":
     raise InvalidInputError(f"RR predictor '{predictor}' is unknown; choose {', '.join(PREDICTORS)}")
 
 
-def _result(tracking: "PhaseTracking", *, with_phase: bool) -> dict[str, Any]:
+def _result(signal: "Signal | None", tracking: "PhaseTracking", *, with_phase: bool) -> dict[str, Any]:
     from dvf_ig.cardiac import state_segments, summarise_gating
 
-    summary = summarise_gating(tracking.peaks, tracking.track)
+    summary = summarise_gating(tracking.peaks, tracking.track, tracking.lead_changes)
     result: dict[str, Any] = {
         "beats_s": [peak.t_s for peak in tracking.peaks],
         "detected_at_s": [peak.detected_at_s for peak in tracking.peaks],
@@ -120,6 +120,9 @@ def _result(tracking: "PhaseTracking", *, with_phase: bool) -> dict[str, Any]:
         "rate_bpm": summary.rate_bpm,
         "valid_share": summary.valid_share,
         "invalid_segments_s": summary.invalid_segments_s.tolist(),
+        "invalid_reasons": list(summary.invalid_reasons),
+        "leads": [] if signal is None else list(signal.leads),
+        "left_out": [] if signal is None else list(signal.left_out),
         "state_segments": [
             {"start_s": start, "stop_s": stop, "state": state.name}
             for start, stop, state in state_segments(tracking.track)
@@ -148,17 +151,22 @@ def _draw(path: Path, spec: str, signal: "Signal | None", tracking: "PhaseTracki
 
 def _rows(result: dict[str, Any]) -> list[tuple[str, str]]:
     segments = result["invalid_segments_s"]
-    shown = ", ".join(f"{start:.1f}–{stop:.1f}" for start, stop in segments[:8])
+    shown = "; ".join(
+        f"{start:.1f}–{stop:.1f} s ({why})"
+        for (start, stop), why in zip(segments[:8], result["invalid_reasons"], strict=False)
+    )
     more = f" and {len(segments) - 8} more" if len(segments) > 8 else ""
     delays = sorted(
         detected - peak for detected, peak in zip(result["detected_at_s"], result["beats_s"], strict=True)
     )
+    left = f"; left out: {', '.join(result['left_out'])}" if result["left_out"] else ""
     return [
+        ("leads", f"{', '.join(result['leads']) or 'trigger'}{left}"),
         ("beats", f"{len(result['beats_s'])}"),
         ("rate", f"{result['rate_bpm']:.1f} /min"),
         ("detection delay", f"{1000 * delays[len(delays) // 2]:.0f} ms (median)"),
         ("phase valid", f"{100 * result['valid_share']:.1f} % of the time"),
-        ("not valid", f"{shown}{more} s" if segments else "never"),
+        ("not valid", f"{shown}{more}" if segments else "never"),
         ("states", ", ".join(_reasons(result["state_segments"])) or "–"),
     ]
 

@@ -16,10 +16,8 @@ ECG_VALUE = 1e9
 ECG_RATE_HZ = (20.0, 50_000.0)
 """Slowest and fastest sampling of an ECG: long-term recorders keep 100 Hz, laboratories record 40 kHz."""
 ECG_SWING_MV = (0.01, 100.0)
-"""Smallest and largest swing of an ECG from beat to beat: a chest lead has 0.3 to 10 mV, one from inside the heart
-40 mV; a wrong unit is off by 1000."""
-HEART_RATE_BPM = (20.0, 300.0)
-"""Slowest and fastest mean heart rate of a recording."""
+"""Smallest and largest swing of an ECG from beat to beat: a chest lead has 0.3 to 10 mV, one from inside the
+heart 40 mV; a wrong unit is off by 1000."""
 
 
 def require_plausible(values: Any, most: float, what: str) -> None:

@@ -1,4 +1,4 @@
-"""Times of day and elapsed times as recorders write them: 13:59:50.004, 01:59:50 PM, 30.03.2024 13:59:50, 0:02.778."""
+"""Times of day and elapsed times as recorders write them: 30.03.2024 13:59:50.004, 01:59:50 PM, 0:02.778."""
 
 import re
 
@@ -8,7 +8,10 @@ from dvf_ig.core.arrays import FloatArray
 
 DAY_S = 86400.0
 _MONTH = "jan|feb|m[aä]r|apr|ma[yi]|jun|jul|aug|sep|o[ck]t|nov|de[cz]"
-_DATE = rf"(?:\d{{4}}[-/.]\d{{1,2}}[-/.]\d{{1,2}}|\d{{1,2}}[-/. ](?:\d{{1,2}}|(?:{_MONTH})[a-zä]*)[-/. ]\d{{2,4}})"
+_DATE = (
+    r"(?:\d{4}[-/.]\d{1,2}[-/.]\d{1,2}"
+    rf"|\d{{1,2}}[-/. ](?:\d{{1,2}}|(?:{_MONTH})[a-zä]*)[-/. ]\d{{2,4}})"
+)
 _CLOCK = re.compile(
     rf"(?:({_DATE})(?:T|,? +))?(?:(\d+):)?(\d{{1,2}}):(\d{{1,2}}(?:[.,:]\d*)?)(?: ?([ap])\.?m\.?)?"
     r"(?:Z| ?[+-]\d\d:?\d\d)?",

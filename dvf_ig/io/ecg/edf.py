@@ -1,4 +1,4 @@
-"""Read EDF and BDF recordings: a header of fixed fields, then records of about 1 s with samples of every signal.
+"""Read EDF and BDF recordings: a header of fixed fields, then records with samples of every signal.
 
 Sources: Kemp & Olivan 2003, "European data format 'plus' (EDF+)"; BioSemi, "BDF file format" (24 bits).
 """
@@ -53,8 +53,8 @@ def read_edf(path: Path, lead: str | None = None) -> Signal:
         path: the file.
         lead: labels of the leads to take instead, separated by commas.
     Raises:
-        UnreadableFileError: absent, damaged, interrupted, a header that contradicts itself or the file's size,
-            no ECG, or leads of different rates.
+        UnreadableFileError: absent, damaged, interrupted, a header that contradicts itself or the size of the
+            file, no ECG, or leads of different rates.
     """
     data = read_bytes(path, "an EDF file")
     bdf = data[:8] == b"\xffBIOSEMI"
@@ -150,8 +150,8 @@ def _leads(path: Path, data: bytes, bits: int) -> list[_Lead]:
     count, stated = int(_number(path, data, "leads")), int(_number(path, data, "header bytes"))
     if stated != 256 * (count + 1):
         raise UnreadableFileError(
-            f"{path}: its header says that it has {stated} bytes, but {count} signals need {256 * (count + 1)}; "
-            "export it again"
+            f"{path}: its header says that it has {stated} bytes, but {count} signals need "
+            f"{256 * (count + 1)}; export it again"
         )
     if len(data) < 256 * (count + 1):
         raise UnreadableFileError(f"{path} is truncated within its header ({len(data)} bytes); copy it again")
@@ -209,8 +209,7 @@ def _physical(path: Path, lead: _Lead, counts: AnyArray) -> FloatArray:
     outside = float(((counts < digital_low) | (counts > digital_high)).mean())
     if outside:
         log.warning(
-            "%s: %.2g %% of the samples of %s are outside the digital range of its header, so its gain may be "
-            "wrong",
+            "%s: %.2g %% of the samples of %s are outside the header's digital range; its gain may be wrong",
             path,
             100 * outside,
             lead.label,

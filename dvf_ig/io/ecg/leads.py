@@ -26,7 +26,7 @@ _ECG_WORDS = re.compile(
     r"|ele[ck]trocardiogra\w*|elektrokardiogra\w*|holter\d*|m?cl\d*|m[lv]i{1,3}|m[lv]\d|cm\d|cc\d"
     r"|d?i{1,3}|d[1-3]|a?v[rlf]|v[1-9]?r?|v[xyz]|v[12]raw|lead[a-z]?\d*|[lr][al]|[ae]s|ai"
 )
-"""Words that name a lead: ECG, EKG, I to III, aVR, aVL, aVF, V1 to V9, V3R, MLII, MV2, MCL1, CM5, VX, EASI's."""
+"""Words that name a lead: ECG, EKG, I to III, aVR, aVL, aVF, V1 to V9, V3R, MLII, MV2, MCL1, CM5, VX, ES."""
 _EASI = re.compile(r"^(?:[ae]-s|a-i)$")
 _CAMEL = re.compile(r"(?<=[a-z]{2})(?=[A-Z])")
 _CARDIAC = re.compile(r"cardiac\d*|heart")
@@ -186,7 +186,7 @@ def in_millivolts(path: Path, samples: FloatArray, leads: Sequence[Channel]) -> 
         return samples, UNKNOWN_UNIT
     if any(unstated):
         raise UnreadableFileError(
-            f"{path}: some leads state no unit ({_listed(leads, range(len(leads)))}); choose leads of one unit",
+            f"{path}: some leads state no unit ({_listed(leads, range(len(leads)))}); choose some that do",
             settings=("ecg.lead",),
         )
     scale = np.array([1.0 / IN_ONE_MV[unit] for unit in units])

@@ -1,7 +1,7 @@
 """Read the ECG that a Siemens scanner logs with its physiological monitoring unit (PMU), a `.ecg` file.
 
-One line of integers: a header, texts between 5002 and 6002, samples with marks of the scanner's own trigger (5000 on,
-6000 off), 5003 at the end; then lines with the times of the log. Two leads alternate in some versions.
+One line of integers: a header, texts between 5002 and 6002, samples with marks of the scanner's own trigger
+(5000 on, 6000 off), 5003 at the end; then lines with the times of the log. Two leads may alternate.
 Source: Kasper et al. 2017, PhysIO toolbox, tapas_physio_read_physlogfiles_siemens.
 """
 
@@ -54,8 +54,8 @@ def read_pmu_log(path: Path, text: str, rate_hz: float | None = None) -> Signal:
         rate_hz = None if measured_hz is None else float(round(measured_hz))
     elif measured_hz is not None and abs(measured_hz - rate_hz) > _AGREES * rate_hz:
         raise UnreadableFileError(
-            f"{path} has {len(values)} samples of each lead in {log_s:g} s, {measured_hz:.4g} Hz, but --rate is "
-            f"{rate_hz:g} Hz; omit it"
+            f"{path} has {len(values)} samples of each lead in {log_s:g} s, {measured_hz:.4g} Hz, but --rate "
+            f"is {rate_hz:g} Hz; omit it"
         )
     if rate_hz is None:
         raise UnreadableFileError(

@@ -48,8 +48,8 @@ def read_ecg(spec: str, rate_hz: float | None = None, lead: str | None = None) -
     Args:
         spec: `wfdb:PATH` (record, with or without suffix), `edf:PATH` (EDF or BDF), `csv:PATH` (see
             `read_ecg_table`), `plus:PATH` or `plus:PATH#FIELD` (a tracked sequence with an ECG in it:
-            `read_ecg_field`), or the path alone if its ending (.hea, .dat, .edf, .bdf, .csv, .tsv, .mha, .nrrd)
-            implies the format.
+            `read_ecg_field`), or the path alone if its ending (.hea, .dat, .edf, .bdf, .csv, .tsv, .mha,
+            .nrrd) implies the format.
         rate_hz: sampling rate of a recording that states none.
         lead: labels of the leads to take, separated by commas, instead of those that are named as an ECG.
     Returns:
@@ -93,8 +93,8 @@ def require_plausible(path: Path, signal: Signal) -> None:
     slowest, fastest = ECG_RATE_HZ
     if not slowest <= signal.rate_hz <= fastest:
         raise UnreadableFileError(
-            f"{path} is sampled at {signal.rate_hz:.4g} Hz; an ECG is at {slowest:g} to {fastest:g} Hz: correct "
-            "its rate, or the unit of its times",
+            f"{path} is sampled at {signal.rate_hz:.4g} Hz; an ECG is at {slowest:g} to {fastest:g} Hz: "
+            "correct its rate, or the unit of its times",
             settings=("ecg.rate_hz",),
         )
     limits.require_times(signal.start_s, "its first time")
@@ -113,8 +113,8 @@ def require_plausible(path: Path, signal: Signal) -> None:
         swing, (least, most) = _swing(samples, signal.rate_hz), ECG_SWING_MV
         if signal.unit == "mV" and swing > 0 and not least <= swing <= most:
             log.warning(
-                "%s: lead %s swings by %.3g mV from beat to beat, and a heart gives %g to %g mV: its unit or gain "
-                "is wrong; R peaks are found from its shape alone",
+                "%s: lead %s swings by %.3g mV from beat to beat, and a heart gives %g to %g mV: its unit or "
+                "gain is wrong; R peaks are found from its shape alone",
                 path,
                 lead,
                 swing,

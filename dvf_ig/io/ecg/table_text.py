@@ -1,7 +1,7 @@
 """Split a text table into names, units and numbers, and read what its preamble states.
 
-A preamble is all that comes before the first row of numbers: comments, lines "key=value" or "key,value", the names of
-the columns, their units. A line that is none of these is an error, as is anything but numbers after the first row.
+A preamble is all that comes before the first row of numbers: comments, lines "key=value" or "key,value", the
+names of the columns, their units. A line that is none of these is an error, as is any but numbers after it.
 """
 
 import json
@@ -28,7 +28,9 @@ IN_ONE_SECOND = {
     "h": 1 / 3600,
 }
 IN_ONE_SECOND |= {"ms": 1e3, "msec": 1e3, "us": 1e6, "µs": 1e6, "μs": 1e6, "usec": 1e6, "ns": 1e9}
-_OTHER_UNITS = ["mmhg", "cmh2o", "kpa", "mbar", "%", "bpm", "/min", "1/min", "degc", "°c", "c", "l/min", "l/s", "ml", "ohm", "ω", "kohm", "g", "m/s2", "hz", "rpm"]
+_OTHER_UNITS = re.compile(
+    r"mmhg|cmh2o|kpa|mbar|%|bpm|/min|1/min|deg ?c|°?c|l/min|l/s|ml|k?ohm|k?ω|g|m/s2|hz|rpm", re.IGNORECASE
+)
 _BRACKETS = re.compile(r"(.*?)\s*[\[(]([^\[\]()]+)[\])]|(.*?)\s*/\s*([mµμu]?v|m?s)", re.IGNORECASE)
 _SUFFIX = re.compile(r"(.*?)[_ ](s|sec|ms|us|ns|mv|uv)", re.IGNORECASE)
 _KEY = re.compile(r"[A-Za-z][\w ]*=\s*\S?.*")
@@ -68,8 +70,9 @@ class Column:
 
 def is_unit(text: str) -> bool:
     """Return whether a text is the unit of a column that recordings have."""
-    known = (*IN_ONE_SECOND, *IN_ONE_MV, *UNSTATED[1:], *_OTHER_UNITS)
-    return text.strip().lower() in known
+    unit = text.strip().lower()
+    known = unit in (*IN_ONE_SECOND, *IN_ONE_MV, *UNSTATED[1:])
+    return known or _OTHER_UNITS.fullmatch(unit) is not None
 
 
 @read_only_arrays
@@ -213,7 +216,7 @@ def _headings(
 
 
 def _open_signals(text: str) -> list[str] | None:
-    """Return the columns that a comment of OpenSignals names as JSON, with their sensors; None if it is none."""
+    """Return the columns, by their sensors, that a JSON comment of OpenSignals lists; None for other text."""
     try:
         devices = list(json.loads(text).values())
         names = [str(name) for name in devices[0]["column"]]
@@ -277,12 +280,11 @@ def _convert_clock(path: Path, rows: list[tuple[int, str]], split: list[list[str
     for (number, line), cells in zip(rows, split, strict=True):
         seconds = clock_seconds(cells[at]) if len(cells) > at else None
         if seconds is None:
-            raise UnreadableFileError(
-                f"{path}, line {number}: '{(cells[at] if len(cells) > at else line)[:40]}' is no time like those before"
-            )
+            cell = cells[at] if len(cells) > at else line
+            raise UnreadableFileError(f"{path}, line {number}: '{cell[:40]}' is no time like those before")
     dates = [days_of(cells[at]) for cells in split]
     times = [clock_seconds(cells[at]) or 0.0 for cells in split]
-    for (one, other), (before, after), (number, line) in zip(
+    for (one, other), (before, after), (number, _) in zip(
         pairwise(dates), pairwise(times), rows[1:], strict=True
     ):
         if one != other and after >= before:
@@ -309,7 +311,6 @@ def _stated_hz(path: Path, lines: list[str]) -> float | None:
         return None
     if max(rates) - min(rates) > 1e-3 * max(rates):
         raise UnreadableFileError(
-            f"{path} states two sampling rates, {rates[0]:g} and {next(r for r in rates if r != rates[0]):g} Hz; "
-            "correct its header"
+            f"{path} states two sampling rates, {min(rates):g} and {max(rates):g} Hz; correct its header"
         )
     return rates[0]

@@ -64,12 +64,12 @@ def read_ecg_table(path: Path, rate_hz: float | None = None, lead: str | None = 
 
     Cells are separated by commas, semicolons, tabs or blanks; with semicolons, tabs or one column alone a
     comma may be the decimal mark. A header names the columns, `t_s,II,V1` or `Timestamp;ECG (mV)`; a second
-    row may hold their units; lines above it may state the sampling rate (LabChart, OpenSignals, Apple). A table of
-    BIDS has its names and rate in a JSON file of the same name. Times are in a column named t, time or
+    row may hold their units; lines above it may state the sampling rate (LabChart, OpenSignals, Apple). A
+    table of BIDS has its names and rate in a JSON file of the same name. Times are in a column named t, time or
     timestamp, or in a first column that always increases; their unit is the one in its name (`t_ms`,
     `time [ms]`), else the one of s, ms, µs and ns that gives 20 Hz or more. Times of day and elapsed times
-    (13:59:50.004, 30.03.2024 01:59:50 PM, 0:02.778) become seconds since midnight or since the start. Leads are
-    chosen by name and unit (`choose_leads`), and are in mV unless their names say otherwise.
+    (13:59:50.004, 30.03.2024 01:59:50 PM, 0:02.778) become seconds since midnight or since the start. Leads
+    are chosen by name and unit (`choose_leads`), and are in mV unless their names say otherwise.
 
     Args:
         path: the file, which gzip may have packed.
@@ -107,8 +107,8 @@ def read_ecg_table(path: Path, rate_hz: float | None = None, lead: str | None = 
     if stated_hz is None:
         listed = ", ".join(column.name for column in columns)[:60]
         raise UnreadableFileError(
-            f"{path} has no column of times (named t_s, time or timestamp) among {listed}; give its sampling rate "
-            "in Hz",
+            f"{path} has no column of times (named t_s, time or timestamp) among {listed}; give its sampling "
+            "rate in Hz",
             settings=("ecg.rate_hz",),
         )
     left_out = tuple(columns[i].name for i in others if i not in chosen)
@@ -144,7 +144,8 @@ def _with_sidecar(path: Path, table: Table) -> tuple[Table, float]:
     numbers = all(isinstance(v, int | float) and not isinstance(v, bool) for v in (hz, start_s or 0))
     if not isinstance(names, list) or not numbers or not 0 < float(hz) < 1e6:
         raise UnreadableFileError(
-            f"{sidecar} does not describe {path.name}: needed a SamplingFrequency in Hz, Columns, and StartTime in s"
+            f"{sidecar} does not describe {path.name}: needed a SamplingFrequency in Hz, Columns, and "
+            "StartTime in s"
         )
     if len(names) != table.values.shape[1]:
         raise UnreadableFileError(
@@ -245,8 +246,8 @@ def _seconds(path: Path, table: Table, column: Column, at: int) -> FloatArray:
         step_s = step / IN_ONE_SECOND[stated]
         if step_s > _LONGEST_STEP_S or 0 < step_s < _SHORTEST_STEP_S * (1 - 1e-9):
             raise UnreadableFileError(
-                f"{path}: its times step by {step:g} {stated} (column '{column.heading}'); no ECG is sampled at "
-                f"{1 / step_s:.3g} Hz: correct the unit in the header"
+                f"{path}: its times step by {step:g} {stated} (column '{column.heading}'); no ECG is sampled "
+                f"at {1 / step_s:.3g} Hz: correct the unit in the header"
             )
         return times / IN_ONE_SECOND[stated]
     for unit in ("s", "ms", "us", "ns"):

@@ -35,9 +35,8 @@ def read_beat_source(
     """
     if spec.startswith(TRIGGER_PREFIX):
         if rate_hz is not None or lead is not None:
-            raise UnreadableFileError(
-                f"a {'lead' if rate_hz is None else 'rate'} belongs to an ECG; '{spec}' holds the times of pulses"
-            )
+            what = "lead" if rate_hz is None else "rate"
+            raise UnreadableFileError(f"a {what} belongs to an ECG; '{spec}' holds the times of pulses")
         return read_triggers(spec.removeprefix(TRIGGER_PREFIX), delay_s)
     if delay_s is not None:
         raise UnreadableFileError(

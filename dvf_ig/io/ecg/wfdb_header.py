@@ -114,8 +114,8 @@ def simplified(header: Path) -> str | None:
         return None
     if not strict:
         log.warning("%s: '%s' is not a time and date of WFDB; it is left out", header, line[6].strip()[:40])
-    record = f"{re.sub(r'[^-a-zA-Z0-9_]', '_', line[1])}{line[0][line.end(1) : line.end() if strict else line.start(6)]}"
-    return "\n".join([record, *lines, ""])
+    name, end = re.sub(r"[^-a-zA-Z0-9_]", "_", line[1]), line.end() if strict else line.start(6)
+    return "\n".join([f"{name}{line[0][line.end(1) : end]}", *lines, ""])
 
 
 def _record_line(header: Path) -> tuple[re.Match[str], list[str]]:
