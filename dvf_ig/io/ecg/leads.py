@@ -183,6 +183,11 @@ def in_millivolts(path: Path, samples: FloatArray, leads: Sequence[Channel]) -> 
     units = [lead.unit.strip().lower() for lead in leads]
     unstated = [unit in UNSTATED for unit in units]
     if all(unstated):
+        log.warning(
+            "%s states no unit of %s: times are right, amplitudes are not calibrated",
+            path,
+            _listed(leads, range(len(leads))),
+        )
         return samples, UNKNOWN_UNIT
     if any(unstated):
         raise UnreadableFileError(

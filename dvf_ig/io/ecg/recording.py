@@ -18,7 +18,7 @@ from dvf_ig.io.reading import reading
 from dvf_ig.io.writing.atomic import write_text
 
 from .edf import read_edf
-from .leads import Channel, choose_leads
+from .leads import IN_ONE_MV, Channel, choose_leads
 from .text_table import read_ecg_table
 from .wfdb import read_wfdb
 
@@ -110,8 +110,9 @@ def require_plausible(path: Path, signal: Signal) -> None:
         if np.isnan(samples[0]) and np.isnan(samples).all():
             log.warning("%s: lead %s holds no sample, only gaps", path, lead)
             continue
-        swing, (least, most) = _swing(samples, signal.rate_hz), ECG_SWING_MV
-        if signal.unit == "mV" and swing > 0 and not least <= swing <= most:
+        in_one_mv, (least, most) = IN_ONE_MV.get(signal.unit.lower()), ECG_SWING_MV
+        swing = 0.0 if in_one_mv is None else _swing(samples, signal.rate_hz) / in_one_mv
+        if swing > 0 and not least <= swing <= most:
             log.warning(
                 "%s: lead %s swings by %.3g mV from beat to beat, and a heart gives %g to %g mV: its unit or "
                 "gain is wrong; R peaks are found from its shape alone",
