@@ -210,7 +210,7 @@ def _headings(
     if not headings and width == 1 and units:
         headings = comments[-1:] or ["ECG"]
     described = next((found for text in comments if (found := _open_signals(text)) is not None), None)
-    if described is not None and len(described) == width:
+    if described is not None and len(described) in (width, width - 1):
         headings = described
     return headings, units
 
