@@ -26,7 +26,8 @@ def _channels() -> tuple[FloatArray, FloatArray]:
     t_s = np.arange(RATE_HZ * SECONDS) / RATE_HZ
     beat = (t_s + 0.4) % 0.8 - 0.4
     ecg = np.exp(-0.5 * (beat / 0.012) ** 2) + 0.2 * np.exp(-0.5 * ((beat - 0.25) / 0.05) ** 2)
-    return np.round(ecg, 3), np.round(np.sin(1.5 * t_s), 3)
+    breathing = np.sin(1.5 * t_s)
+    return np.asarray(ecg.round(3)), np.asarray(breathing.round(3))
 
 
 def write_seeds(folder: Path) -> None:
@@ -36,14 +37,9 @@ def write_seeds(folder: Path) -> None:
     lines = ["t_s,ECG [mV],RSP [V]", *(f"{t:.3f},{a:.3f},{b:.3f}" for t, a, b in rows)]
     (folder / "lies.csv").write_text("\n".join(lines) + "\n")
     counts = np.stack([np.rint(1000 * ecg), np.rint(1000 * breathing)]).astype("<i2")
-    fields = (("ECG", "Resp"), 16), (("", ""), 80), (("mV", "mV"), 8), (("-5", "-5"), 8), (("5", "5"), 8)
-    fields += (
-        (("-5000",) * 2, 8),
-        (("5000",) * 2, 8),
-        (("", ""), 80),
-        ((str(RATE_HZ),) * 2, 8),
-        (("", ""), 32),
-    )
+    fields: list[tuple[tuple[str, str], int]] = [(("ECG", "Resp"), 16), (("", ""), 80), (("mV", "mV"), 8)]
+    fields += [(("-5", "-5"), 8), (("5", "5"), 8), (("-5000", "-5000"), 8), (("5000", "5000"), 8)]
+    fields += [(("", ""), 80), ((str(RATE_HZ), str(RATE_HZ)), 8), (("", ""), 32)]
     fixed = f"{'0':8}{'':80}{'':80}{'01.01.2001.00.00':16}{768:<8}{'':44}{SECONDS:<8}{'1':8}{'2':4}"
     head = fixed + "".join(text.ljust(width) for texts, width in fields for text in texts)
     records = counts.reshape(2, SECONDS, RATE_HZ).transpose(1, 0, 2)

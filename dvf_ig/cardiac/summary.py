@@ -77,7 +77,7 @@ def summarise_gating(
 
 
 def _whys(peaks: tuple[RPeak, ...], track: PhaseTrack, changes: tuple[LeadChange, ...]) -> list[str]:
-    """Return (n) why the phase is not valid at each time; "" where it is."""
+    """Return (n) reasons why the phase is not valid at each time; "" while it is valid."""
     beats = np.array([peak.detected_at_s for peak in peaks])
     beat = np.searchsorted(beats, track.t_s, side="right") - 1
     weak = np.array([peak.quality < PhaseClockOptions().min_quality for peak in peaks])[np.maximum(beat, 0)]

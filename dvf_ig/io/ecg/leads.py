@@ -30,7 +30,7 @@ _ECG_WORDS = re.compile(
 _EASI = re.compile(r"^(?:[ae]-s|a-i)$")
 _CAMEL = re.compile(r"(?<=[a-z]{2})(?=[A-Z])")
 _CARDIAC = re.compile(r"cardiac\d*|heart")
-"""What BIDS calls the heart's channel: an ECG or a pulse."""
+"""Name of the heart's channel in BIDS: an ECG or a pulse."""
 _OTHER_WORDS = re.compile(
     r"pleth\w*|ppg\w*|ppu|puls\w*|[a-z]*spo2\w*|sao2|[aun]?[abi]bp\w*|bp|art|cvp\w*|[pbiu]ap|icp\w*|uvp|pressure|press"
     r"|druck|resp\w*|rsp\w*|breath\w*|atem\w*|atmung|airflow|flow|thor\w*|abd\w*|imp|impedance|[a-z]*co2|co"
@@ -114,8 +114,8 @@ def choose_leads(
 def _by_kind(path: Path, channels: Sequence[Channel], *, declared: bool) -> list[int]:
     """Take what is named as an ECG; else the only channel that may be one."""
     kinds = [channel.kind for channel in channels]
-    wanted: tuple[Kind, ...] = ("ecg", "unknown") if declared else ("ecg",)
-    chosen = [i for i, kind in enumerate(kinds) if kind in wanted]
+    leads: tuple[Kind, ...] = ("ecg", "unknown") if declared else ("ecg",)
+    chosen = [i for i, kind in enumerate(kinds) if kind in leads]
     if chosen:
         return chosen
     for kind in ("cardiac", "unknown"):

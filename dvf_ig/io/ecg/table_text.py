@@ -71,8 +71,8 @@ class Column:
 def is_unit(text: str) -> bool:
     """Return whether a text is the unit of a column that recordings have."""
     unit = text.strip().lower()
-    known = unit in (*IN_ONE_SECOND, *IN_ONE_MV, *UNSTATED[1:])
-    return known or _OTHER_UNITS.fullmatch(unit) is not None
+    plain = unit in (*IN_ONE_SECOND, *IN_ONE_MV, *UNSTATED[1:])
+    return plain or _OTHER_UNITS.fullmatch(unit) is not None
 
 
 @read_only_arrays
@@ -209,7 +209,7 @@ def _headings(
             headings = last
     if not headings and width == 1 and units:
         headings = comments[-1:] or ["ECG"]
-    described = next((found for text in comments if (found := _open_signals(text)) is not None), None)
+    described = next((names for text in comments if (names := _open_signals(text)) is not None), None)
     if described is not None and len(described) in (width, width - 1):
         headings = described
     return headings, units

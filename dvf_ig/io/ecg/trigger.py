@@ -103,7 +103,7 @@ class EcgName:
 
 
 def split_ecg(spec: str) -> EcgName:
-    """What names an ECG or a trigger, in parts; prefix and field are empty where they are not given."""
+    """Split the name of an ECG or a trigger; prefix and field are empty if they are not given."""
     kind, colon, rest = spec.partition(":")
     if not colon or f"{kind}:" not in (*(f"{k}:" for k in KINDS), TRIGGER_PREFIX):
         kind, colon, rest = "", "", spec

@@ -227,7 +227,7 @@ def test_a_bids_recording_uses_its_sidecar(tmp_path: Path) -> None:
     with pytest.raises(UnreadableFileError, match="states 200 Hz, but --rate is 400 Hz"):
         read_ecg(spec, 400.0)
     (tmp_path / "a_physio.json").write_text(json.dumps({**sidecar, "Columns": ["cardiac"]}))
-    with pytest.raises(UnreadableFileError, match="has 2 columns, but a_physio.json names 1"):
+    with pytest.raises(UnreadableFileError, match=r"has 2 columns, but a_physio\.json names 1"):
         read_ecg(spec)
     (tmp_path / "a_physio.tsv.gz").write_bytes((tmp_path / "a_physio.tsv.gz").read_bytes()[:-30])
     with pytest.raises(UnreadableFileError, match="not a whole gzip file"):
