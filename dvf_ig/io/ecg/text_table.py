@@ -64,10 +64,10 @@ def read_ecg_table(path: Path, rate_hz: float | None = None, lead: str | None = 
 
     Cells are separated by commas, semicolons, tabs or blanks; with semicolons, tabs or one column alone a
     comma may be the decimal mark. A header names the columns, `t_s,II,V1` or `Timestamp;ECG (mV)`; a second
-    row may hold their units; lines above it may state the sampling rate (LabChart, OpenSignals,
-    Apple). A table of BIDS has its names and rate in a JSON file of the same name. Times are in a column
-    named t, time or timestamp, or in a first column that always increases; their unit is the one in its name
-    (`t_ms`, `time [ms]`), else the one of s, ms, µs and ns that gives 20 Hz or more. Times of day and elapsed times
+    row may hold their units; lines above it may state the sampling rate (LabChart, OpenSignals, Apple). A
+    table of BIDS has its names and rate in a JSON file of the same name. Times are in a column named t, time
+    or timestamp, or in a first column that always increases; their unit is the one in its name (`t_ms`,
+    `time [ms]`), else the one of s, ms, µs and ns that gives 20 Hz or more. Times of day and elapsed times
     (13:59:50.004, 30.03.2024 01:59:50 PM, 0:02.778) become seconds since midnight or since the start. Leads
     are chosen by name and unit (`choose_leads`), and are in mV unless their names say otherwise.
 
