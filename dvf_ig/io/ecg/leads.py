@@ -2,6 +2,7 @@
 
 import logging
 import re
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -196,3 +197,13 @@ def in_millivolts(path: Path, samples: FloatArray, leads: Sequence[Channel]) -> 
         )
     scale = np.array([1.0 / IN_ONE_MV[unit] for unit in units])
     return (samples if (scale == 1).all() else np.asarray(samples * scale)), "mV"
+
+
+def swing_of(samples: FloatArray, rate_hz: float) -> float:
+    """Return the median over windows of 2 s of the range of (n,) samples; 0 if all are missing or equal."""
+    width = min(len(samples), max(2, round(2 * rate_hz)))
+    windows = samples[: len(samples) // width * width].reshape(-1, width)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # windows without samples
+        ranges = np.fmax.reduce(windows, axis=1) - np.fmin.reduce(windows, axis=1)
+    return float(np.median(ranges[ranges > 0])) if (ranges > 0).any() else 0.0

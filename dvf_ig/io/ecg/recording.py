@@ -2,7 +2,6 @@
 
 import logging
 import re
-import warnings
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,7 +17,7 @@ from dvf_ig.io.reading import reading
 from dvf_ig.io.writing.atomic import write_text
 
 from .edf import read_edf
-from .leads import IN_ONE_MV, Channel, choose_leads
+from .leads import IN_ONE_MV, Channel, choose_leads, swing_of
 from .text_table import read_ecg_table
 from .wfdb import read_wfdb
 
@@ -111,7 +110,7 @@ def require_plausible(path: Path, signal: Signal) -> None:
             log.warning("%s: lead %s holds no sample, only gaps", path, lead)
             continue
         in_one_mv, (least, most) = IN_ONE_MV.get(signal.unit.lower()), ECG_SWING_MV
-        swing = 0.0 if in_one_mv is None else _swing(samples, signal.rate_hz) / in_one_mv
+        swing = 0.0 if in_one_mv is None else swing_of(samples, signal.rate_hz) / in_one_mv
         if swing > 0 and not least <= swing <= most:
             log.warning(
                 "%s: lead %s swings by %.3g mV from beat to beat, and a heart gives %g to %g mV: its unit or "
@@ -122,16 +121,6 @@ def require_plausible(path: Path, signal: Signal) -> None:
                 least,
                 most,
             )
-
-
-def _swing(samples: FloatArray, rate_hz: float) -> float:
-    """Return the median over windows of 2 s of the range of (n,) samples; 0 if all are missing or equal."""
-    width = min(len(samples), max(2, round(2 * rate_hz)))
-    windows = samples[: len(samples) // width * width].reshape(-1, width)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # windows without samples
-        ranges = np.fmax.reduce(windows, axis=1) - np.fmin.reduce(windows, axis=1)
-    return float(np.median(ranges[ranges > 0])) if (ranges > 0).any() else 0.0
 
 
 def _largest(samples: FloatArray) -> float:

@@ -21,7 +21,7 @@ from dvf_ig.io.reading import decode_text, read_bytes, read_text
 
 from .clock_times import past_midnight
 from .even_rate import even_rate_hz
-from .leads import IN_ONE_MV, Channel, choose_leads, in_millivolts
+from .leads import IN_ONE_MV, UNKNOWN_UNIT, Channel, choose_leads, in_millivolts
 from .pmu_log import is_pmu_log, read_pmu_log
 from .table_text import IN_ONE_SECOND, Column, Table, parse_table
 
@@ -111,6 +111,9 @@ def read_ecg_table(path: Path, rate_hz: float | None = None, lead: str | None = 
             "rate in Hz",
             settings=("ecg.rate_hz",),
         )
+    if unit == "mV" and not any(columns[i].unit for i in chosen) and _are_counts(samples, stated_hz):
+        log.warning("%s states no unit, and its numbers are too large for mV: they are read as counts", path)
+        unit = UNKNOWN_UNIT
     left_out = tuple(columns[i].name for i in others if i not in chosen)
     return Signal(samples, stated_hz, start_s, labels, unit, left_out)
 
@@ -261,20 +264,17 @@ def _seconds(path: Path, table: Table, column: Column, at: int) -> FloatArray:
     raise UnreadableFileError(f"{path}: times step by {step:g}; name their unit in the header, as in t_ms")
 
 
-def _in_one_unit(path: Path, samples: FloatArray, columns: list[Column]) -> tuple[FloatArray, str]:
-    """Return (n, leads) samples in the unit that all columns share, else in mV.
+def _are_counts(samples: FloatArray, rate_hz: float) -> bool:
+    """Return whether (n, leads) samples are whole numbers that swing by more than a heart's mV."""
+    whole = bool((samples == np.rint(samples))[np.isfinite(samples)].all())
+    return whole and max(swing_of(lead, rate_hz) for lead in samples.T) > ECG_SWING_MV[1]
 
-    Leads without a unit are in mV, unless no heart gives such a voltage.
-    """
+
+def _in_one_unit(path: Path, samples: FloatArray, columns: list[Column]) -> tuple[FloatArray, str]:
+    """Return (n, leads) samples in the unit that all columns share, else in mV, which none states as well."""
     units = {column.unit.lower() for column in columns}
     if units == {""}:
-        swing = float(np.nanmax(samples, initial=-np.inf) - np.nanmin(samples, initial=np.inf))
-        counts = np.isfinite(swing) and swing > ECG_SWING_MV[1] and bool((samples == np.rint(samples)).all())
-        if counts:
-            log.warning(
-                "%s states no unit, and its leads reach over %g: they are read as counts", path, swing
-            )
-        return samples, "unknown" if counts else "mV"
+        return samples, "mV"
     if "" in units:
         listed = ", ".join(sorted({column.unit or "none" for column in columns}))
         raise UnreadableFileError(f"{path}: leads in different units ({listed}); name the unit of each")
