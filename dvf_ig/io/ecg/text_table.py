@@ -21,7 +21,7 @@ from dvf_ig.io.reading import decode_text, read_bytes, read_text
 
 from .clock_times import past_midnight
 from .even_rate import even_rate_hz
-from .leads import IN_ONE_MV, UNKNOWN_UNIT, Channel, choose_leads, in_millivolts
+from .leads import IN_ONE_MV, UNKNOWN_UNIT, Channel, choose_leads, in_millivolts, swing_of
 from .pmu_log import is_pmu_log, read_pmu_log
 from .table_text import IN_ONE_SECOND, Column, Table, parse_table
 
