@@ -98,7 +98,7 @@ class BeatFinder:
         """Classify the first seconds once their levels are known; their beats are detected only now."""
         self._learnt = True
         rows = np.array([row for row, _ in self._learning])
-        self._levels.learn(rows, self._rate)
+        self._levels.learn(rows, self._rate, self._learning[-1][1])
         beats = [beat for row, off in self._learning for beat in self._decide(row, off)]
         self._learning = []
         return [Complex(beat.top, self._now, beat.height) for beat in beats]

@@ -43,16 +43,21 @@ class LeadLevels:
         self._relearning = [0] * leads  # samples still to observe of a returned lead before it is used
         self._relearned: list[list[float]] = [[] for _ in range(leads)]
 
-    def learn(self, envelope: FloatArray, rate_hz: float) -> None:
-        """Initialise levels from the first (n, leads) of envelope: second-highest peak, noise quantile."""
+    def learn(self, envelope: FloatArray, rate_hz: float, off: Sequence[bool]) -> None:
+        """Initialise levels from the first (n, leads) of envelope: second-highest peak, noise quantile.
+
+        Args:
+            envelope: of the leads.
+            rate_hz: its sampling rate.
+            off: leads that are off at its end.
+        """
         window = max(2, round(0.55 * rate_hz))
         starts = range(0, max(1, len(envelope) - window + 1), window // 2)
         tops = np.array([envelope[i : i + window].max(axis=0) for i in starts])
         # each beat lies in two of the overlapping windows; a single artefact is not taken for one
         second = np.sort(tops, axis=0)[-min(2, len(tops))]
         self._level = [float(v) + LEAST_LEVEL for v in second]
-        flat = envelope[-max(1, window // 2) :].max(axis=0) < LEAST_LEVEL
-        self._off_samples = [self._relearn_samples if d else 0 for d in flat.tolist()]
+        self._off_samples = [self._relearn_samples if lead else 0 for lead in off]
         self._noise = [float(v) + LEAST_LEVEL for v in np.quantile(envelope, NOISE_QUANTILE, axis=0)]
         self._update_weights()
 

@@ -98,7 +98,8 @@ class RPeakDetector:
     def _record_changes(self, lost: BoolArray) -> None:
         for index in np.flatnonzero(np.diff(np.concatenate([[not self._on], lost]).astype(np.int8))):
             self._on = not lost[index]
-            self._changes.append(LeadChange(self._time(self._count + int(index)), self._on))
+            cause = "" if self._on else self._lead_off.cause(int(index))
+            self._changes.append(LeadChange(self._time(self._count + int(index)), self._on, cause))
 
     def _check_start(self, start_s: float) -> None:
         """Check that the chunk continues the last one; follow slow drift of the recorder's clock."""
@@ -112,7 +113,7 @@ class RPeakDetector:
                 "order of time and once only"
             )
         if offset > 1.5:
-            self._changes.append(LeadChange(start_s, False))  # only now is the gap known
+            self._changes.append(LeadChange(start_s, False, "samples skipped"))  # only now is the gap known
             self._changes.append(LeadChange(start_s, True))
             self._on = True
             self._restart()

@@ -42,7 +42,7 @@ class TriggerDetector:
         double = t_s - self._last_s < SHORTEST_INTERVAL_S
         self._last_s = t_s
         if double:
-            self._changes += [LeadChange(t_s, False), LeadChange(t_s, True)]
+            self._changes += [LeadChange(t_s, False, "double pulse"), LeadChange(t_s, True)]
             return []
         return [RPeak(t_s - self._delay_s, t_s, 1.0)]
 

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from .shell import EcgRateOption, JsonFlag, command, emit, output_file, progress, warn, wrote
+from .shell import EcgLeadOption, EcgRateOption, JsonFlag, command, emit, output_file, progress, warn, wrote
 
 if TYPE_CHECKING:
     from dvf_ig.cardiac import PhaseClockOptions, PhaseTracking
@@ -19,11 +19,12 @@ def gate(
         str,
         typer.Argument(
             help="wfdb:RECORD, edf:FILE, csv:FILE or plus:SEQUENCE[#FIELD] (an ending .hea, .dat, .edf, "
-            ".csv, .tsv, .mha or .nrrd is enough), or trigger:FILE.",
+            ".bdf, .csv, .tsv, .ecg, .mha or .nrrd is enough), or trigger:FILE.",
             metavar="ECG",
         ),
     ],
     rate: EcgRateOption = None,
+    lead: EcgLeadOption = None,
     phase_at: Annotated[
         float | None,
         typer.Option("--phase-at", help="Also give phase at this rate (Hz).", min=0.1, max=10_000.0),
@@ -48,8 +49,8 @@ def gate(
         if output is not None:
             require_outputs(output, output.with_suffix(".png"))
         rate_hz = phase_at or VALIDITY_RATE_HZ
-        signal, tracking = _track(ecg, rate, rate_hz, predictor, delay_s)
-        result = _result(tracking, with_phase=phase_at is not None)
+        signal, tracking = _track(ecg, rate, lead, rate_hz, predictor, delay_s)
+        result = _result(signal, tracking, with_phase=phase_at is not None)
         if output is not None:
             picture = output.with_suffix(".png")
             with files_together(output.parent, (output.name, picture.name)) as new:
@@ -61,7 +62,12 @@ def gate(
 
 
 def _track(
-    spec: str, ecg_rate_hz: float | None, rate_hz: float, predictor: str, delay_s: float | None
+    spec: str,
+    ecg_rate_hz: float | None,
+    lead: str | None,
+    rate_hz: float,
+    predictor: str,
+    delay_s: float | None,
 ) -> "tuple[Signal | None, PhaseTracking]":
     import numpy as np
 
@@ -70,7 +76,7 @@ def _track(
     from dvf_ig.io import read_beat_source
 
     options = _options(predictor)
-    source = read_beat_source(spec, rate_hz=ecg_rate_hz, delay_s=delay_s)
+    source = read_beat_source(spec, rate_hz=ecg_rate_hz, delay_s=delay_s, lead=lead)
     if isinstance(source, Signal):
         duration_s = len(source) / source.rate_hz
         t_s = source.start_s + np.arange(max(1, int(duration_s * rate_hz))) / rate_hz
@@ -103,10 +109,10 @@ def _options(predictor: str) -> "PhaseClockOptions":
     raise InvalidInputError(f"RR predictor '{predictor}' is unknown; choose {', '.join(PREDICTORS)}")
 
 
-def _result(tracking: "PhaseTracking", *, with_phase: bool) -> dict[str, Any]:
+def _result(signal: "Signal | None", tracking: "PhaseTracking", *, with_phase: bool) -> dict[str, Any]:
     from dvf_ig.cardiac import state_segments, summarise_gating
 
-    summary = summarise_gating(tracking.peaks, tracking.track)
+    summary = summarise_gating(tracking.peaks, tracking.track, tracking.lead_changes)
     result: dict[str, Any] = {
         "beats_s": [peak.t_s for peak in tracking.peaks],
         "detected_at_s": [peak.detected_at_s for peak in tracking.peaks],
@@ -114,6 +120,9 @@ def _result(tracking: "PhaseTracking", *, with_phase: bool) -> dict[str, Any]:
         "rate_bpm": summary.rate_bpm,
         "valid_share": summary.valid_share,
         "invalid_segments_s": summary.invalid_segments_s.tolist(),
+        "invalid_reasons": list(summary.invalid_reasons),
+        "leads": [] if signal is None else list(signal.leads),
+        "left_out": [] if signal is None else list(signal.left_out),
         "state_segments": [
             {"start_s": start, "stop_s": stop, "state": state.name}
             for start, stop, state in state_segments(tracking.track)
@@ -142,17 +151,22 @@ def _draw(path: Path, spec: str, signal: "Signal | None", tracking: "PhaseTracki
 
 def _rows(result: dict[str, Any]) -> list[tuple[str, str]]:
     segments = result["invalid_segments_s"]
-    shown = ", ".join(f"{start:.1f}–{stop:.1f}" for start, stop in segments[:8])
+    shown = "; ".join(
+        f"{start:.1f}–{stop:.1f} s ({why})"
+        for (start, stop), why in zip(segments[:8], result["invalid_reasons"], strict=False)
+    )
     more = f" and {len(segments) - 8} more" if len(segments) > 8 else ""
     delays = sorted(
         detected - peak for detected, peak in zip(result["detected_at_s"], result["beats_s"], strict=True)
     )
+    left = f"; left out: {', '.join(result['left_out'])}" if result["left_out"] else ""
     return [
+        ("leads", f"{', '.join(result['leads']) or 'trigger'}{left}"),
         ("beats", f"{len(result['beats_s'])}"),
         ("rate", f"{result['rate_bpm']:.1f} /min"),
         ("detection delay", f"{1000 * delays[len(delays) // 2]:.0f} ms (median)"),
         ("phase valid", f"{100 * result['valid_share']:.1f} % of the time"),
-        ("not valid", f"{shown}{more} s" if segments else "never"),
+        ("not valid", f"{shown}{more}" if segments else "never"),
         ("states", ", ".join(_reasons(result["state_segments"])) or "–"),
     ]
 

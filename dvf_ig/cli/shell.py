@@ -32,7 +32,11 @@ ThreadsOption = Annotated[
 ]
 EcgRateOption = Annotated[
     float | None,
-    typer.Option("--rate", help="Sampling rate (Hz) of an ECG table without times.", min=1.0, max=100_000.0),
+    typer.Option("--rate", help="Sampling rate (Hz) of an ECG that states none.", min=1.0, max=100_000.0),
+]
+EcgLeadOption = Annotated[
+    str | None,
+    typer.Option("--lead", help="Leads of the ECG to use, separated by commas (default: all named as one)."),
 ]
 ProbeNameOption = Annotated[
     str | None,

@@ -32,6 +32,12 @@ PHANTOM_MM = (5.0, 1000.0)
 SPREAD_MM = (2.0, 1e4)
 """Largest distance between three or more landmarks; on a body in m it is below 2."""
 
+ECG_RATE_HZ = (20.0, 50_000.0)
+"""Slowest and fastest sampling of an ECG: long-term recorders keep 100 Hz, laboratories record 40 kHz."""
+ECG_SWING_MV = (0.01, 100.0)
+"""Smallest and largest swing of an ECG from beat to beat: a chest lead has 0.3 to 10 mV, one from inside the
+heart 40 mV; a wrong unit is off by 1000."""
+
 
 def require_plausible(values: Any, most: float, what: str) -> None:
     """Refuse finite numbers beyond `most`; numbers that are not finite are checked elsewhere.

@@ -126,7 +126,7 @@ def read_channel(config: EcgConfig, folder: Path, key: str) -> Signal | TriggerT
     spec = split_ecg(config.file)
     with concerning(key, folder / spec.name):
         named = f"{spec.prefix}{folder / spec.name}{spec.field}"
-        ecg = read_beat_source(named, rate_hz=config.rate_hz, delay_s=config.delay_s)
+        ecg = read_beat_source(named, rate_hz=config.rate_hz, delay_s=config.delay_s, lead=config.lead)
         if config.start_s is None:
             return ecg
         if isinstance(ecg, TriggerTimes):

@@ -132,7 +132,9 @@ KEYS: dict[str, Key] = {
                           "--fan COLUMN,ROW,START,STOP,ANGLE"),
     "ecg.file": Key("edf:FILE, wfdb:RECORD, csv:FILE, plus:SEQUENCE or trigger:FILE, as `gate` takes it",
                     "the ECG that PLUS recorded in `ultrasound.file`", "edf:ecg.edf", ECG, "--ecg edf:FILE"),
-    "ecg.rate_hz": Key("of a table without times, Hz", "", "250", NUMBER, "--rate HZ", ("file",)),
+    "ecg.rate_hz": Key("of a recording that states none, Hz", "", "250", NUMBER, "--rate HZ", ("file",)),
+    "ecg.lead": Key("leads to use, separated by commas", "all that are named as an ECG", "II", TEXT,
+                    "--lead NAME", ("file",)),
     "ecg.start_s": Key("when another recorder took its first sample, s on the tracker's clock",
                        "the file's own times", "12.5", NUMBER, "--ecg-start SECONDS", ("file",)),
     "ecg.delay_s": Key("of a trigger: how long after the R peak it fires, s", "as its file says", "0.02"),
@@ -263,6 +265,7 @@ class EcgConfig(FileSection):
 
     file: FileName
     rate_hz: Annotated[float, Field(strict=True, ge=1.0, le=100_000.0)] | None = None
+    lead: Text | None = None
     start_s: Number | None = None
     delay_s: Number | None = None
 

@@ -18,7 +18,8 @@ def file_within(folder: Path, name: str, named_by: Path) -> Path:
         name: as written in a header.
         named_by: the file that names it, for messages.
     Raises:
-        UnreadableFileError: absent; a pipe, device or folder; or elsewhere, by its name or through a link.
+        UnreadableFileError: absent; a pipe, device or folder; or elsewhere, by its name or through a link,
+            except into the folder to which `named_by` itself is a link, or a git-annex store.
     """
     path = path_within(folder, name, named_by)
     try:
@@ -30,7 +31,7 @@ def file_within(folder: Path, name: str, named_by: Path) -> Path:
         ) from exc
     except (OSError, RuntimeError) as exc:
         raise UnreadableFileError(f"{named_by} names {name!r}, which cannot be opened ({exc})") from exc
-    if not real.is_relative_to(home):
+    if not any(real.is_relative_to(folder) for folder in (home, *_stores(home, named_by))):
         raise UnreadableFileError(
             f"{named_by} names {name!r}, a link to a file outside its folder; copy the file into it"
         )
@@ -39,6 +40,12 @@ def file_within(folder: Path, name: str, named_by: Path) -> Path:
             f"{named_by} names {name!r}, which is not a regular file; needed one in its folder"
         )
     return path
+
+
+def _stores(home: Path, named_by: Path) -> list[Path]:
+    """List folders that links may lead to: that of the naming file itself, and git-annex stores around it."""
+    annexes = (parent / ".git" / "annex" / "objects" for parent in (home, *home.parents))
+    return [named_by.resolve().parent, *(annex for annex in annexes if annex.is_dir())]
 
 
 def path_within(folder: Path, name: str, named_by: Path) -> Path:

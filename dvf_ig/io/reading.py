@@ -1,5 +1,7 @@
 """Wrap every failure while reading a file in one sentence that names it; record the files that were read."""
 
+import logging
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -10,9 +12,15 @@ from .limits import FILE_BYTES, TEXT_BYTES
 from .provenance import file_stamp, record_file, record_folder
 from .writing.listing import require_finished
 
+log = logging.getLogger(__name__)
+
 _LFS_POINTER = b"version https://git-lfs.github.com/spec/"
 _APPLE_DOUBLE = b"\x00\x05\x16\x07"
 """First bytes of the files "._NAME" that macOS adds to archives and network drives (RFC 1740)."""
+_ANSI = "cp1252"
+"""Encoding of texts that Windows programs write in Western Europe."""
+_CONTROL = re.compile(rb"[\x00-\x08\x0b\x0e-\x19\x1b-\x1f\x7f\x81\x8d\x8f\x90\x9d]")
+"""Bytes that no text in Windows-1252 has."""
 
 
 def refuse_lfs_pointer(path: Path) -> None:
@@ -97,14 +105,35 @@ def read_bytes(path: Path, what: str) -> bytes:
 
 
 def read_text(path: Path, what: str, most: int = TEXT_BYTES) -> str:
-    """Read a whole file as UTF-8 text without a byte-order mark.
+    """Read a whole text file: UTF-8, UTF-16 with a byte-order mark, or Windows-1252, which is reported.
 
     Args:
         most: largest size in bytes.
     """
     with reading(path, what):
         _require_size(path, path.stat().st_size, most)
-        return read_bytes(path, what).decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
+        text, encoding = decode_text(read_bytes(path, what))
+        if encoding == _ANSI:
+            log.warning("%s is not UTF-8 text; its letters are read as Windows-1252", path)
+        return text
+
+
+def decode_text(data: bytes) -> tuple[str, str]:
+    """Decode text, with newlines as line ends, and return it with its encoding.
+
+    Raises:
+        UnicodeDecodeError: control characters in it show that it is not text.
+    """
+    wide = next((mark for mark in (b"\xff\xfe", b"\xfe\xff") if data.startswith(mark)), None)
+    encoding = "utf-16" if wide is not None else "utf-8-sig"
+    try:
+        text = data.decode(encoding)
+    except UnicodeDecodeError:
+        if wide is not None or _CONTROL.search(data):
+            raise
+        encoding = _ANSI
+        text = data.decode(_ANSI)
+    return text.replace("\r\n", "\n").replace("\r", "\n"), encoding
 
 
 def _require_size(path: Path, size: int, most: int) -> None:

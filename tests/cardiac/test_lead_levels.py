@@ -29,7 +29,7 @@ def test_a_sample_at_the_limit_ends_nothing(value: float) -> None:
 
 def test_levels_of_a_lead_without_complexes_fall_no_lower_than_the_least() -> None:
     levels = LeadLevels(250.0, 1, 2.5)
-    levels.learn(np.full((500, 1), 1e-6), 250.0)
+    levels.learn(np.full((500, 1), 1e-6), 250.0, [False])
     for _ in range(10_000):
         levels.combined([0.0], [False])
         levels.follow([0.0])

@@ -34,10 +34,15 @@ def test_json_names_and_file(ecg: Path, tmp_path: Path) -> None:
         "rate_bpm",
         "valid_share",
         "invalid_segments_s",
+        "invalid_reasons",
+        "leads",
+        "left_out",
         "phase",
     }
     assert set(result["phase"]) == {"t_s", "phi", "valid"}
     assert len(result["phase"]["phi"]) == 1000
+    assert len(result["invalid_reasons"]) == len(result["invalid_segments_s"])
+    assert (result["leads"], result["left_out"]) == (["II"], [])
     assert result["rate_bpm"] == pytest.approx(75, abs=1)
     assert json.loads(out.read_text()) == result
     assert len(result["quality"]) == len(result["beats_s"])
@@ -45,6 +50,22 @@ def test_json_names_and_file(ecg: Path, tmp_path: Path) -> None:
     assert [segments[0]["state"], segments[-1]["state"]] == ["INIT", "LOCKED"]
     assert all(a["stop_s"] == b["start_s"] for a, b in itertools.pairwise(segments))
     assert out.with_suffix(".png").read_bytes()[:4] == b"\x89PNG"
+
+
+def test_a_lead_is_chosen_by_name(ecg: Path, tmp_path: Path) -> None:
+    lines = ecg.read_text().splitlines()
+    rows = ["t_s,II,ch1,ABP [mmHg]", *(f"{line},{line.split(',')[1]},80" for line in lines[1:])]
+    (tmp_path / "ward.csv").write_text("\n".join(rows))
+    for lead, left in (("II", ["ch1", "ABP"]), ("ch1", ["II", "ABP"])):
+        done = CliRunner().invoke(app, ["gate", str(tmp_path / "ward.csv"), "--lead", lead, "--json"])
+        result = json.loads(done.stdout)
+        assert (result["leads"], result["left_out"]) == ([lead], left)
+        shown = CliRunner().invoke(app, ["inspect", str(tmp_path / "ward.csv"), "--lead", lead, "--json"])
+        assert json.loads(shown.stdout)["left_out"] == left
+    refused = CliRunner().invoke(app, ["gate", str(tmp_path / "ward.csv"), "--lead", "ABP"])
+    assert refused.exit_code == 3
+    assert "ABP is in 'mmHg', which is no voltage" in refused.output
+    assert "--lead" in refused.output
 
 
 def test_a_trigger_is_an_equal_input(tmp_path: Path) -> None:

@@ -109,7 +109,7 @@ def test_a_rate_that_cannot_be_is_refused(beats: np.ndarray, tmp_path: Path) -> 
     trigger.write_text("0.1\n0.9\n1.7\n")
     assert "times of pulses" in refused("gate", f"trigger:{trigger}", "--rate", 500)
     out = tmp_path / "out.json"
-    assert "states its own" in refused("gate", "wfdb:none", "--rate", 360, "-o", out)
+    assert "does not exist" in refused("gate", "wfdb:none", "--rate", 360, "-o", out)
     assert not out.exists()
 
 

@@ -4,7 +4,15 @@ from typing import Annotated, Any
 
 import typer
 
-from dvf_ig.cli.shell import EcgRateOption, JsonFlag, ProbeNameOption, ReferenceNameOption, command, emit
+from dvf_ig.cli.shell import (
+    EcgLeadOption,
+    EcgRateOption,
+    JsonFlag,
+    ProbeNameOption,
+    ReferenceNameOption,
+    command,
+    emit,
+)
 
 from .sequence import sequence_rows
 
@@ -17,6 +25,7 @@ def inspect(
         str, typer.Argument(help="A file or folder, or an ECG as wfdb:, edf:, csv: or plus:PATH.")
     ],
     rate: EcgRateOption = None,
+    lead: EcgLeadOption = None,
     probe_name: ProbeNameOption = None,
     reference_name: ReferenceNameOption = None,
     as_json: JsonFlag = False,
@@ -28,7 +37,7 @@ def inspect(
 
         named = probe_name is not None or reference_name is not None
         names = ProbeNames.from_plus(probe_name, reference_name) if named else None
-        description = describe(file, rate, names)
+        description = describe(file, rate, names, lead)
         facts = plain(description.facts)
         table = sequence_rows(facts) if description.kind == "tracked sequence" else _rows(facts)
         rows = [("file", file), ("kind", description.kind), *table]

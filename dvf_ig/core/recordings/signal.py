@@ -19,6 +19,7 @@ class Signal:
         start_s: time of sample 0 on the recording's clock.
         leads: lead names.
         unit: physical unit, normally "mV".
+        left_out: channels of the recording that were not taken as leads.
     """
 
     samples: FloatArray
@@ -26,6 +27,7 @@ class Signal:
     start_s: float
     leads: tuple[str, ...]
     unit: str = "mV"
+    left_out: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         samples = frozen_floats(self.samples, "signal", (None, len(self.leads)), finite=False)
@@ -55,6 +57,7 @@ class Signal:
             self.start_s + first / self.rate_hz,
             self.leads,
             self.unit,
+            self.left_out,
         )
 
 

@@ -67,13 +67,16 @@ class Description:
     facts: Facts
 
 
-def describe(spec: str, rate_hz: float | None = None, names: ProbeNames | None = None) -> Description:
+def describe(
+    spec: str, rate_hz: float | None = None, names: ProbeNames | None = None, lead: str | None = None
+) -> Description:
     """Identify a file by its name and content, read it, and summarise it.
 
     Args:
         spec: a path, or an ECG as `wfdb:PATH`, `edf:PATH`, `csv:PATH`, `plus:PATH`.
-        rate_hz: sampling rate of an ECG table without times.
+        rate_hz: sampling rate of an ECG that states none.
         names: of the probe and its reference in a tracked sequence, whose joined pose is described as well.
+        lead: leads of an ECG to describe instead of all that are named as one.
     Raises:
         UnreadableFileError: absent, of no known kind, or not readable as the kind that it claims to be.
         InvalidInputError: a rate for anything but an ECG table, or names that are not in a tracked sequence.
@@ -85,12 +88,13 @@ def describe(spec: str, rate_hz: float | None = None, names: ProbeNames | None =
             raise InvalidInputError(
                 f"names of probe and reference belong to a tracked sequence; '{spec}' is an ECG"
             )
-        facts_of_ecg = signal_facts(read_ecg(spec, rate_hz))
+        facts_of_ecg = signal_facts(read_ecg(spec, rate_hz, lead))
         if spec.endswith(".atr"):
             facts_of_ecg["annotated_beats"] = len(read_annotations(spec).t_s)
         return Description("ECG", facts_of_ecg)
-    if rate_hz is not None:
-        raise InvalidInputError(f"a sampling rate belongs to an ECG text table; '{spec}' is not one")
+    if rate_hz is not None or lead is not None:
+        what = "lead" if rate_hz is None else "sampling rate"
+        raise InvalidInputError(f"a {what} belongs to an ECG; '{spec}' is not one")
     if not path.exists():
         raise UnreadableFileError(f"{path} does not exist; check the name")
     kind, facts = _folder_kind(path) if path.is_dir() else _file_kind(path)

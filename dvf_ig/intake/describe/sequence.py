@@ -57,6 +57,7 @@ def signal_facts(signal: Signal) -> Facts:
     """Summarise leads, rate, length and missing samples of an ECG."""
     return {
         "leads": list(signal.leads),
+        **({"left_out": list(signal.left_out)} if signal.left_out else {}),
         "unit": signal.unit,
         "rate_hz": signal.rate_hz,
         "samples": len(signal),

@@ -1,6 +1,6 @@
-"""Read EDF recordings: a header of fixed fields, then records of about 1 s with samples of every lead.
+"""Read EDF and BDF recordings: a header of fixed fields, then records with samples of every signal.
 
-Source: Kemp & Olivan 2003, "European data format 'plus' (EDF+)".
+Sources: Kemp & Olivan 2003, "European data format 'plus' (EDF+)"; BioSemi, "BDF file format" (24 bits).
 """
 
 import logging
@@ -17,17 +17,19 @@ from dvf_ig.core.recordings.signal import Signal
 from dvf_ig.io import limits
 from dvf_ig.io.reading import read_bytes
 
-from .units import in_millivolts
+from .leads import Channel, choose_leads, in_millivolts
 
 log = logging.getLogger(__name__)
 
 MOST_DECIMALS = 8
 """Largest number of decimals of a lead's step that counts as a round number."""
 MOST_LEADS = 512
-_FIXED = {"records": (236, 8), "duration": (244, 8), "leads": (252, 4)}
+_FIXED = {"header bytes": (184, 8), "records": (236, 8), "duration": (244, 8), "leads": (252, 4)}
 _WIDTHS = (16, 80, 8, 8, 8, 8, 8, 80, 8, 32)
 """Width of each field of a lead; a field is stored for all leads before the next field."""
-_ANNOTATIONS = "EDF Annotations"
+_ANNOTATIONS = re.compile("[EB]DF Annotations")
+_ONSET = re.compile(rb"([+-]\d+(?:\.\d*)?)(?:\x15[\d.]*)?\x14")
+"""Time of a record, with which its annotations begin."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,41 +44,76 @@ class _Lead:
     begin: int
 
 
-def read_edf(path: Path) -> Signal:
-    """Read the ECG leads of an EDF file in mV: those labelled ECG, or all if none is.
+def read_edf(path: Path, lead: str | None = None) -> Signal:
+    """Read the ECG leads of an EDF or BDF file in mV (`choose_leads`).
 
     From a truncated file the complete records are read, and a warning says how much is missing.
 
+    Args:
+        path: the file.
+        lead: labels of the leads to take instead, separated by commas.
     Raises:
-        UnreadableFileError: absent, damaged, interrupted (EDF+D), or leads of different rates.
+        UnreadableFileError: absent, damaged, interrupted, a header that contradicts itself or the size of the
+            file, no ECG, or leads of different rates.
     """
     data = read_bytes(path, "an EDF file")
-    if len(data) < 256 or data[:8].strip() != b"0":
-        raise UnreadableFileError(f"{path} is not a readable EDF file; export it again")
-    if data[192:236].decode("latin-1").startswith("EDF+D"):
-        raise UnreadableFileError(f"{path} has interruptions (EDF+D); export it as a continuous EDF+C")
-    duration_s, leads = _number(path, data, "duration"), _leads(path, data)
+    bdf = data[:8] == b"\xffBIOSEMI"
+    if len(data) < 256 or not (bdf or data[:8].strip() == b"0"):
+        raise UnreadableFileError(f"{path} is not a readable EDF or BDF file; export it again")
+    duration_s, leads = _number(path, data, "duration"), _leads(path, data, bits=24 if bdf else 16)
     size = sum(lead.samples for lead in leads)
-    records = _records(path, data, size, duration_s, len(leads))
+    records = _records(path, data, size * (3 if bdf else 2), duration_s, len(leads))
+    limits.require_count(records * size, limits.SAMPLES, "samples")
     begin = 256 * (len(leads) + 1)
-    table = np.frombuffer(data, "<i2", records * size, begin).reshape(records, size)
-    signals = [lead for lead in leads if lead.label != _ANNOTATIONS]
-    chosen = [lead for lead in signals if "ecg" in lead.label.lower()] or signals
-    if not chosen or len({lead.samples for lead in chosen}) != 1:
-        listed = ", ".join(f"{s.label} {s.samples / duration_s:g} Hz" for s in chosen) or "none"
-        raise UnreadableFileError(f"{path}: leads do not share one rate ({listed}); export the ECG alone")
-    columns = [_physical(path, lead, table[:, lead.begin : lead.begin + lead.samples]) for lead in chosen]
-    samples = in_millivolts(path, np.column_stack(columns), [lead.unit for lead in chosen])
-    labels = tuple(lead.label for lead in chosen)
-    return Signal(samples, chosen[0].samples / duration_s, 0.0, labels)
+    table = _samples(data, begin, records * size, bdf=bdf).reshape(records, size)
+    interrupted = data[192:236].decode("latin-1")[1:].startswith("DF+D")
+    _require_continuous(path, table, leads, duration_s, interrupted=interrupted)
+    signals = [lead for lead in leads if not _ANNOTATIONS.fullmatch(lead.label)]
+    channels = [Channel(lead.label, lead.unit, lead.samples / duration_s) for lead in signals]
+    chosen = choose_leads(path, channels, lead)
+    columns = [
+        _physical(path, one, table[:, one.begin : one.begin + one.samples])
+        for one in (signals[i] for i in chosen)
+    ]
+    samples, unit = in_millivolts(path, np.column_stack(columns), [channels[i] for i in chosen])
+    rate_hz = signals[chosen[0]].samples / duration_s
+    left_out = tuple(channel.label for i, channel in enumerate(channels) if i not in chosen)
+    return Signal(samples, rate_hz, 0.0, tuple(signals[i].label for i in chosen), unit, left_out)
 
 
-def _records(path: Path, data: bytes, samples: int, duration_s: float, leads: int) -> int:
-    """Count the complete records; warn of missing ones."""
-    size, stated = 2 * samples, int(_number(path, data, "records"))
+def _samples(data: bytes, begin: int, count: int, *, bdf: bool) -> AnyArray:
+    """Decode little-endian samples of 16 bits, or of 24 bits in a BDF."""
+    if not bdf:
+        return np.frombuffer(data, "<i2", count, begin)
+    low = np.frombuffer(data, np.uint8, 3 * count, begin).reshape(count, 3)
+    wide = np.zeros((count, 4), np.uint8)
+    wide[:, 1:] = low
+    return np.asarray(wide.view("<i4")[:, 0] >> 8)
+
+
+def _require_continuous(
+    path: Path, table: AnyArray, leads: list[_Lead], duration_s: float, *, interrupted: bool
+) -> None:
+    """Compare the times of the records, which EDF+ keeps in its annotations, with records without a gap."""
+    notes = next((lead for lead in leads if _ANNOTATIONS.fullmatch(lead.label)), None)
+    columns = (
+        np.zeros((len(table), 0), "<i2") if notes is None else table[:, notes.begin :][:, : notes.samples]
+    )
+    matches = [] if table.dtype.itemsize > 2 else [_ONSET.match(row.tobytes()) for row in columns]
+    onsets = [(k, float(match[1])) for k, match in enumerate(matches) if match is not None]
+    off = [k for k, onset_s in onsets if abs(onset_s - onsets[0][1] - (k - onsets[0][0]) * duration_s) > 1e-3]
+    if off or (interrupted and len(onsets) < len(table)):
+        where = f", first before record {off[0] + 1} of {len(table)}" if off else " (EDF+D)"
+        raise UnreadableFileError(
+            f"{path} has interruptions{where}; export a part without interruption as EDF+C"
+        )
+
+
+def _records(path: Path, data: bytes, size: int, duration_s: float, leads: int) -> int:
+    """Count the complete records of `size` bytes; warn of missing ones."""
+    stated = int(_number(path, data, "records"))
     available = len(data) - 256 * (leads + 1)
     whole = available // size
-    limits.require_count(whole * samples, limits.SAMPLES, "samples")
     if whole < 1:
         raise UnreadableFileError(f"{path} is truncated: it holds no whole record; export it again")
     if stated < 0 or whole < stated:
@@ -109,8 +146,13 @@ def _number(path: Path, data: bytes, name: str) -> float:
     return float(text)
 
 
-def _leads(path: Path, data: bytes) -> list[_Lead]:
-    count = int(_number(path, data, "leads"))
+def _leads(path: Path, data: bytes, bits: int) -> list[_Lead]:
+    count, stated = int(_number(path, data, "leads")), int(_number(path, data, "header bytes"))
+    if stated != 256 * (count + 1):
+        raise UnreadableFileError(
+            f"{path}: its header says that it has {stated} bytes, but {count} signals need "
+            f"{256 * (count + 1)}; export it again"
+        )
     if len(data) < 256 * (count + 1):
         raise UnreadableFileError(f"{path} is truncated within its header ({len(data)} bytes); copy it again")
     at, columns = 256, list[list[str]]()
@@ -124,6 +166,11 @@ def _leads(path: Path, data: bytes) -> list[_Lead]:
             raise UnreadableFileError(f"{path}: {label} has '{samples}' samples a record; export it again")
         physical = (_real(path, label, low), _real(path, label, high))
         digital = (int(_real(path, label, digital_low)), int(_real(path, label, digital_high)))
+        if max(-digital[0] - 1, digital[1]) >= 1 << (bits - 1):
+            raise UnreadableFileError(
+                f"{path}: {label} has digital values from {digital[0]} to {digital[1]} in the header, which "
+                f"{bits} bits do not hold; export it again"
+            )
         leads.append(_Lead(label, unit, physical, digital, int(samples), begin))
         begin += int(samples)
     return leads
@@ -131,7 +178,11 @@ def _leads(path: Path, data: bytes) -> list[_Lead]:
 
 def _text(cell: bytes) -> str:
     """Decode a header field; replace characters that cannot be printed by blanks."""
-    return "".join(c if c.isprintable() else " " for c in cell.decode("latin-1")).strip()
+    try:
+        text = cell.decode("utf-8")  # against the standard, for a µ
+    except UnicodeDecodeError:
+        text = cell.decode("latin-1")
+    return "".join(c if c.isprintable() else " " for c in text).strip()
 
 
 def _real(path: Path, what: str, text: str) -> float:
@@ -154,6 +205,14 @@ def _physical(path: Path, lead: _Lead, counts: AnyArray) -> FloatArray:
     if low == high or digital_low >= digital_high:
         raise UnreadableFileError(
             f"{path}: {lead.label} has the same smallest and largest value in the header; export it again"
+        )
+    outside = float(((counts < digital_low) | (counts > digital_high)).mean())
+    if outside:
+        log.warning(
+            "%s: %.2g %% of the samples of %s are outside the header's digital range; its gain may be wrong",
+            path,
+            100 * outside,
+            lead.label,
         )
     step = (high - low) / (digital_high - digital_low)
     steps = counts.reshape(-1).astype(np.float64) - digital_high

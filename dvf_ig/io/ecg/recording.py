@@ -2,12 +2,14 @@
 
 import logging
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from dvf_ig.core.arrays import FloatArray
 from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
+from dvf_ig.core.plausible import ECG_RATE_HZ, ECG_SWING_MV
 from dvf_ig.core.recordings.signal import Signal
 from dvf_ig.io import limits
 from dvf_ig.io.plus.ecg_field import read_ecg_field
@@ -15,59 +17,85 @@ from dvf_ig.io.reading import reading
 from dvf_ig.io.writing.atomic import write_text
 
 from .edf import read_edf
+from .leads import IN_ONE_MV, Channel, choose_leads, swing_of
 from .text_table import read_ecg_table
 from .wfdb import read_wfdb
 
 log = logging.getLogger(__name__)
 
+RATE_TOLERANCE = 1e-3
+"""Largest relative difference between a rate that the user gives and the one that the file has."""
 KINDS = ("wfdb", "edf", "csv", "plus")
 _KIND_OF_ENDING = {
     ".hea": "wfdb",
     ".dat": "wfdb",
     ".atr": "wfdb",
     ".edf": "edf",
+    ".bdf": "edf",
     ".csv": "csv",
     ".tsv": "csv",
+    ".csv.gz": "csv",
+    ".tsv.gz": "csv",
+    ".ecg": "csv",
 }
 _SEQUENCE_ENDINGS = (".mha", ".mhd", ".nrrd", ".nhdr")
 
 
-def read_ecg(spec: str, rate_hz: float | None = None) -> Signal:
-    """Read a recording.
+def read_ecg(spec: str, rate_hz: float | None = None, lead: str | None = None) -> Signal:
+    """Read the ECG leads of a recording; other channels are left out, with a warning that names them.
 
     Args:
-        spec: `wfdb:PATH` (record, with or without suffix), `edf:PATH`, `csv:PATH` (see `read_ecg_table`),
-            `plus:PATH` or `plus:PATH#FIELD` (a tracked sequence with an ECG in it: `read_ecg_field`), or the
-            path alone if its ending (.hea, .dat, .edf, .csv, .tsv, .mha, .nrrd) implies the format.
-        rate_hz: sampling rate of a text table without times.
+        spec: `wfdb:PATH` (record, with or without suffix), `edf:PATH` (EDF or BDF), `csv:PATH` (see
+            `read_ecg_table`), `plus:PATH` or `plus:PATH#FIELD` (a tracked sequence with an ECG in it:
+            `read_ecg_field`), or the path alone if its ending (.hea, .dat, .edf, .bdf, .csv, .tsv, .mha,
+            .nrrd) implies the format.
+        rate_hz: sampling rate of a recording that states none.
+        lead: labels of the leads to take, separated by commas, instead of those that are named as an ECG.
     Returns:
-        all leads, NaN for missing samples; WFDB and EDF start at 0 s, the ECG of a sequence uses the
+        the leads, NaN for missing samples; WFDB and EDF start at 0 s, the ECG of a sequence uses the
         sequence's clock.
     Raises:
-        InvalidInputError: `spec` names no known format, or a rate is given for a file that states its own.
-        UnreadableFileError: absent, damaged, or unevenly sampled.
-        MissingDependencyError: WFDB or EDF without `pip install "dvf-ig[ecg]"`.
+        InvalidInputError: `spec` names no known format.
+        UnreadableFileError: absent, damaged, unevenly sampled, no ECG, or of another rate than `rate_hz`.
+        MissingDependencyError: WFDB without the package of the `ecg` extra.
     """
     kind, path = split_spec(spec)
-    if rate_hz is not None and kind != "csv":
-        raise InvalidInputError(f"'{spec}' states its own sampling rate; omit --rate {rate_hz:g}")
     with reading(path, f"an ECG ({kind})"):
         if kind == "wfdb":
-            signal = read_wfdb(path)
+            signal = read_wfdb(path, lead, rate_hz)
         elif kind == "plus":
-            signal = read_ecg_field(path, _field(spec))
+            signal = _leads_of_field(path, read_ecg_field(path, _field(spec)), lead)
         else:
-            signal = read_edf(path) if kind == "edf" else read_ecg_table(path, rate_hz)
+            signal = read_edf(path, lead) if kind == "edf" else read_ecg_table(path, rate_hz, lead)
+        if rate_hz is not None and abs(rate_hz - signal.rate_hz) > RATE_TOLERANCE * signal.rate_hz:
+            raise UnreadableFileError(
+                f"{path} is sampled at {signal.rate_hz:.6g} Hz, but --rate is {rate_hz:g} Hz; omit it"
+            )
         require_plausible(path, signal)
         return signal
 
 
+def _leads_of_field(path: Path, signal: Signal, lead: str | None) -> Signal:
+    """Take the ECG leads of a field of a sequence; the field's own unit is kept."""
+    chosen = choose_leads(path, [Channel(label) for label in signal.leads], lead, declared=True)
+    left_out = tuple(label for i, label in enumerate(signal.leads) if i not in chosen)
+    labels = tuple(signal.leads[i] for i in chosen)
+    return replace(signal, samples=signal.samples[:, chosen], leads=labels, left_out=left_out)
+
+
 def require_plausible(path: Path, signal: Signal) -> None:
-    """Refuse values that are not voltages and recordings without samples; warn of an empty lead.
+    """Refuse values, rates and times that no ECG has; warn of an empty lead and of a swing that no heart has.
 
     Raises:
         UnreadableFileError: names the problem and the file.
     """
+    slowest, fastest = ECG_RATE_HZ
+    if not slowest <= signal.rate_hz <= fastest:
+        raise UnreadableFileError(
+            f"{path} is sampled at {signal.rate_hz:.4g} Hz; an ECG is at {slowest:g} to {fastest:g} Hz: "
+            "correct its rate, or the unit of its times",
+            settings=("ecg.rate_hz",),
+        )
     limits.require_times(signal.start_s, "its first time")
     largest = _largest(signal.samples)
     if np.isnan(largest):
@@ -80,6 +108,19 @@ def require_plausible(path: Path, signal: Signal) -> None:
     for lead, samples in zip(signal.leads, signal.samples.T, strict=True):
         if np.isnan(samples[0]) and np.isnan(samples).all():
             log.warning("%s: lead %s holds no sample, only gaps", path, lead)
+            continue
+        in_one_mv, (least, most) = IN_ONE_MV.get(signal.unit.lower()), ECG_SWING_MV
+        swing = 0.0 if in_one_mv is None else swing_of(samples, signal.rate_hz) / in_one_mv
+        if swing > 0 and not least <= swing <= most:
+            log.warning(
+                "%s: lead %s swings by %.3g mV from beat to beat, and a heart gives %g to %g mV: its unit or "
+                "gain is wrong; R peaks are found from its shape alone",
+                path,
+                lead,
+                swing,
+                least,
+                most,
+            )
 
 
 def _largest(samples: FloatArray) -> float:
@@ -105,7 +146,7 @@ def split_spec(spec: str) -> tuple[str, Path]:
     if by_ending is None:
         raise InvalidInputError(
             f"'{spec}' names no ECG; write wfdb:RECORD, edf:FILE, csv:FILE or plus:SEQUENCE (or a file "
-            "with the ending .hea, .dat, .edf, .csv or .igs.mha)"
+            "with the ending .hea, .dat, .edf, .bdf, .csv, .tsv or .igs.mha)"
         )
     return by_ending, Path(spec)
 
@@ -123,7 +164,8 @@ def _field(spec: str) -> str | None:
 
 def _kind_by_name(path: str) -> str | None:
     """Return the format implied by the ending; a WFDB record may be named without its ending."""
-    kind = _KIND_OF_ENDING.get(Path(path).suffix.lower())
+    name = Path(path).name.lower()
+    kind = next((kind for ending, kind in _KIND_OF_ENDING.items() if name.endswith(ending)), None)
     return "wfdb" if kind is None and path and Path(f"{path}.hea").is_file() else kind
 
 

@@ -1,224 +1,284 @@
 """Read an ECG from a text table: one row per sample, any usual separator, optional header and times."""
 
+import gzip
+import io
 import logging
-import re
-from dataclasses import dataclass
+import zlib
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from dvf_ig.core.arrays import FloatArray, read_only_arrays
+from dvf_ig.core.arrays import FloatArray
 from dvf_ig.core.errors import UnreadableFileError
+from dvf_ig.core.plausible import ECG_RATE_HZ, ECG_SWING_MV
 from dvf_ig.core.recordings.signal import Signal
-from dvf_ig.io.reading import read_text
+from dvf_ig.io import limits
+from dvf_ig.io.json_file import read_json
+from dvf_ig.io.reading import decode_text, read_bytes, read_text
 
-from .clock_times import clock_seconds, past_midnight
+from .clock_times import past_midnight
 from .even_rate import even_rate_hz
+from .leads import IN_ONE_MV, UNKNOWN_UNIT, Channel, choose_leads, in_millivolts, swing_of
+from .pmu_log import is_pmu_log, read_pmu_log
+from .table_text import IN_ONE_SECOND, Column, Table, parse_table
 
 log = logging.getLogger(__name__)
 
-_UNIT_SUFFIX = re.compile(r"(.*?)\s*[\[(](.+)[\])]|(.*?)[_ ](s|sec|ms|us|ns|mv|uv)", re.IGNORECASE)
-_TIME_NAMES = {"t", "time", "times", "timestamp", "timestamps", "elapsed time", "elapsed", "seconds", "sec"}
-_COUNT_NAMES = {"sample", "samples", "sample #", "index", "sample index", "sample number"}
-_IN_ONE_SECOND = {"s": 1.0, "sec": 1.0, "ms": 1e3, "us": 1e6, "µs": 1e6, "μs": 1e6, "ns": 1e9}
-_LONGEST_STEP_S = 0.05
-"""Below 20 Hz it is no ECG; with steps of 0.02 ms or more (50 kHz), only one time unit fits a step."""
-_SHORTEST_STEP_S = 2e-5
+_TIME_NAMES = ("t", "time", "times", "timestamp", "timestamps", "elapsed time", "elapsed", *IN_ONE_SECOND)
+_TIME_WORDS = {
+    "time",
+    "timestamp",
+    "timestamps",
+    "elapsed",
+    "zeit",
+    "uhrzeit",
+    "zeitstempel",
+    "temps",
+    "tiempo",
+    "datetime",
+}
+_COUNT_NAMES = {
+    "sample",
+    "samples",
+    "sample #",
+    "index",
+    "sample index",
+    "sample number",
+    "nseq",
+    "no",
+    "no.",
+    "#",
+}
+_SHORTEST_STEP_S, _LONGEST_STEP_S = 1 / ECG_RATE_HZ[1], 1 / ECG_RATE_HZ[0]
 _LATEST = 1e19
 """Largest plausible time: nanoseconds since 1970 reach 1.8e18."""
+_AGREES = 0.01
+"""Largest relative difference between the rate of rounded times and a stated rate."""
 
 
-@read_only_arrays
-@dataclass(frozen=True, slots=True, eq=False)
-class _Table:
-    """Column names (None without a header) and (n, columns) values; NaN for empty cells.
-
-    `clock` is the column with times of day or elapsed times, converted to s.
-    """
-
-    names: tuple[str, ...] | None
-    values: FloatArray
-    clock: int | None
-
-
-def read_ecg_table(path: Path, rate_hz: float | None = None) -> Signal:
-    """Read an ECG from a text table, one row per sample.
+def read_ecg_table(path: Path, rate_hz: float | None = None, lead: str | None = None) -> Signal:
+    """Read an ECG from a text table, one row per sample, or from a log of a Siemens scanner (`read_pmu_log`).
 
     Cells are separated by commas, semicolons, tabs or blanks; with semicolons, tabs or one column alone a
     comma may be the decimal mark. A header names the columns, `t_s,II,V1` or `Timestamp;ECG (mV)`; a second
-    row may hold their units, as rdsamp of PhysioNet writes them. Times are in a column named t, time or
-    timestamp, or in a first column that always increases; their unit is the one in its name (`t_ms`,
+    row may hold their units; lines above it may state the sampling rate (LabChart, OpenSignals, Apple). A
+    table of BIDS has its names and rate in a JSON file of the same name. Times are in a column named t, time
+    or timestamp, or in a first column that always increases; their unit is the one in its name (`t_ms`,
     `time [ms]`), else the one of s, ms, µs and ns that gives 20 Hz or more. Times of day and elapsed times
-    (13:59:50.004, 0:02.778) become seconds since midnight or since the start. Leads are in mV unless
-    their names say otherwise.
+    (13:59:50.004, 30.03.2024 01:59:50 PM, 0:02.778) become seconds since midnight or since the start. Leads
+    are chosen by name and unit (`choose_leads`), and are in mV unless their names say otherwise.
 
     Args:
-        path: the file.
+        path: the file, which gzip may have packed.
         rate_hz: sampling rate of a table without times; sample 0 is then at 0 s.
+        lead: names of the leads to take instead, separated by commas.
     Raises:
-        UnreadableFileError: absent, no table of numbers, neither times nor a rate, unevenly sampled, or times
-            of another rate or unit.
+        UnreadableFileError: absent, no table of numbers, neither times nor a rate, unevenly sampled, no ECG,
+            or two of times, stated rate and `rate_hz` that contradict each other.
     """
-    table = _parse(path, read_text(path, "an ECG table"))
-    names = table.names or tuple(f"column {i + 1}" for i in range(table.values.shape[1]))
-    at, counts = _time_column(table), _count_column(table)
-    empty = [i for i, name in enumerate(names) if not name and np.isnan(table.values[:, i]).all()]
-    leads = [i for i in range(len(names)) if i not in (at, counts, *empty)]
-    if not leads:
-        raise UnreadableFileError(f"{path} has no column of an ECG, only {', '.join(names)[:60]}")
-    labels, unit = _leads_and_unit(path, [names[i] for i in leads])
-    samples = table.values[:, leads]
-    if at is None:
-        if rate_hz is None:
-            raise UnreadableFileError(
-                f"{path} has no column of times (named t_s, time or timestamp) among "
-                f"{', '.join(names)[:60]}; give its sampling rate in Hz",
-                settings=("ecg.rate_hz",),
+    text = _text(path)
+    if is_pmu_log(text):
+        return read_pmu_log(path, text, rate_hz)
+    table, start_s = _with_sidecar(path, parse_table(path, text))
+    columns = table.columns or tuple(Column(f"column {i + 1}") for i in range(table.values.shape[1]))
+    empty = [i for i, column in enumerate(columns) if not column.name and np.isnan(table.values[:, i]).all()]
+    times, counts = _time_columns(table), _count_column(table)
+    others = [i for i in range(len(columns)) if i not in (*times, counts, *empty)]
+    chosen = [
+        others[i]
+        for i in choose_leads(path, [Channel(columns[i].name, columns[i].unit) for i in others], lead)
+    ]
+    labels = tuple(columns[i].name for i in chosen)
+    samples, unit = _in_one_unit(path, table.values[:, chosen], [columns[i] for i in chosen])
+    stated_hz = _agreed(path, table.rate_hz, rate_hz)
+    if times:
+        t_s, measured_hz = _even_times(path, table, columns, times)
+        if stated_hz is not None and abs(stated_hz - measured_hz) > _AGREES * measured_hz:
+            whose = (
+                f"--rate is {rate_hz:g} Hz; omit it"
+                if rate_hz is not None
+                else f"its header states {stated_hz:g} Hz"
             )
-        return Signal(samples, rate_hz, 0.0, labels, unit)
-    t_s = _seconds(path, table, at)
-    measured_hz = even_rate_hz(path, t_s)
-    if rate_hz is not None and abs(rate_hz - measured_hz) > 0.01 * measured_hz:
+            raise UnreadableFileError(f"{path}: its times are at {measured_hz:.4g} Hz, but {whose}")
+        start_s, stated_hz = float(t_s[0]), stated_hz or measured_hz
+    if stated_hz is None:
+        listed = ", ".join(column.name for column in columns)[:60]
         raise UnreadableFileError(
-            f"{path}: its times are at {measured_hz:.4g} Hz, but --rate is {rate_hz:g} Hz; omit it"
+            f"{path} has no column of times (named t_s, time or timestamp) among {listed}; give its sampling "
+            "rate in Hz",
+            settings=("ecg.rate_hz",),
         )
-    return Signal(samples, rate_hz or measured_hz, float(t_s[0]), labels, unit)
+    if unit == "mV" and not any(columns[i].unit for i in chosen) and _are_counts(samples, stated_hz):
+        log.warning("%s states no unit, and its numbers are too large for mV: they are read as counts", path)
+        unit = UNKNOWN_UNIT
+    left_out = tuple(columns[i].name for i in others if i not in chosen)
+    return Signal(samples, stated_hz, start_s, labels, unit, left_out)
 
 
-def _parse(path: Path, text: str) -> _Table:
-    lines = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
-    if lines and not any(mark in line for line in lines[:2] for mark in ";\t,") and " " in lines[-1].strip():
-        lines = [",".join(line.split()) for line in lines]
-    separator = next((mark for mark in ";\t" if any(mark in line for line in lines[:2])), ",")
-    header = _cells(lines[0], separator) if lines else []
-    has_header = not all(_is_number(cell, separator) for cell in header)
-    rows = lines[1:] if has_header else lines
-    if has_header and rows:
-        header, rows = _with_units(header, rows, separator)
-    if separator == "," and _decimal_commas(header if has_header else None, rows):
-        separator = ";"  # one column, whose commas are decimal marks
-        header = _cells(lines[0], separator)
-    if separator != ",":
-        rows = [row.replace(",", ".") for row in rows]
-    rows, clock = _without_clock(rows, separator)
-    empty = re.compile(rf"(?<={separator})[ ]*(?={separator}|$)|^[ ]*(?={separator})")
-    rows = [empty.sub("nan", row).replace('"', "") for row in rows]
-    if len(rows) < 2:
-        raise UnreadableFileError(f"{path} has {len(rows)} samples; needed at least 2")
+def _text(path: Path) -> str:
+    """Read the text of a table, which gzip may have packed."""
+    if not path.name.lower().endswith(".gz"):
+        return read_text(path, "an ECG table")
     try:
-        values = np.loadtxt(rows, delimiter=separator, ndmin=2)
-    except ValueError as exc:
-        raise UnreadableFileError(f"{path}: {str(exc).split(';')[0]}; needed numbers only") from exc
-    if values.shape[1] != len(header):
-        raise UnreadableFileError(f"{path}: {values.shape[1]} columns under {len(header)} names")
-    return _Table(tuple(header) if has_header else None, values, clock)
+        with gzip.GzipFile(fileobj=io.BytesIO(read_bytes(path, "an ECG table"))) as packed:
+            data = packed.read(limits.TEXT_BYTES + 1)
+    except (OSError, EOFError, zlib.error) as exc:
+        raise UnreadableFileError(f"{path} is not a whole gzip file ({exc}); copy it again") from exc
+    if len(data) > limits.TEXT_BYTES:
+        raise UnreadableFileError(f"{path} unpacks to more than {limits.TEXT_BYTES} bytes; split it")
+    return decode_text(data)[0]
 
 
-def _with_units(header: list[str], rows: list[str], separator: str) -> tuple[list[str], list[str]]:
-    """Add the units of a second row to the names, and return the rows after it."""
-    units = _cells(rows[0], separator)
-    if len(units) != len(header) or any(_is_number(cell, separator) for cell in units):
-        return header, rows
-    plain = [unit if unit.lower() in (*_IN_ONE_SECOND, "mv", "uv", "µv", "v") else "" for unit in units]
-    return [f"{name} [{unit}]" if unit else name for name, unit in zip(header, plain, strict=True)], rows[1:]
+def _with_sidecar(path: Path, table: Table) -> tuple[Table, float]:
+    """Add what the JSON file of a BIDS recording states, and return the table with the time of its first row.
 
-
-def _without_clock(rows: list[str], separator: str) -> tuple[list[str], int | None]:
-    """Convert times of day to seconds, and return the rows and the column of these times."""
-    first = [clock_seconds(cell) for cell in _cells(rows[0], separator)] if rows else []
-    at = next((i for i, seconds in enumerate(first) if seconds is not None), None)
-    if at is None:
-        return rows, None
-    split = [_cells(row, separator) for row in rows]
-    for cells in split:
-        seconds = clock_seconds(cells[at]) if len(cells) > at else None
-        if seconds is not None:
-            cells[at] = repr(seconds)
-    return [separator.join(cells) for cells in split], at
-
-
-def _cells(line: str, separator: str) -> list[str]:
-    return [cell.strip().strip("\"'").strip() for cell in line.split(separator)]
-
-
-def _is_number(cell: str, separator: str) -> bool:
-    try:
-        float(cell.replace(",", ".") if separator != "," else cell or "nan")
-    except ValueError:
-        return cell == "" or clock_seconds(cell) is not None
-    return True
-
-
-def _decimal_commas(header: list[str] | None, rows: list[str]) -> bool:
-    """Return whether each row's one comma is a decimal mark: under one name, or before digits like 05."""
-    if any(row.count(",") != 1 or "." in row for row in rows[:1000]):
-        return False
-    if header is not None:
-        return len(header) == 1
-    return any(re.search(r",0\d|^\s*-0,", row) for row in rows)
-
-
-def _time_column(table: _Table) -> int | None:
-    """Find the column of times of day or with a time name; else the first of several columns if it always
-    increases and is not a sample count.
+    Source: BIDS 1.10, "Physiological recordings".
     """
-    if table.clock is not None:
-        return table.clock
-    for i, name in enumerate(table.names or ()):
-        if _name_and_unit(name)[0].lower() in _TIME_NAMES or name.lower() in _IN_ONE_SECOND:
-            return i
+    name = path.name[: -len(".gz")] if path.name.lower().endswith(".gz") else path.name
+    sidecar = path.with_name(f"{name[: -len('.tsv')]}.json")
+    if not name.lower().endswith(".tsv") or not sidecar.is_file():
+        return table, 0.0
+    stated: Any = read_json(sidecar, "the description of a BIDS recording")
+    stated = stated if isinstance(stated, dict) else {}
+    names, hz, start_s = (stated.get(key) for key in ("Columns", "SamplingFrequency", "StartTime"))
+    numbers = all(isinstance(v, int | float) and not isinstance(v, bool) for v in (hz, start_s or 0))
+    if not isinstance(names, list) or not numbers or not 0 < float(hz) < 1e6:
+        raise UnreadableFileError(
+            f"{sidecar} does not describe {path.name}: needed a SamplingFrequency in Hz, Columns, and "
+            "StartTime in s"
+        )
+    if len(names) != table.values.shape[1]:
+        raise UnreadableFileError(
+            f"{path} has {table.values.shape[1]} columns, but {sidecar.name} names {len(names)}; correct one"
+        )
+    headings = [str(column) for column in names]
+    if table.columns is not None and [column.name for column in table.columns] != headings:
+        raise UnreadableFileError(
+            f"{path}: its header and {sidecar.name} name different columns; correct one"
+        )
+    described = (stated.get(heading) for heading in headings)
+    units = [str(entry.get("Units", "")) if isinstance(entry, dict) else "" for entry in described]
+    columns = tuple(Column(heading, unit) for heading, unit in zip(headings, units, strict=True))
+    return replace(table, columns=columns, rate_hz=_agreed(path, table.rate_hz, float(hz))), float(
+        start_s or 0.0
+    )
+
+
+def _agreed(path: Path, stated_hz: float | None, rate_hz: float | None) -> float | None:
+    """Return the rate that the file states, or else the user.
+
+    Raises:
+        UnreadableFileError: both do, and differ.
+    """
+    if stated_hz is not None and rate_hz is not None and abs(stated_hz - rate_hz) > 1e-3 * stated_hz:
+        raise UnreadableFileError(f"{path} states {stated_hz:g} Hz, but --rate is {rate_hz:g} Hz; omit it")
+    return stated_hz if stated_hz is not None else rate_hz
+
+
+def _time_columns(table: Table) -> list[int]:
+    """List the columns of times, the best first: by name, by form; else the first of several columns if it
+    always increases and is not a sample count.
+    """
+    columns = table.columns or ()
+    exact = [i for i, column in enumerate(columns) if column.name.lower() in _TIME_NAMES]
+    similar = [
+        i
+        for i, column in enumerate(columns)
+        if _TIME_WORDS & set(column.name.lower().replace("_", " ").split())
+        and column.unit.lower() not in IN_ONE_MV
+    ]
+    times = list(dict.fromkeys((*exact, *similar, *table.clocks)))
+    if times:
+        return times
     first = table.values[:, 0]
     increases = table.values.shape[1] > 1 and bool((np.diff(first) > 0).all())
-    return 0 if increases and _count_column(table) is None else None
+    is_lead = bool(columns) and Channel(columns[0].name, columns[0].unit).kind != "unknown"
+    return [0] if increases and not is_lead and _count_column(table) is None else []
 
 
-def _count_column(table: _Table) -> int | None:
+def _count_column(table: Table) -> int | None:
     """Find the column of sample numbers: by name, or without a header a first column n, n+1, …"""
-    for i, name in enumerate(table.names or ()):
-        if name.lower() in _COUNT_NAMES:
+    for i, column in enumerate(table.columns or ()):
+        if column.name.lower() in _COUNT_NAMES:
             return i
-    several = table.names is None and table.values.shape[1] > 1
+    several = table.columns is None and table.values.shape[1] > 1
     return 0 if several and bool((np.diff(table.values[:, 0]) == 1).all()) else None
 
 
-def _name_and_unit(name: str) -> tuple[str, str | None]:
-    """Split a column name: "time [ms]" → ("time", "ms"), "t_s" → ("t", "s"), "II" → ("II", None)."""
-    match = _UNIT_SUFFIX.fullmatch(name)
-    if match is None:
-        return name, None
-    return (match[1], match[2]) if match[2] else (match[3], match[4])
+def _even_times(
+    path: Path, table: Table, columns: Sequence[Column], times: list[int]
+) -> tuple[FloatArray, float]:
+    """Return times in s and rate of the first column of even times; other even ones must have its rate."""
+    even: list[tuple[int, FloatArray, float]] = []
+    problem: UnreadableFileError | None = None
+    for at in times:
+        try:
+            t_s = _seconds(path, table, columns[at], at)
+            even.append((at, t_s, even_rate_hz(path, t_s)))
+        except UnreadableFileError as exc:
+            problem = problem or exc
+    if not even:
+        raise problem or UnreadableFileError(f"{path} has no times")
+    best, t_s, rate_hz = even[0]
+    for at, _, other_hz in even[1:]:
+        if abs(other_hz - rate_hz) > _AGREES * rate_hz:
+            raise UnreadableFileError(
+                f"{path}: column '{columns[best].name}' has {rate_hz:.4g} samples per second, column "
+                f"'{columns[at].name}' {other_hz:.4g}; remove the wrong one"
+            )
+    if problem is not None:
+        log.warning("%s: times are those of column '%s'", path, columns[best].name)
+    return t_s, rate_hz
 
 
-def _seconds(path: Path, table: _Table, at: int) -> FloatArray:
-    """Convert the times to s with the unit in the column's name, else the one that fits their steps."""
-    times, name = table.values[:, at], table.names[at] if table.names else ""
+def _seconds(path: Path, table: Table, column: Column, at: int) -> FloatArray:
+    """Convert the times to s with the unit of the column, else the one that fits their steps."""
+    times, name = table.values[:, at], column.name
     if (np.abs(times) > _LATEST).any():
         raise UnreadableFileError(
             f"{path}: its times reach {np.nanmax(np.abs(times)):.3g}; needed times in s, ms, µs or ns"
         )
-    if at == table.clock:
+    if at in table.clocks:
         return past_midnight(times)
-    stated = (_name_and_unit(name)[1] or name).lower()
+    stated = (column.unit or name).lower()
     step = float(np.median(np.diff(times)))
-    if stated in _IN_ONE_SECOND:
-        step_s = step / _IN_ONE_SECOND[stated]
-        if step_s > _LONGEST_STEP_S or 0 < step_s < _SHORTEST_STEP_S:
+    if stated in IN_ONE_SECOND:
+        step_s = step / IN_ONE_SECOND[stated]
+        if step_s > _LONGEST_STEP_S or 0 < step_s < _SHORTEST_STEP_S * (1 - 1e-9):
             raise UnreadableFileError(
-                f"{path}: its times step by {step:g} {stated} (column '{name}'); no ECG is sampled at "
-                f"{1 / step_s:.3g} Hz: correct the unit in the header"
+                f"{path}: its times step by {step:g} {stated} (column '{column.heading}'); no ECG is sampled "
+                f"at {1 / step_s:.3g} Hz: correct the unit in the header"
             )
-        return times / _IN_ONE_SECOND[stated]
+        return times / IN_ONE_SECOND[stated]
     for unit in ("s", "ms", "us", "ns"):
-        if step / _IN_ONE_SECOND[unit] <= _LONGEST_STEP_S:
+        step_s = step / IN_ONE_SECOND[unit]
+        if step_s <= _LONGEST_STEP_S:
+            if 0 < step_s < _SHORTEST_STEP_S * (1 - 1e-9):
+                break
             if unit != "s":
                 log.warning("%s: its times step by %g, so they are read as %s", path, step, unit)
-            return times / _IN_ONE_SECOND[unit]
+            return times / IN_ONE_SECOND[unit]
     raise UnreadableFileError(f"{path}: times step by {step:g}; name their unit in the header, as in t_ms")
 
 
-def _leads_and_unit(path: Path, names: list[str]) -> tuple[tuple[str, ...], str]:
-    leads = [_name_and_unit(name) for name in names]
-    units = {"mV" if unit is None or unit.lower() == "mv" else unit for _, unit in leads}
-    if len(units) > 1:
-        raise UnreadableFileError(f"{path}: leads in different units ({', '.join(sorted(units))}); use one")
-    return tuple(label for label, _ in leads), units.pop()
+def _are_counts(samples: FloatArray, rate_hz: float) -> bool:
+    """Return whether (n, leads) samples are whole numbers that swing by more than a heart's mV."""
+    whole = bool((samples == np.rint(samples))[np.isfinite(samples)].all())
+    return whole and max(swing_of(lead, rate_hz) for lead in samples.T) > ECG_SWING_MV[1]
+
+
+def _in_one_unit(path: Path, samples: FloatArray, columns: list[Column]) -> tuple[FloatArray, str]:
+    """Return (n, leads) samples in the unit that all columns share, else in mV, which none states as well."""
+    units = {column.unit.lower() for column in columns}
+    if units == {""}:
+        return samples, "mV"
+    if "" in units:
+        listed = ", ".join(sorted({column.unit or "none" for column in columns}))
+        raise UnreadableFileError(f"{path}: leads in different units ({listed}); name the unit of each")
+    if len(units) == 1 and units <= set(IN_ONE_MV):
+        unit = columns[0].unit
+        return samples, "mV" if unit.lower() == "mv" else unit
+    return in_millivolts(path, samples, [Channel(column.name, column.unit) for column in columns])

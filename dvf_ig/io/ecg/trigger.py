@@ -20,7 +20,7 @@ _DELAY = re.compile(r"#\s*delay_s\s+(\S+)")
 
 
 def read_beat_source(
-    spec: str, *, rate_hz: float | None = None, delay_s: float | None = None
+    spec: str, *, rate_hz: float | None = None, delay_s: float | None = None, lead: str | None = None
 ) -> Signal | TriggerTimes:
     """Read an ECG (`read_ecg`), or with `trigger:PATH` trigger pulses (`read_triggers`).
 
@@ -28,19 +28,21 @@ def read_beat_source(
         spec: an ECG, or `trigger:PATH`.
         rate_hz: sampling rate of an ECG table without times.
         delay_s: of the pulses of a trigger after the R peak.
+        lead: leads of an ECG to take (`read_ecg`).
     Raises:
         UnreadableFileError, InvalidInputError, MissingDependencyError: as these two, or an argument that
             belongs to the other.
     """
     if spec.startswith(TRIGGER_PREFIX):
-        if rate_hz is not None:
-            raise UnreadableFileError(f"a rate belongs to an ECG table; '{spec}' holds the times of pulses")
+        if rate_hz is not None or lead is not None:
+            what = "lead" if rate_hz is None else "rate"
+            raise UnreadableFileError(f"a {what} belongs to an ECG; '{spec}' holds the times of pulses")
         return read_triggers(spec.removeprefix(TRIGGER_PREFIX), delay_s)
     if delay_s is not None:
         raise UnreadableFileError(
             f"a delay belongs to trigger:FILE; '{spec}' is an ECG, whose R peaks are found"
         )
-    return read_ecg(spec, rate_hz)
+    return read_ecg(spec, rate_hz, lead)
 
 
 def read_triggers(path: Path | str, delay_s: float | None = None) -> TriggerTimes:
@@ -101,7 +103,7 @@ class EcgName:
 
 
 def split_ecg(spec: str) -> EcgName:
-    """What names an ECG or a trigger, in parts; prefix and field are empty where they are not given."""
+    """Split the name of an ECG or a trigger; prefix and field are empty if they are not given."""
     kind, colon, rest = spec.partition(":")
     if not colon or f"{kind}:" not in (*(f"{k}:" for k in KINDS), TRIGGER_PREFIX):
         kind, colon, rest = "", "", spec

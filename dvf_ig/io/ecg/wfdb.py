@@ -1,6 +1,9 @@
 """Read WFDB recordings through the package of the `ecg` extra."""
 
 import importlib
+import logging
+import shutil
+import tempfile
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -11,12 +14,13 @@ import numpy as np
 
 from dvf_ig.core.errors import MissingDependencyError, UnreadableFileError
 from dvf_ig.core.recordings.signal import Signal
-from dvf_ig.io import limits
 from dvf_ig.io.provenance import record_file
 from dvf_ig.io.reading import refuse_lfs_pointer
 
-from .units import in_millivolts
-from .wfdb_header import read_record_header
+from .leads import Channel, choose_leads, in_millivolts
+from .wfdb_header import RecordHeader, read_record_header, simplified
+
+log = logging.getLogger(__name__)
 
 _DAMAGE = (
     ValueError,
@@ -31,46 +35,97 @@ _DAMAGE = (
     MemoryError,
 )
 """Exceptions that the package raises on damaged files."""
-
-
 UNIT = "mV"
 """Unit of a signal that states none, as of a lead that no segment holds (WFDB header(5))."""
 
 
-def read_wfdb(record: Path) -> Signal:
-    """Read all leads of a WFDB record, named without suffix, in mV.
+def read_wfdb(record: Path, lead: str | None = None, rate_hz: float | None = None) -> Signal:
+    """Read the ECG leads of a WFDB record (`choose_leads`), named without suffix, in mV, at their own rate.
 
     A signal without a gain is read at 200 units per mV (WFDB header(5)), with a warning. A lead that no
     segment holds is all NaN; a lead without a name becomes "signal 0" and so on.
 
+    Args:
+        record: path without suffix.
+        lead: labels of the leads to take instead, separated by commas.
+        rate_hz: samples per second of a record whose header states none.
     Raises:
         MissingDependencyError: the package wfdb is absent.
-        UnreadableFileError: a file of the record is absent or damaged.
+        UnreadableFileError: a file of the record is absent or damaged; no ECG, or leads of several rates.
     """
     wfdb = _package()
     record = existing_record(record)
     header = read_record_header(record)
     for file in header.files:
         refuse_lfs_pointer(file)
-    if header.stated is not None and header.available is not None and header.available < header.stated:
-        raise UnreadableFileError(
-            f"{record}: not a readable WFDB record (truncated: {header.available} of {header.stated} "
-            "samples); copy it again"
-        )
+    _compare_lengths(record, header)
     try:
-        with _quiet():
-            data = wfdb.rdrecord(str(record.resolve()))
+        with _quiet(), _readable(record, header) as readable:
+            data = wfdb.rdrecord(str(readable.resolve()), smooth_frames=False)
     except _DAMAGE as exc:
         raise UnreadableFileError(f"{record}: not a readable WFDB record ({exc}); copy it again") from exc
     for file in header.files:
         record_file(file)
-    if data.p_signal is None:
-        raise UnreadableFileError(f"{record}: the record has several sampling rates; resample it to one")
-    limits.require_count(data.p_signal.size, limits.SAMPLES, "samples")
-    samples = np.asarray(data.p_signal, dtype=np.float64)
-    labels = tuple(name or f"signal {n}" for n, name in enumerate(data.sig_name))
-    units = [unit or UNIT for unit in data.units]
-    return Signal(in_millivolts(record, samples, units), header.rate_hz, 0.0, labels)
+    if data.e_p_signal is None:
+        raise UnreadableFileError(f"{record}: not a readable WFDB record (no samples); copy it again")
+    frames_hz = _frames_hz(record, header, rate_hz)
+    labels = [name or f"signal {n}" for n, name in enumerate(data.sig_name)]
+    rates = [frames_hz * (count or 1) for count in data.samps_per_frame or [1] * len(labels)]
+    channels = [
+        Channel(*channel)
+        for channel in zip(labels, [unit or UNIT for unit in data.units], rates, strict=True)
+    ]
+    chosen = choose_leads(record, channels, lead)
+    columns = np.column_stack([np.asarray(data.e_p_signal[i], dtype=np.float64) for i in chosen])
+    samples, unit = in_millivolts(record, columns, [channels[i] for i in chosen])
+    left_out = tuple(label for i, label in enumerate(labels) if i not in chosen)
+    return Signal(samples, rates[chosen[0]], 0.0, tuple(labels[i] for i in chosen), unit, left_out)
+
+
+def _compare_lengths(record: Path, header: RecordHeader) -> None:
+    if header.stated is None or header.available is None:
+        return
+    if header.available < header.stated:
+        raise UnreadableFileError(
+            f"{record}: not a readable WFDB record (truncated: {header.available} of {header.stated} "
+            "samples); copy it again"
+        )
+    if header.available > header.stated:
+        log.warning(
+            "%s: its files hold %d samples of each signal, its header says %d; the rest is left out",
+            record,
+            header.available,
+            header.stated,
+        )
+
+
+def _frames_hz(record: Path, header: RecordHeader, rate_hz: float | None) -> float:
+    """Return the rate of the header, else `rate_hz`, else the default of WFDB, with a warning."""
+    if header.rate_stated:
+        return header.rate_hz
+    if rate_hz is None:
+        log.warning(
+            "%s states no sampling rate: the WFDB default of %g Hz is assumed", record, header.rate_hz
+        )
+    return rate_hz or header.rate_hz
+
+
+@contextmanager
+def _readable(record: Path, header: RecordHeader) -> Iterator[Path]:
+    """Yield the record, or a temporary copy with record lines that the package can parse."""
+    texts = {file: simplified(file) for file in header.files if file.suffix == ".hea"}
+    if not any(texts.values()):
+        yield record
+        return
+    with tempfile.TemporaryDirectory(prefix="dvf_ig_") as folder:
+        for file in dict.fromkeys(header.files):
+            copy, text = Path(folder) / file.relative_to(record.parent), texts.get(file)
+            copy.parent.mkdir(parents=True, exist_ok=True)
+            if text is None:
+                shutil.copyfile(file, copy)
+            else:
+                copy.write_text(text, encoding="ascii", errors="replace")
+        yield Path(folder) / record.name
 
 
 def existing_record(record: Path) -> Path:

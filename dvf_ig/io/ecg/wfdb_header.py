@@ -37,8 +37,11 @@ _BYTES = {
 """Bytes per sample by format; None if compressed."""
 _NUMBER = r"\d{1,6}(?:\.\d{1,12})?"
 _RECORD = re.compile(
-    rf"(\S+?)(?:/(\d{{1,5}}))?(?:\s+(\d{{1,4}}))(?:\s+({_NUMBER})(?:/\S+)?(?:\s+(\d{{1,12}})\b.*)?)?"
+    rf"(\S+?)(?:/(\d{{1,5}}))?(?:\s+(\d{{1,4}}))(?:\s+({_NUMBER})(?:/\S+)?(?:\s+(\d{{1,12}})\b(.*))?)?"
 )
+_NAME = re.compile(r"[-\w]+", re.ASCII)
+_TIME_AND_DATE = re.compile(r"(\s+\d{1,2}(:\d{1,2}){0,2}(\.\d{1,6})?(\s+\d{1,2}/\d{1,2}/\d{4})?)?\s*")
+"""Fields of a record line after the number of samples."""
 _GAIN = r"-?(?:\d{1,20}\.?\d{0,20}|\.\d{1,20})(?:e[-+]?\d{1,3})?"
 _SIGNAL = re.compile(
     r"(\S+)\s+(\d{1,3})(?:x(\d{1,4}))?(?::(\d{1,9}))?(?:\+(\d{1,9}))?"
@@ -56,13 +59,15 @@ class RecordHeader:
 
     Attributes:
         files: the header, then the files that it names, in order.
-        rate_hz: as stated.
-        stated: samples per lead; None if the header does not state it.
-        available: complete samples per lead in the files; None for compressed files or segments.
+        rate_hz: frames per second, by default 250 (WFDB header(5)).
+        rate_stated: whether the header states them.
+        stated: frames; None if the header does not state it.
+        available: complete frames in the files; None for compressed files or segments.
     """
 
     files: tuple[Path, ...]
     rate_hz: float
+    rate_stated: bool
     stated: int | None
     available: int | None
 
@@ -83,9 +88,9 @@ def read_record_header(record: Path) -> RecordHeader:
     if line[2]:
         files = _of_segments(header, lines, rate_hz, stated)
         limits.require_count((stated or 0) * leads, limits.SAMPLES, "samples")
-        return RecordHeader((header, *files), rate_hz, stated, None)
-    files, held = _of_signals(header, lines, stated)
-    return RecordHeader((header, *files), rate_hz, stated, held)
+        return RecordHeader((header, *files), rate_hz, line[4] is not None, stated, None)
+    files, available = _of_signals(header, lines, stated)
+    return RecordHeader((header, *files), rate_hz, line[4] is not None, stated, available)
 
 
 def read_rate_and_length(record: Path) -> tuple[float, int | None]:
@@ -96,6 +101,21 @@ def read_rate_and_length(record: Path) -> tuple[float, int | None]:
     """
     line, _ = _record_line(record.with_name(f"{record.name}.hea"))
     return float(line[4] or 250.0), int(line[5]) if line[5] else None
+
+
+def simplified(header: Path) -> str | None:
+    """Return a header in the strict form that the package wfdb parses; None if it already has it.
+
+    The challenges of 2020 and 2021 name the record "E1.mat" and end its line with "05-May-2020 09:49:17".
+    """
+    line, lines = _record_line(header)
+    strict = _TIME_AND_DATE.fullmatch(line[6] or "") is not None
+    if strict and _NAME.fullmatch(line[1]):
+        return None
+    if not strict:
+        log.warning("%s: '%s' is not a time and date of WFDB; it is left out", header, line[6].strip()[:40])
+    name, end = re.sub(r"[^-a-zA-Z0-9_]", "_", line[1]), line.end() if strict else line.start(6)
+    return "\n".join([f"{name}{line[0][line.end(1) : end]}", *lines, ""])
 
 
 def _record_line(header: Path) -> tuple[re.Match[str], list[str]]:

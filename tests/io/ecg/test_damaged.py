@@ -72,14 +72,26 @@ def test_the_whole_records_of_an_edf_are_read_with_a_warning(
         ({"high": "1e300"}, "the value '1e300'"),
         ({"low": "5"}, "same smallest and largest"),
         ({"digital_low": "32767"}, "same smallest and largest"),
-        ({"unit": "degC"}, "leads are in 'degC'"),
+        ({"unit": "degC"}, "no channel of an ECG, only ECG II .degC. at 250 Hz"),
         ({"form": "EDF+D"}, "interruptions"),
+        ({"size": "512"}, "says that it has 512 bytes, but 2 signals need 768"),
+        ({"digital_high": "70000"}, "which 16 bits do not hold"),
         ({"version": "garbage"}, "not a readable EDF"),
     ],
 )
 def test_edf_headers(tmp_path: Path, changes: dict[str, str], sentence: str) -> None:
     with pytest.raises(UnreadableFileError, match=sentence):
         read_ecg(edf(tmp_path / "a.edf", **changes))
+
+
+def test_an_edf_with_annotations_is_continuous_by_their_times(tmp_path: Path) -> None:
+    lead = edfio.EdfSignal(np.sin(np.arange(2500) / 20), 250, label="ECG", physical_dimension="mV")
+    edfio.Edf([lead], annotations=[edfio.EdfAnnotation(1.5, None, "start")]).write(tmp_path / "a.edf")
+    assert read_ecg(str(tmp_path / "a.edf")).leads == ("ECG",)
+    data = (tmp_path / "a.edf").read_bytes()
+    (tmp_path / "a.edf").write_bytes(data.replace(b"+6\x14\x14", b"+8\x14\x14"))
+    with pytest.raises(UnreadableFileError, match="has interruptions, first before record 7 of 10"):
+        read_ecg(str(tmp_path / "a.edf"))
 
 
 def wfdb_record(folder: Path, header: str, samples: bytes = SAMPLES) -> str:

@@ -12,7 +12,7 @@ from edf_files import write_ecg_edf
 from typer.testing import CliRunner
 
 from dvf_ig.cli.main import app
-from dvf_ig.core import FloatArray, InvalidInputError, Signal, TrackedSequence, UnreadableFileError
+from dvf_ig.core import FloatArray, Signal, TrackedSequence, UnreadableFileError
 from dvf_ig.io import add_ecg_field, read_ecg, write_ecg_csv, write_sequence
 
 # ------------------------------------------------------------------ a real record
@@ -173,6 +173,8 @@ def test_misreadings_are_refused(tmp_path: Path, header: str, row: str, message:
         read_ecg(str(tmp_path / "ecg.csv"))
 
 
-def test_a_rate_belongs_to_a_table_alone(tmp_path: Path) -> None:
-    with pytest.raises(InvalidInputError, match="states its own sampling rate"):
-        read_ecg(f"plus:{tmp_path / 'a.igs.mha'}", 250.0)
+def test_a_rate_other_than_the_files_is_refused_naming_both(tmp_path: Path) -> None:
+    edf_of(tmp_path / "a.edf", MV[:2500], (-2.0, 2.0))
+    assert read_ecg(f"edf:{tmp_path / 'a.edf'}", 250.0).rate_hz == 250.0
+    with pytest.raises(UnreadableFileError, match="sampled at 250 Hz, but --rate is 500 Hz"):
+        read_ecg(f"edf:{tmp_path / 'a.edf'}", 500.0)
