@@ -12,6 +12,14 @@ TIME_S = 1e10
 """Largest time stamp: seconds since 1970 reach 1.8e9 (2026), milliseconds are beyond this limit."""
 ECG_VALUE = 1e9
 """Largest ECG sample in any unit: converters of 24 bit count to 1.7e7, of 32 bit to 2.1e9 at most."""
+RR_S = (0.2, 3.0)
+"""Shortest and longest RR interval: 300 and 20 beats/min."""
+CYCLE_SHARE = 0.4
+"""Least share of the RR interval that the phases of a cine span: prospective gating covers 80 % or more."""
+VOXEL_MM = (0.02, 100.0)
+"""Smallest and largest voxel side of a scanner: CT has 0.2 mm, ultrasound 0.05, slices at most 20 apart."""
+SCANNER_MM = 1e4
+"""Farthest point of an image: tables travel 2 m, trackers reach 5 m."""
 
 
 def require_plausible(values: Any, most: float, what: str) -> None:

@@ -6,6 +6,7 @@ import numpy as np
 
 from dvf_ig.core.arrays import FloatArray, IntArray, frozen_floats, read_only_arrays
 from dvf_ig.core.errors import InvalidInputError
+from dvf_ig.core.plausible import RR_S
 
 
 @read_only_arrays
@@ -34,7 +35,7 @@ class CycleTiming:
                 f"phase fractions run from {fractions[0]:g} to {fractions[-1]:g}; "
                 "they must increase strictly within [0, 1)"
             )
-        if not 0.2 <= self.rr_s <= 3.0:
+        if not RR_S[0] <= self.rr_s <= RR_S[1]:
             raise InvalidInputError(f"RR interval is {self.rr_s:g} s; needed 0.2 to 3.0 s (is it in ms?)")
         object.__setattr__(self, "fractions", fractions)
 

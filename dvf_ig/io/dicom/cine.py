@@ -48,7 +48,7 @@ def is_dicom_folder(folder: Path) -> bool:
     return folder.is_dir() and any(_is_dicom(path) for path in _regular_files(folder))
 
 
-def read_dicom_cine(folder: Path, frame: str = "mr") -> DicomCine:
+def read_dicom_cine(folder: Path, frame: str = "mr", *, timed: bool = True) -> DicomCine:
     """Read the one cine stack of a folder and the folders within it; skip other files.
 
     Slices are ordered along their common normal, phases by trigger time (0018,1060), which divided by the RR

@@ -1,5 +1,6 @@
 """Read the voxels of a MetaImage or NRRD file, raw or compressed, and no more than its header states."""
 
+import logging
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,8 @@ from dvf_ig.io.provenance import record_file
 from dvf_ig.io.reading import refuse_lfs_pointer
 
 from .header import ImageHeader, Storage
+
+log = logging.getLogger(__name__)
 
 _AT_ONCE = 256
 """Bytes copied per step: four cache lines of a processor."""
@@ -52,8 +55,10 @@ def _raw(path: Path, storage: Storage, needed: int) -> AnyArray:
     share, flat = needed // len(parts), np.empty(needed, np.uint8)
     for part, target in zip(parts, flat.reshape(len(parts), share), strict=True):
         size = part.stat().st_size
-        skip = storage.skip if storage.files else storage.offset
-        begin = max(size - share, 0) if skip is None else skip
+        first = 0 if storage.files else storage.offset
+        begin = max(size - share, first) if storage.skip is None else first + storage.skip
+        if storage.skip is None and begin > first:
+            log.warning("%s: %d bytes before its voxels are skipped, as its header asks", part, begin - first)
         require_size(part, size - begin, share)
         with part.open("rb") as stream:
             stream.seek(begin)
