@@ -263,8 +263,8 @@ def _geometry(
         words = fields.get(other, "").lower().split()
         if any(a < len(words) and words[a] != "nan" for a in axes):
             raise UnreadableFileError(
-                f"{path} states its axes twice, by space directions "
-                f"'{fields.get('space directions', '')[:60]}' and by {other} '{fields[other][:40]}'; delete one"
+                f"{path} states its axes twice (delete one), by space directions "
+                f"'{fields.get('space directions', '')[:60]}' and by {other} '{fields[other][:30]}'"
             )
     count = 4 if timed else 3
     matrix = np.eye(count)

@@ -18,7 +18,8 @@ _SECONDS = {
     **dict.fromkeys(("ms", "msec", "millisecond", "milliseconds"), 1e-3),
     **dict.fromkeys(("us", "usec", "microsecond", "microseconds"), 1e-6),
 }
-_PERCENT = ("%", "%r-r", "%rr", "percent")
+_SHARES = {**dict.fromkeys(("%", "%r-r", "%rr", "percent"), 0.01), "rr": 1.0}
+"""Shares of the RR interval by unit; "RR" is the unit of the sequences that `replay --export` writes."""
 _SAME_FRACTION, _SAME_RR = 0.05, 0.1
 """Largest differences of two statements of one timing: a step of 20 phases, and a tenth of the interval."""
 
@@ -66,9 +67,22 @@ class PhaseTimes:
             )
         return self.values[self.order(path)] * scale
 
-    def percent(self) -> bool:
-        """Return whether the values are percentages of the RR interval."""
-        return self.unit.lower() in _PERCENT
+    def fractions(self, path: Path) -> FloatArray | None:
+        """Return increasing fractions of the RR interval; None if the values have another unit.
+
+        Raises:
+            UnreadableFileError: outside [0, 1).
+        """
+        share = _SHARES.get(self.unit.lower())
+        if share is None:
+            return None
+        fractions = self.values[self.order(path)] * share
+        if fractions[0] < 0 or fractions[-1] >= 1:
+            raise UnreadableFileError(
+                f"{path}: {self.field} states {self._range()}; needed fractions of one RR interval, 0 to "
+                "below 1 (100 %): give --timing"
+            )
+        return fractions
 
     def timing(self, path: Path) -> CycleTiming | None:
         """Compute the timing of one cycle that ends a mean step after its last volume; None without times.
@@ -81,13 +95,8 @@ class PhaseTimes:
         """
         values = self.values[self.order(path)]
         count = len(values)
-        if self.percent():
-            if values[0] < 0 or values[-1] >= 100 or count < 2:
-                raise UnreadableFileError(
-                    f"{path}: {self.field} runs from {self._range()}; needed 0 to below 100 % of the RR "
-                    "interval: give --timing"
-                )
-            return CycleTiming(values / 100.0, 1.0, rr_assumed=True)
+        if (fractions := self.fractions(path)) is not None:
+            return CycleTiming(fractions, 1.0, rr_assumed=True)
         if count < 2 or (not self._scale() and (np.diff(values) == 1).all()):
             return None
         step = float(np.diff(values).mean())

@@ -65,7 +65,7 @@ def read_volume_series(
         InvalidInputError: timing of another number of phases.
     """
     path = Path(path)
-    if path.is_dir():
+    if path.is_dir() or is_dicom_folder(path):
         cine = read_dicom_cine(path, frame, timed=timing is None)
         grid, values = cine.grid, cine.values
         timing = cine.timing if timing is None else timing
