@@ -16,6 +16,8 @@ RR_S = (0.2, 3.0)
 """Shortest and longest RR interval: 300 and 20 beats/min."""
 CYCLE_SHARE = 0.4
 """Least share of the RR interval that the phases of a cine span: prospective gating covers 80 % or more."""
+VOLUME_STEP_S = (0.002, 3.0)
+"""Shortest and longest time from one 3-D ultrasound volume to the next: probes take 1 to 100 volumes/s."""
 VOXEL_MM = (0.02, 100.0)
 """Smallest and largest voxel side of a scanner: CT has 0.2 mm, ultrasound 0.05, slices at most 20 apart."""
 SCANNER_MM = 1e4

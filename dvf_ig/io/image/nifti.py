@@ -68,6 +68,8 @@ _LPS = np.array([-1.0, -1.0, 1.0])
 _GZIP = b"\x1f\x8b"
 _UNITS = {1: "m", 3: "micrometres"}
 _TIME_UNITS = {0: "", 8: "s", 16: "ms", 24: "us"}
+_SAME_SIDE = 0.01
+"""Largest relative difference of two statements of a voxel's side."""
 _SAME_MM, _SAME_SHARE = 0.1, 0.1
 """Largest distance of one voxel in two geometries: mm, and as a share of its smallest side."""
 
@@ -254,7 +256,8 @@ def _geometry(
     _require_orthogonal(path, sform[:, :3])
     ends = np.array(sizes[:3]) - 1.0
     allowed = max(_SAME_MM, _SAME_SHARE * float(min(sides.min(), length.min())))
-    if np.abs((length - sides) * np.maximum(ends, 1.0)).max() > allowed:
+    apart_mm = np.abs((length - sides) * np.maximum(ends, 1.0))
+    if apart_mm.max() > allowed or np.abs(length / sides - 1.0).max() > _SAME_SIDE:
         raise UnreadableFileError(
             f"{path}: its sform has voxels of {_text(length)} mm, its pixdim of {_text(sides)} mm; "
             "write it again with one voxel size, or take it from the scanner's images"
