@@ -28,7 +28,7 @@ def read_tags(path: str) -> dict[str, Any]:
     import pydicom
 
     keywords = f"{GENERAL} {OF_FRAME} {GROUPS}".split()
-    data = pydicom.dcmread(path, stop_before_pixels=True, specific_tags=keywords)  # type: ignore[arg-type]
+    data = pydicom.dcmread(path, stop_before_pixels=True, specific_tags=keywords)
     general = {name: _text(data, name) for name in GENERAL.split() if name in data}
     shared = [data, *_groups(data.get("SharedFunctionalGroupsSequence") or [])]
     frames = data.get("PerFrameFunctionalGroupsSequence")

@@ -9,8 +9,9 @@ import numpy as np
 
 from dvf_ig.core.arrays import FloatArray, read_only_arrays
 from dvf_ig.core.errors import UnreadableFileError
-from dvf_ig.core.plausible import CYCLE_SHARE, RR_S
+from dvf_ig.core.plausible import RR_S
 from dvf_ig.core.timing.cycle import CycleTiming
+from dvf_ig.io.image.phase_times import require_whole_cycle
 
 from .header import CineImage
 
@@ -227,7 +228,13 @@ def _require_one_order(folder: Path, slices: Sequence[Sequence[CineImage]]) -> N
     """Refuse phases that trigger times and temporal positions order or count differently."""
     for row in slices:
         stated = np.array([np.nan if one.temporal is None else one.temporal for one in row])
-        if not np.isfinite(stated).all() or (stated == stated[0]).all():
+        count = int(np.isfinite(stated).sum())
+        if count not in (0, len(row)):
+            raise UnreadableFileError(
+                f"{folder}: {count} of {len(row)} images of a slice have a temporal position (0020,0100); "
+                "needed all or none"
+            )
+        if not count or (stated == stated[0]).all():
             continue
         if (np.diff(stated) <= 0).any():
             at = int(np.argmax(np.diff(stated) <= 0))
@@ -261,26 +268,19 @@ def _timing(folder: Path, slices: Sequence[Sequence[CineImage]], clock: _Clock) 
     """Mean over slices of trigger time over RR, each slice having been acquired at its own RR."""
     own = np.array([_rr_s(folder, row) for row in slices])
     if clock is not _TRIGGER:
-        known = own[np.isfinite(own)]
-        return CycleTiming.uniform(
-            len(slices[0]), float(known.mean()) if len(known) else 1.0, rr_assumed=not len(known)
-        )
+        recorded = own[np.isfinite(own)]
+        rr_s = float(recorded.mean()) if len(recorded) else 1.0
+        return CycleTiming.uniform(len(slices[0]), rr_s, rr_assumed=not len(recorded))
     times = np.array([[one.trigger_s or 0.0 for one in row] for row in slices])
     ends = times[:, -1] + np.diff(times, axis=1).mean(axis=1)
     usable = np.isfinite(own) & (own > times[:, -1])
-    share = float(np.median((ends - times[:, 0]) / own)) if usable.all() else 1.0
-    if share < CYCLE_SHARE:
-        raise UnreadableFileError(
-            f"{folder}: its trigger times (0018,1060), {1e3 * times.min():g} to {1e3 * times.max():g} ms, "
-            f"span {100 * share:.2g} % of the RR interval of {1e3 * own.mean():g} ms; needed the whole "
-            "cycle, in ms: give --timing"
-        )
     if not usable.all():
         log.warning(
             "%s: no RR interval fits the trigger times; the cycle ends a step after its last phase", folder
         )
         own = ends
     fractions = (times / own[:, None]).mean(axis=0)
+    require_whole_cycle(folder, fractions, "the trigger time (0018,1060)")
     return CycleTiming(fractions, float(own.mean()), rr_assumed=not usable.all())
 
 

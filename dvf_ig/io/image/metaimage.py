@@ -1,5 +1,6 @@
 """Parse the header of a MetaImage file (`.mha`, `.mhd`): lines "name = value", ElementDataFile last."""
 
+import difflib
 import logging
 import re
 from pathlib import Path
@@ -41,6 +42,19 @@ _SYNONYMS = {
     "ElementByteOrderMSB": "BinaryDataByteOrderMSB",
 }
 
+_NAMES = (
+    *("ObjectType", "NDims", "BinaryData", "BinaryDataByteOrderMSB", "CompressedData", "CompressedDataSize"),
+    *(
+        "TransformMatrix",
+        "Offset",
+        "CenterOfRotation",
+        "AnatomicalOrientation",
+        "ElementSpacing",
+        "ElementSize",
+    ),
+    *("DimSize", "ElementType", "ElementNumberOfChannels", "HeaderSize", "DistanceUnits"),
+)
+"""Fields that change what is read; another name must not look like one of them."""
 _NEUTRAL = {
     "CenterOfRotation": ("0", "-0", "0.0"),
     "ElementToIntensityFunctionSlope": ("1", "1.0"),
@@ -126,8 +140,8 @@ def _require_no_other_statement(path: Path, fields: dict[str, str], count: int) 
     Source: MetaIO, metaObject.h and metaImage.h; an orientation names where each axis comes from.
     """
     if fields.get("ElementSize", "") not in ("", fields.get("ElementSpacing", fields.get("ElementSize"))):
-        sides = [real_numbers(path, n, fields[n], count) for n in ("ElementSpacing", "ElementSize")]
-        if not np.allclose(*sides, rtol=1e-3):
+        spacing, size = (real_numbers(path, n, fields[n], count) for n in ("ElementSpacing", "ElementSize"))
+        if not np.allclose(spacing, size, rtol=1e-3):
             raise UnreadableFileError(
                 f"{path}: its ElementSpacing is '{fields['ElementSpacing'][:40]}', its ElementSize "
                 f"'{fields['ElementSize'][:40]}'; delete the one that is not the distance of voxels"
@@ -161,6 +175,11 @@ def _fields(path: Path, text: str) -> dict[str, str]:
             wrong = "occurs twice" if equals else "is not 'name = value'"
             raise UnreadableFileError(f"{path}: header line '{line.strip()[:60]}' {wrong}; copy it again")
         fields[name] = value.strip()
+        close = difflib.get_close_matches(name, _NAMES, 1, 0.85)
+        if close and name not in _NAMES:
+            raise UnreadableFileError(
+                f"{path}: its field {name[:40]} is not known; write {close[0]}, or rename it"
+            )
     return fields
 
 
@@ -180,9 +199,9 @@ def _geometry(path: Path, fields: dict[str, str], count: int) -> tuple[FloatArra
     if count < 3:
         return np.zeros(3), np.ones(3), np.eye(3)
     zeros = " ".join(["0"] * count)
-    if "TransformMatrix" not in fields:
+    if absent := [name for name in ("TransformMatrix", "Offset") if name not in fields]:
         log.warning(
-            "%s does not state the direction of its axes: left, posterior, superior are assumed", path
+            "%s states no %s: axes of LPS and an origin of 0 are assumed", path, " and no ".join(absent)
         )
     identity = " ".join(f"{v:g}" for v in np.eye(count).ravel())
     rows = real_numbers(path, "TransformMatrix", fields.get("TransformMatrix", identity), count**2)

@@ -216,7 +216,7 @@ def _checked(
         used.pop()
     geometry = (np.zeros(3), np.ones(3), np.eye(3)) if count < 3 else _geometry(path, fields, used)
     step, time_unit = (
-        float(fields["pixdim"][4]),
+        float(f"{fields['pixdim'][4]:.7g}"),
         _TIME_UNITS.get(int(fields["units"][0]) & 0x38, "Hz, ppm or rad"),
     )
     return ImageHeader(
@@ -227,7 +227,7 @@ def _checked(
         *geometry,
         Storage((), int(offset)),
         times=uniform_times(step, used[3], time_unit, "pixdim[4]") if len(used) == 4 else None,
-        scaling=fields["scaling"],  # type: ignore[arg-type]
+        scaling=fields["scaling"],
     )
 
 

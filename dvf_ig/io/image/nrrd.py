@@ -287,6 +287,8 @@ def _direction(path: Path, fields: dict[str, str], axis: int, count: int) -> Flo
 
 
 def _origin(path: Path, fields: dict[str, str], count: int) -> FloatArray:
+    if "space origin" not in fields:
+        log.warning("%s states no space origin: 0 is assumed", path)
     text = fields.get("space origin", f"({','.join(['0'] * count)})")
     match = _VECTOR.fullmatch(text)
     inside = text if match is None or match[1] is None else match[1].replace(",", " ")

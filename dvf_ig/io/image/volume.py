@@ -74,7 +74,7 @@ def read_volume_series(
     if timing is None:
         timing = _timing_of(path, len(values))
     elif not isinstance(timing, CycleTiming):
-        timing = read_timing(timing, beside=path.parent, phases=len(values), image=path.name)
+        timing = read_timing(timing, folder=path.parent, phases=len(values), image=path.name)
     if len(timing) != len(values):
         raise InvalidInputError(
             f"{path} has {len(values)} phases, its timing {len(timing)}; they must agree", path=path
@@ -89,7 +89,7 @@ def _timing_of(path: Path, phases: int) -> CycleTiming:
     file = path.parent / "timing.json"
     if stated is not None and not file.is_file():
         return stated
-    timing = read_timing(None, beside=path.parent, phases=phases, image=path.name)
+    timing = read_timing(None, folder=path.parent, phases=phases, image=path.name)
     if stated is not None:
         require_same_timing(path, stated, file, timing)
     return timing

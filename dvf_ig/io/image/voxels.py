@@ -37,7 +37,8 @@ def read_voxels(path: Path, header: ImageHeader) -> AnyArray:
     stored_bytes = sum(file.stat().st_size for file in storage.files or (path,))
     if needed > stored_bytes * (MOST_PACKED if storage.compressed else 1):
         require_size(path, stored_bytes, needed)
-    flat = (_unpacked if storage.compressed else _raw)(path, storage, needed)
+    stated = header.fields.get("CompressedDataSize", "")
+    flat = _unpacked(path, storage, needed, stated) if storage.compressed else _raw(path, storage, needed)
     for file in storage.files:
         record_file(file)
     stored = flat.view(header.dtype).reshape(header.sizes[::-1]).T
@@ -67,12 +68,16 @@ def _raw(path: Path, storage: Storage, needed: int) -> AnyArray:
     return flat
 
 
-def _unpacked(path: Path, storage: Storage, needed: int) -> AnyArray:
+def _unpacked(path: Path, storage: Storage, needed: int, stated: str) -> AnyArray:
     packed = b"".join(file.read_bytes() for file in storage.files)
     if not storage.files:
         with path.open("rb") as stream:
             stream.seek(storage.offset)
             packed = stream.read()
+    if stated and stated != str(len(packed)):
+        raise UnreadableFileError(
+            f"{path}: CompressedDataSize is {stated[:20]}, but {len(packed)} bytes follow; copy it again"
+        )
     return inflated(path, packed, needed)
 
 

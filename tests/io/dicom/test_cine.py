@@ -343,7 +343,7 @@ def moved_slice(data: Any, number: int, phase: int) -> None:
         (every(NumberOfTemporalPositions=6), (), "holds 5 phases, and its images state 6"),
         (backward, (), "by trigger time .* temporal positions .* are 5 and 4"),
         (every(HeartRate=120), (), "800 ms and a heart rate .* of 120 beats"),
-        (in_seconds, (), "span 0.1 % of the RR interval"),
+        (in_seconds, (), "spans 0.1 % of the RR interval"),
         (set_in(0, PixelSpacing=[1e-9, 1]), (), "pixels have sides"),
     ],
 )

@@ -138,6 +138,11 @@ def test_nrrd_headers(tmp_path: Path, changes: dict[str, str | None], sentence: 
         ({"DimSize": "2 3 3"}, "longer than its header says"),
         ({"DimSize": "1024 1024 1024", "CompressedData": "True"}, "truncated"),
         ({"CompressedData": "True"}, "damaged"),
+        (
+            {"CompressedData": "True", "CompressedDataSize": "25"},
+            "CompressedDataSize is 25, but 24 bytes follow",
+        ),
+        ({"CompresedData": "True"}, "field CompresedData is not known; write CompressedData"),
         ({"CompressedData": "perhaps"}, "CompressedData"),
         ({"Offset": "nan 0 0"}, "finite"),
         ({"Offset": "1e11 0 0"}, "check the unit"),
@@ -348,6 +353,7 @@ def test_volumes_are_in_order_of_their_stated_times(
         ({VALUES: "=0 200 400"}, "needed 4 finite numbers"),
         ({VALUES: "=0 2 4 6", "units": '"" "" "" "s"'}, "a cycle of 8 s; a heart's has 0.2 to 3 s"),
         ({VALUES: "=0 40 80 100", "units": '"" "" "" "%"'}, "needed fractions of one RR interval"),
+        ({VALUES: "=0 0.2 0.4 0.6", "units": '"" "" "" "%"'}, "spans 0.8 % of the RR interval"),
         ({VALUES: "=0 1 2 3", MULTI: "=0,100,300,200"}, "put its volumes in different orders"),
     ],
 )
