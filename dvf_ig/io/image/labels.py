@@ -8,6 +8,7 @@ import numpy as np
 
 from dvf_ig.core.arrays import AnyArray, FloatArray
 from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
+from dvf_ig.core.plausible import SURFACE_MM
 from dvf_ig.core.space.volume import Grid, Volume, VolumeSeries
 from dvf_ig.io.reading import reading
 
@@ -45,6 +46,7 @@ def read_cine_labels(
             f"{path} has labels of {len(layers)} phases, the image has {phases}; needed those of "
             "end-diastole or of every phase"
         )
+    _require_organ_size(path, grid, layers)
     placed = _on_grid(path, grid, layers, image.grid)
     if len(placed) == 1:
         return Volume(image.grid, placed[0]), None
@@ -83,6 +85,21 @@ def _read(path: Path, frame: str) -> tuple[Grid, AnyArray]:
         layers = values[None] if header.dimension == 3 else values
         segments = segments_of(path, header.fields)
         return grid, merged_segments(path, layers, segments)[None] if segments else layers
+
+
+def _require_organ_size(path: Path, grid: Grid, layers: AnyArray) -> None:
+    """Refuse labels of a size that no organ has, as voxels in cm or m give."""
+    inside = (layers != 0).any(axis=0)
+    if not inside.any():
+        return  # who chooses labels reports which are present
+    ends = [np.flatnonzero(np.moveaxis(inside, axis, 0).any(axis=(1, 2)))[[0, -1]] for axis in range(3)]
+    side = max(float((last - first + 1) * grid.spacing_mm[axis]) for axis, (first, last) in enumerate(ends))
+    low, high = SURFACE_MM
+    if not low <= side <= high:
+        raise InvalidInputError(
+            f"{path}: its labels are {side:.3g} mm across, and an organ {low:g} to {high:g} mm; correct the "
+            "voxel size (mm) of the image and its labels"
+        )
 
 
 def _on_grid(path: Path, labels: Grid, values: AnyArray, image: Grid) -> AnyArray:
