@@ -45,7 +45,8 @@ class DicomCine:
 
 def is_dicom_folder(folder: Path) -> bool:
     """Return whether a folder, or one within it, holds a DICOM file; an enhanced one may stand alone."""
-    return any(_is_dicom(path) for path in _regular_files(folder))
+    exists = folder.is_dir() or folder.is_file()
+    return exists and any(_is_dicom(path) for path in _regular_files(folder))
 
 
 def read_dicom_cine(folder: Path, frame: str = "mr", *, timed: bool = True) -> DicomCine:

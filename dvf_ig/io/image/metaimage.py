@@ -52,9 +52,12 @@ _NAMES = (
         "ElementSpacing",
         "ElementSize",
     ),
-    *("DimSize", "ElementType", "ElementNumberOfChannels", "HeaderSize", "DistanceUnits"),
+    *("DimSize", "ElementType", "ElementNumberOfChannels", "HeaderSize", "DistanceUnits", "ElementDataFile"),
+    *("ObjectSubType", "ElementMin", "ElementMax", "ElementNBits", "ID", "ParentID", "TransformType"),
 )
-"""Fields that change what is read; another name must not look like one of them."""
+"""MetaIO's fields; another name must not look like one of them."""
+_LONGEST, _MOST_COMPARED = 32, 256
+"""Length of the names that are compared with them, and number of fields after which none is."""
 _NEUTRAL = {
     "CenterOfRotation": ("0", "-0", "0.0"),
     "ElementToIntensityFunctionSlope": ("1", "1.0"),
@@ -114,14 +117,15 @@ def read_metaimage_header(path: Path) -> ImageHeader:
         raise UnreadableFileError(
             f"{path}: HeaderSize is {skip}, which applies to raw voxels in a separate file; delete that line"
         )
-    _require_no_other_statement(path, fields, count)
+    geometry = _geometry(path, fields, count)
+    _require_no_other_statement(path, fields, count, geometry[2])
     files = named_voxel_files(path, name, lambda: path.read_bytes()[end.end() :].decode("utf-8", "replace"))
     return ImageHeader(
         sizes,
         np.dtype(order + _TYPES[kind]),
         channels[0],
         3 if count == 4 else None,
-        *_geometry(path, fields, count),
+        *geometry,
         Storage(files, end.end(), None if skip < 0 else skip, compressed),
         fields,
         _times(path, fields, sizes) if count == 4 else None,
@@ -134,7 +138,9 @@ def _times(path: Path, fields: dict[str, str], sizes: tuple[int, ...]) -> PhaseT
     return uniform_times(float(step), sizes[3], "", "ElementSpacing of its fourth axis")
 
 
-def _require_no_other_statement(path: Path, fields: dict[str, str], count: int) -> None:
+def _require_no_other_statement(
+    path: Path, fields: dict[str, str], count: int, direction: FloatArray
+) -> None:
     """Refuse fields that contradict others, or would change voxels in a way that is not read.
 
     Source: MetaIO, metaObject.h and metaImage.h; an orientation names where each axis comes from.
@@ -155,7 +161,6 @@ def _require_no_other_statement(path: Path, fields: dict[str, str], count: int) 
     letters = fields.get("AnatomicalOrientation", "?").upper()
     if count < 3 or set(letters) <= set("? "):
         return
-    direction = _geometry(path, fields, count)[2]
     toward = np.array([_FROM.get(letter, (0.0, 0.0, 0.0)) for letter in letters[:3].ljust(3)])
     if (np.einsum("ac,ca->a", toward, direction) <= 0).any():
         raise UnreadableFileError(
@@ -175,8 +180,9 @@ def _fields(path: Path, text: str) -> dict[str, str]:
             wrong = "occurs twice" if equals else "is not 'name = value'"
             raise UnreadableFileError(f"{path}: header line '{line.strip()[:60]}' {wrong}; copy it again")
         fields[name] = value.strip()
-        close = difflib.get_close_matches(name, _NAMES, 1, 0.85)
-        if close and name not in _NAMES:
+        if name in _NAMES or len(name) > _LONGEST or len(fields) > _MOST_COMPARED:
+            continue
+        if close := difflib.get_close_matches(name, _NAMES, 1, 0.85):
             raise UnreadableFileError(
                 f"{path}: its field {name[:40]} is not known; write {close[0]}, or rename it"
             )

@@ -58,6 +58,19 @@ _FIELDS = re.compile(
     "(line|byte) skip|sample units|measurement frame|data file"
 )
 """Every field of the format; keys ("name:=value") may have any name."""
+_JOINED = {
+    "datafile": "data file",
+    "lineskip": "line skip",
+    "byteskip": "byte skip",
+    "blocksize": "block size",
+    "axismins": "axis mins",
+    "axismaxs": "axis maxs",
+    "oldmin": "old min",
+    "oldmax": "old max",
+    "sampleunits": "sample units",
+    "centerings": "centers",
+}
+"""Other spellings of fields."""
 _TIME_TAGS = ("", "TriggerTime", "AcquisitionTime", "ContentTime", "SeriesTime", "TemporalPositionIdentifier")
 """DICOM attributes that number or time the frames of a MultiVolume."""
 _VECTOR = re.compile(r"none|\(([^()]*)\)")
@@ -179,21 +192,7 @@ def _fields(path: Path, text: str) -> dict[str, str]:
 def _plain_name(name: str) -> str:
     """Normalise a field name: NRRD allows some names without their blank, such as "datafile"."""
     plain = name.strip().lower()
-    joined = {
-        name.replace(" ", ""): name
-        for name in (
-            "data file",
-            "line skip",
-            "byte skip",
-            "block size",
-            "axis mins",
-            "axis maxs",
-            "old min",
-            "old max",
-            "sample units",
-        )
-    } | {"centerings": "centers"}
-    return joined.get(plain, plain)
+    return _JOINED.get(plain, plain)
 
 
 def _dtype(path: Path, fields: dict[str, str]) -> np.dtype[np.generic]:
@@ -302,11 +301,11 @@ def _without_space(
     _require_millimetres(path, "units", fields, axes)
     words = fields.get("spacings", "").split()
     chosen = " ".join(words[a] for a in axes if a < len(words))
-    if "axis maxs" in fields or "axismaxs" in fields:
+    if "axis maxs" in fields:
         raise UnreadableFileError(
             f"{path} states axis maxs; save it with space directions and a space origin"
         )
-    begins = fields.get("axis mins", fields.get("axismins", "")).lower().split()
+    begins = fields.get("axis mins", "").lower().split()
     first = " ".join("0" if a >= len(begins) or begins[a] == "nan" else begins[a] for a in axes)
     log.warning("%s does not state the direction of its axes: left, posterior, superior are assumed", path)
     spacing = real_numbers(path, "spacings", chosen, 3)
