@@ -85,6 +85,10 @@ def _images(path: Path, tags: Tags) -> list[CineImage]:
         raise UnreadableFileError(f"{path} is not a grey-level image of a plausible size; export it again")
     single = [_single(path, number, frame) for number, frame in enumerate(frames)]
     scales = {(one.get("RescaleSlope", "1"), one.get("RescaleIntercept", "0")) for one in single}
+    if any(_zero(slope) for slope, _ in scales):
+        raise UnreadableFileError(
+            f"{path}: its RescaleSlope (0028,1053) is not a number other than 0; export it again"
+        )
     if len(scales) > 1:
         texts = " and ".join(f"{slope}, {intercept}" for slope, intercept in sorted(scales)[:2])
         raise UnreadableFileError(
@@ -110,6 +114,13 @@ def _single(path: Path, number: int, frame: dict[str, list[str]]) -> dict[str, s
         if values:
             out[name] = values[0]
     return out
+
+
+def _zero(text: str) -> bool:
+    try:
+        return float(text) == 0.0
+    except ValueError:
+        return True
 
 
 def _rounded(text: str) -> tuple[float, ...] | str:

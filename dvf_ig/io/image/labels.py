@@ -83,6 +83,12 @@ def _read(path: Path, frame: str) -> tuple[Grid, AnyArray]:
             raise UnreadableFileError(f"{path} is {header.dimension}-D; needed labels of 3-D or 4-D")
         grid, values = read_array(path, frame, header.dimension, header)
         layers = values[None] if header.dimension == 3 else values
+        if layers.dtype.kind == "f" and (layers != np.rint(layers)).any():
+            odd = layers[layers != np.rint(layers)][0]
+            raise UnreadableFileError(
+                f"{path} holds {odd:g}; needed labels, which are whole numbers: resample by nearest neighbour, "
+                "or threshold probabilities"
+            )
         segments = segments_of(path, header.fields)
         return grid, merged_segments(path, layers, segments)[None] if segments else layers
 

@@ -85,8 +85,14 @@ def read_volume_series(
 def _timing_of(path: Path, phases: int) -> CycleTiming:
     """Read the timing in an image's header or in `timing.json` of its folder; both must agree."""
     header = image_header(path)
-    stated = None if header.times is None else header.times.timing(path)
     file = path.parent / "timing.json"
+    try:
+        stated = None if header.times is None else header.times.timing(path)
+    except UnreadableFileError as exc:
+        if not file.is_file():
+            raise
+        log.warning("%s; %s in its folder is used", exc.message, file.name)
+        stated = None
     if stated is not None and not file.is_file():
         return stated
     timing = read_timing(None, folder=path.parent, phases=phases, image=path.name)

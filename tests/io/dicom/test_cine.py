@@ -340,6 +340,7 @@ def moved_slice(data: Any, number: int, phase: int) -> None:
             (),
             "are 9.00 mm apart .* 12 mm by Spacing",
         ),
+        (set_in(1, RescaleSlope=0, RescaleIntercept=5), (), "RescaleSlope .* is not a number other than 0"),
         (every(NumberOfTemporalPositions=6), (), "holds 5 phases, and its images state 6"),
         (backward, (), "by trigger time .* temporal positions .* are 5 and 4"),
         (every(HeartRate=120), (), "800 ms and a heart rate .* of 120 beats"),

@@ -380,6 +380,22 @@ def test_a_timing_file_that_contradicts_the_header_is_refused_unless_it_is_chose
         assert read_volume_series(path, tmp_path / "timing.json").timing.rr_s == rr_s
 
 
+def test_a_timing_file_replaces_times_of_no_heart(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    changes = {"space origin": f"(0,0,0)\n{VALUES}=0 40 80 120", "units": '"" "" "" "s"'}
+    path = nrrd(tmp_path / "a.nrrd", changes, VOXELS * 2, TIMED)
+    with pytest.raises(UnreadableFileError, match="a cycle of 160 s"):
+        read_volume_series(path)
+    write_timing(CycleTiming(np.arange(4) / 4, 0.8), tmp_path / "timing.json")
+    assert read_volume_series(path).timing.rr_s == 0.8
+    assert "timing.json in its folder is used" in caplog.text
+
+
+def test_labels_are_whole_numbers(tmp_path: Path) -> None:
+    path = meta(tmp_path / "a.mha", {"ElementType": "MET_FLOAT"}, np.full(24, 0.25, "<f4").tobytes())
+    with pytest.raises(UnreadableFileError, match=r"holds 0\.25; needed labels"):
+        read_labels(path)
+
+
 @pytest.mark.parametrize("name", ["a.nii", "a.mha"])
 def test_labels_with_a_first_axis_of_one_voxel(
     tmp_path: Path, name: str, caplog: pytest.LogCaptureFixture
