@@ -86,8 +86,8 @@ def _read(path: Path, frame: str) -> tuple[Grid, AnyArray]:
         if layers.dtype.kind == "f" and (layers != np.rint(layers)).any():
             odd = layers[layers != np.rint(layers)][0]
             raise UnreadableFileError(
-                f"{path} holds {odd:g}; needed labels, which are whole numbers: resample by nearest neighbour, "
-                "or threshold probabilities"
+                f"{path} holds {odd:g}; needed labels, which are whole numbers: resample by nearest "
+                "neighbour, or threshold probabilities"
             )
         segments = segments_of(path, header.fields)
         return grid, merged_segments(path, layers, segments)[None] if segments else layers
