@@ -110,6 +110,7 @@ def _volumes_of(file: GatedVolumeFile) -> tuple[GatedVolumeFile, ...]:
                 "give the phase of each"
             )
         fractions = header.times.fractions(path)
+        seconds = np.zeros(0) if fractions is not None else header.times.seconds(path)
         if (fractions is None) == (file.t_s is None):
             needed = "FILE=SECONDS, the time of its first volume" if fractions is None else "FILE@PHASE"
             raise UnreadableFileError(
@@ -119,7 +120,6 @@ def _volumes_of(file: GatedVolumeFile) -> tuple[GatedVolumeFile, ...]:
         if fractions is not None:
             phases = ((file.phase or 0.0) + fractions - fractions[0]) % 1.0
             return tuple(GatedVolumeFile(path, float(phase), None, i) for i, phase in enumerate(phases))
-        seconds = header.times.seconds(path)
         step, (low, high) = float(np.median(np.diff(seconds))), VOLUME_STEP_S
         if not low <= step <= high:
             raise UnreadableFileError(

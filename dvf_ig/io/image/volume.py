@@ -72,7 +72,7 @@ def read_volume_series(
     else:
         grid, values = read_array(path, frame, 4)
     if timing is None:
-        timing = _timing_of(path, len(values))
+        timing = series_timing(path, len(values))
     elif not isinstance(timing, CycleTiming):
         timing = read_timing(timing, folder=path.parent, phases=len(values), image=path.name)
     if len(timing) != len(values):
@@ -82,7 +82,7 @@ def read_volume_series(
     return VolumeSeries(grid, values, timing)
 
 
-def _timing_of(path: Path, phases: int) -> CycleTiming:
+def series_timing(path: Path, phases: int) -> CycleTiming:
     """Read the timing in an image's header or in `timing.json` of its folder; both must agree."""
     header = image_header(path)
     file = path.parent / "timing.json"

@@ -10,6 +10,7 @@ from scipy import ndimage
 from scipy.spatial.transform import Rotation
 
 from dvf_ig.core import AnyArray, Grid, InvalidInputError, TrackedVolume, UnreadableFileError, Volume
+from dvf_ig.intake import describe
 from dvf_ig.io import (
     GatedVolumeFile,
     gated_volume_files,
@@ -196,6 +197,14 @@ def test_a_4d_echo_is_its_volumes_at_their_times(tmp_path: Path) -> None:
     assert [volume.model_phase for volume in volumes] == [0.1, 0.2, 0.3, 0.4]
 
 
+def test_a_4d_echo_of_more_or_less_than_a_cycle_is_described(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    facts = describe(str(echo(tmp_path / "us.seq.nrrd", "0 40 80", "ms"))).facts
+    assert (facts["volumes"], "rr_s" in facts) == (3, False)
+    assert "a cycle of 0.12 s" in caplog.text
+
+
 def test_a_gated_4d_echo_is_its_volumes_at_their_phases(tmp_path: Path) -> None:
     path = echo(tmp_path / "us.seq.nrrd", "0 25 50", "", "%R-R")
     files = sequence_volumes(gated_volume_files([f"{path}@0.9"]))
@@ -211,6 +220,7 @@ def test_a_gated_4d_echo_is_its_volumes_at_their_phases(tmp_path: Path) -> None:
         ("0 40 140", "%", {"phase": 0.0}, "fractions of one RR interval"),
         ("0 40 40", "ms", {"t_s": 1.0}, "a time of its own"),
         ("0 40", "furlong", {"t_s": 1.0}, "is in 'furlong'"),
+        ("0 1 2", "", {"phase": 0.1}, "is in ''; needed times in s or ms: state the unit"),
     ],
 )
 def test_a_4d_echo_whose_times_are_none_is_refused(
