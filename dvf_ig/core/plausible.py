@@ -18,8 +18,8 @@ CYCLE_SHARE = 0.4
 """Least share of the RR interval that the phases of a cine span: prospective gating covers 80 % or more."""
 VOLUME_STEP_S = (0.002, 3.0)
 """Shortest and longest time from one 3-D ultrasound volume to the next: probes take 1 to 100 volumes/s."""
-SURFACE_MM = (10.0, 1e3)
-"""Longest side of the box around a surface: a newborn's chamber has 15 mm; a heart in m 0.1, in inches 4."""
+LABELS_MM = (5.0, 1e3)
+"""Longest side of the box around labels: a newborn's chamber has 15 mm, a heart in m 0.1, in inches 4."""
 VOXEL_MM = (0.02, 100.0)
 """Smallest and largest voxel side of a scanner: CT has 0.2 mm, ultrasound 0.05, slices at most 20 apart."""
 SCANNER_MM = 1e4

@@ -55,7 +55,7 @@ def test_labels_of_a_heart_in_cm_are_refused(tmp_path: Path) -> None:
     labels[5:-5, 5:-5, 5:-5] = 1
     write_volume(Volume(grid, labels), tmp_path / "labels.mha")
     image = VolumeSeries(grid, np.stack([labels, labels]), CycleTiming((0.0, 0.5), 1.0))
-    with pytest.raises(InvalidInputError, match=r"4\.5 mm across, and an organ 10 to 1000 mm"):
+    with pytest.raises(InvalidInputError, match=r"4\.5 mm across, and an organ 5 to 1000 mm"):
         read_cine_labels(tmp_path / "labels.mha", image, 0)
 
 

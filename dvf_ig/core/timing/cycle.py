@@ -6,7 +6,7 @@ import numpy as np
 
 from dvf_ig.core.arrays import FloatArray, IntArray, frozen_floats, read_only_arrays
 from dvf_ig.core.errors import InvalidInputError
-from dvf_ig.core.plausible import RR_S
+from dvf_ig.core.plausible import CYCLE_SHARE, RR_S
 
 
 @read_only_arrays
@@ -55,6 +55,20 @@ class CycleTiming:
         first, second = (after - 1) % count, after % count
         width = (self.fractions[second] - self.fractions[first]) % 1.0
         return first, second, float(((phi - self.fractions[first]) % 1.0) / width)
+
+
+def require_whole_cycle(fractions: FloatArray, what: str) -> None:
+    """Refuse phases that span less than CYCLE_SHARE of the RR interval, as times in another unit do.
+
+    Raises:
+        InvalidInputError: states the share.
+    """
+    share = float(np.ptp(fractions)) * len(fractions) / max(len(fractions) - 1, 1)
+    if share < CYCLE_SHARE:
+        raise InvalidInputError(
+            f"{what} spans {100 * share:.2g} % of the RR interval; needed at least {100 * CYCLE_SHARE:g} %: "
+            "check its unit, or give --timing"
+        )
 
 
 def phase_distance(fractions: FloatArray, phases: FloatArray) -> FloatArray:

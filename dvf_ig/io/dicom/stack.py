@@ -10,8 +10,7 @@ import numpy as np
 from dvf_ig.core.arrays import FloatArray, read_only_arrays
 from dvf_ig.core.errors import UnreadableFileError
 from dvf_ig.core.plausible import RR_S
-from dvf_ig.core.timing.cycle import CycleTiming
-from dvf_ig.io.image.phase_times import require_whole_cycle
+from dvf_ig.core.timing.cycle import CycleTiming, require_whole_cycle
 
 from .header import CineImage
 
@@ -280,7 +279,7 @@ def _timing(folder: Path, slices: Sequence[Sequence[CineImage]], clock: _Clock) 
         )
         own = ends
     fractions = (times / own[:, None]).mean(axis=0)
-    require_whole_cycle(folder, fractions, "the trigger time (0018,1060)")
+    require_whole_cycle(fractions, "trigger time (0018,1060)")
     return CycleTiming(fractions, float(own.mean()), rr_assumed=not usable.all())
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from dvf_ig.core.arrays import AnyArray, FloatArray
 from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
-from dvf_ig.core.plausible import SURFACE_MM
+from dvf_ig.core.plausible import LABELS_MM
 from dvf_ig.core.space.volume import Grid, Volume, VolumeSeries
 from dvf_ig.io.reading import reading
 
@@ -100,7 +100,7 @@ def _require_organ_size(path: Path, grid: Grid, layers: AnyArray) -> None:
         return  # who chooses labels reports which are present
     ends = [np.flatnonzero(np.moveaxis(inside, axis, 0).any(axis=(1, 2)))[[0, -1]] for axis in range(3)]
     side = max(float((last - first + 1) * grid.spacing_mm[axis]) for axis, (first, last) in enumerate(ends))
-    low, high = SURFACE_MM
+    low, high = LABELS_MM
     if not low <= side <= high:
         raise InvalidInputError(
             f"{path}: its labels are {side:.3g} mm across, and an organ {low:g} to {high:g} mm; correct the "

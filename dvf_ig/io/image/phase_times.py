@@ -8,8 +8,8 @@ import numpy as np
 
 from dvf_ig.core.arrays import FloatArray, IntArray, read_only_arrays
 from dvf_ig.core.errors import UnreadableFileError
-from dvf_ig.core.plausible import CYCLE_SHARE, RR_S
-from dvf_ig.core.timing.cycle import CycleTiming
+from dvf_ig.core.plausible import RR_S
+from dvf_ig.core.timing.cycle import CycleTiming, require_whole_cycle
 
 log = logging.getLogger(__name__)
 
@@ -96,7 +96,7 @@ class PhaseTimes:
         values = self.values[self.order(path)]
         count = len(values)
         if (fractions := self.fractions(path)) is not None:
-            require_whole_cycle(path, fractions, self.field)
+            require_whole_cycle(fractions, self.field)
             return CycleTiming(fractions, 1.0, rr_assumed=True)
         if count < 2 or (not self._scale() and (np.diff(values) == 1).all()):
             return None
@@ -132,20 +132,6 @@ def uniform_times(step: float, count: int, unit: str, field: str) -> PhaseTimes 
     if not np.isfinite(step) or step in (0.0, 1.0) or count < 2:
         return None
     return PhaseTimes(step * np.arange(count, dtype=np.float64), unit, field)
-
-
-def require_whole_cycle(path: Path, fractions: FloatArray, what: str) -> None:
-    """Refuse phases that span less than CYCLE_SHARE of the RR interval, as times in another unit do.
-
-    Raises:
-        UnreadableFileError: states the share.
-    """
-    share = float(np.ptp(fractions)) * len(fractions) / max(len(fractions) - 1, 1)
-    if share < CYCLE_SHARE:
-        raise UnreadableFileError(
-            f"{path}: {what} spans {100 * share:.2g} % of the RR interval; needed at least "
-            f"{100 * CYCLE_SHARE:g} %: check its unit, or give --timing"
-        )
 
 
 def require_same_timing(path: Path, header: CycleTiming, file: Path, timing: CycleTiming) -> None:

@@ -6,11 +6,9 @@ from typing import Any
 import numpy as np
 
 from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
-from dvf_ig.core.timing.cycle import CycleTiming
+from dvf_ig.core.timing.cycle import CycleTiming, require_whole_cycle
 from dvf_ig.io.json_file import read_json, write_json
 from dvf_ig.io.reading import reading
-
-from .phase_times import require_whole_cycle
 
 ASSUMED_RR_S = 1.0
 
@@ -108,5 +106,5 @@ def _from_triggers(path: Path, entry: dict[str, Any]) -> CycleTiming:
         fractions = (trigger_s / rr_s[:, None]).mean(axis=0)
     except (KeyError, TypeError, ValueError, OverflowError) as exc:
         raise UnreadableFileError(f"{path}: needed trigger_ms and RR_ms of each slice ({exc})") from exc
-    require_whole_cycle(path, fractions, "trigger_ms of RR_ms")
+    require_whole_cycle(fractions, "trigger_ms")
     return CycleTiming(fractions, float(rr_s.mean()))

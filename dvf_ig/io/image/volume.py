@@ -83,22 +83,27 @@ def read_volume_series(
 
 
 def series_timing(path: Path, phases: int) -> CycleTiming:
-    """Read the timing in an image's header or in `timing.json` of its folder; both must agree."""
-    header = image_header(path)
+    """Read the timing in an image's header or in `timing.json` of its folder; both must agree.
+
+    Raises:
+        UnreadableFileError: times of no heart, of another number of phases, or that contradict each other.
+    """
     file = path.parent / "timing.json"
-    try:
-        stated = None if header.times is None else header.times.timing(path)
-    except UnreadableFileError as exc:
-        if not file.is_file():
-            raise
-        log.warning("%s; %s in its folder is used", exc.message, file.name)
-        stated = None
-    if stated is not None and not file.is_file():
-        return stated
-    timing = read_timing(None, folder=path.parent, phases=phases, image=path.name)
-    if stated is not None:
-        require_same_timing(path, stated, file, timing)
-    return timing
+    with reading(path, "an image (NIfTI, NRRD or MetaImage)"):
+        header = image_header(path)
+        try:
+            stated = None if header.times is None else header.times.timing(path)
+        except InvalidInputError as exc:
+            if not file.is_file():
+                raise
+            log.warning("%s; %s in its folder is used", exc.message, file.name)
+            stated = None
+        if stated is not None and not file.is_file():
+            return stated
+        timing = read_timing(None, folder=path.parent, phases=phases, image=path.name)
+        if stated is not None:
+            require_same_timing(path, stated, file, timing)
+        return timing
 
 
 def image_dimension(path: Path | str) -> int:
