@@ -182,7 +182,7 @@ READERS: dict[str, tuple[tuple[str, ...], Read]] = {
     "ecg-wfdb": (("r.hea", "r.dat", "m.hea"), lambda p: io.read_ecg(f"wfdb:{p}")),
     "annotations": (("r.atr",), lambda p: io.read_annotations(f"wfdb:{p}")),
     "trigger": (("trigger.csv",), io.read_triggers),
-    "timing": (("scenario/preop/timing.json",), lambda p: io.read_timing(p, beside=p.parent, phases=3)),
+    "timing": (("scenario/preop/timing.json",), lambda p: io.read_timing(p, folder=p.parent, phases=3)),
     "session": (("session.yaml",), _session),
     "scenario": (("scenario/scenario.yaml",), _scenario_config),
     "fixtures": (("fixtures.yaml",), read_fixtures),

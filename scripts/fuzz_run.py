@@ -164,7 +164,7 @@ def smaller(reader: str, name: str, data: bytes, finding: str, seeds: Path) -> b
 def main() -> int:
     parser = argparse.ArgumentParser(prog="scripts/fuzz", description=__doc__)
     parser.add_argument("--minutes", type=float, default=5.0)
-    parser.add_argument("--reader", action="append", choices=sorted(READERS), metavar="NAME")
+    parser.add_argument("--reader", action="append", choices=[*sorted(READERS), "dicom"], metavar="NAME")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument(
         "--once",
@@ -176,6 +176,9 @@ def main() -> int:
     parser.add_argument("--kill", type=int, metavar="N", help="N kills of each writing command, and no files")
     parser.add_argument("--command", action="append", metavar="NAME", help="of --kill; default: all")
     parser.add_argument("--traits", type=int, metavar="N", help="N traits of people's files a reader")
+    parser.add_argument(
+        "--lies", type=int, metavar="N", help="N headers that contradict themselves per image reader"
+    )
     parser.add_argument("--forces", type=int, metavar="N", help="N forces at hostile places, and no files")
     for hidden in ("--child", "--seeds"):
         parser.add_argument(hidden, help=argparse.SUPPRESS)
@@ -219,6 +222,15 @@ def main() -> int:
             print("\n".join((*silent, f"{changed} files with a trait, {len(silent)} taken silently")))
             return 1 if silent else 0
         write_seeds(seeds)
+        if options.lies:
+            from scripts.fuzz_lies import LIES, silent_lies
+
+            chosen = options.reader or sorted(LIES)
+            silent = [
+                lie for reader in chosen for lie in silent_lies(reader, options.seed, options.lies, seeds)
+            ]
+            print("\n".join((*silent, f"{options.lies} lies a reader, {len(silent)} taken silently")))
+            return 1 if silent else 0
         return _once(options, seeds) if options.once else _for_minutes(options, seeds)
 
 

@@ -37,6 +37,18 @@ ECG_RATE_HZ = (20.0, 50_000.0)
 ECG_SWING_MV = (0.01, 100.0)
 """Smallest and largest swing of an ECG from beat to beat: a chest lead has 0.3 to 10 mV, one from inside the
 heart 40 mV; a wrong unit is off by 1000."""
+RR_S = (0.2, 3.0)
+"""Shortest and longest RR interval: 300 and 20 beats/min."""
+CYCLE_SHARE = 0.4
+"""Least share of the RR interval that the phases of a cine span: prospective gating covers 80 % or more."""
+VOLUME_STEP_S = (0.002, 3.0)
+"""Shortest and longest time from one 3-D ultrasound volume to the next: probes take 1 to 100 volumes/s."""
+LABELS_MM = (5.0, 1e3)
+"""Longest side of the box around labels: a newborn's chamber has 15 mm, a heart in m 0.1, in inches 4."""
+VOXEL_MM = (0.02, 100.0)
+"""Smallest and largest voxel side of a scanner: CT has 0.2 mm, ultrasound 0.05, slices at most 20 apart."""
+SCANNER_MM = 1e4
+"""Farthest point of an image: tables travel 2 m, trackers reach 5 m."""
 
 
 def require_plausible(values: Any, most: float, what: str) -> None:

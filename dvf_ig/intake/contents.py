@@ -65,7 +65,7 @@ def _size(series: VolumeSeries) -> str:
 def ultrasound_contents(sweep: Sweep | None, volumes: tuple[GatedVolumeFile, ...]) -> str | None:
     """Images, their sector and the probe's poses; or the names of gated volumes."""
     if sweep is None:
-        names = ", ".join(file.path.name for file in volumes)
+        names = ", ".join(dict.fromkeys(file.path.name for file in volumes))
         return f"gated volumes {names}" if names else None
     recorded, probe = sweep.recorded, sweep.probe
     if recorded.images is None:

@@ -19,7 +19,12 @@ from dvf_ig.core.recordings.stream import PoseStream
 from dvf_ig.core.space.image_map import ImageMap
 from dvf_ig.core.space.points import Points
 from dvf_ig.core.timing.trigger import TriggerTimes
-from dvf_ig.io.image.gated_volume import GatedVolumeFile, gated_volume_files, read_gated_volumes
+from dvf_ig.io.image.gated_volume import (
+    GatedVolumeFile,
+    gated_volume_files,
+    read_gated_volumes,
+    sequence_volumes,
+)
 from dvf_ig.io.plus.names import ProbeNames
 
 from .contents import (
@@ -304,7 +309,8 @@ def _read_ultrasound(at: Opened) -> Mapping[str, Any]:
     with concerning("ultrasound.volumes"):
         files = tuple(replace(file, path=at.folder / file.path) for file in gated_volume_files(us.volumes))
         at.read["volumes"] = files  # readable or not: what else is needed depends on them
-        read_gated_volumes([file.path for file in files], [file.phase or 0.0 for file in files])
+        files = at.read["volumes"] = sequence_volumes(files)
+        read_gated_volumes(files, [file.phase or 0.0 for file in files])
     return read
 
 

@@ -120,8 +120,8 @@ KEYS: dict[str, Key] = {
     "ultrasound.file": Key("PLUS sequence: images with the probe's pose, stamped by the video clock",
                            "`volumes`", "sweep.igs.mha", FILE, "--us SWEEP"),
     "ultrasound.volumes": Key("gated 3-D images in the tracker's LPS: FILE@PHASE of the RR interval, or "
-                              "FILE=SECONDS on the ECG's clock", "`file`", "[ed.nrrd@0.0, es.nrrd@0.35]",
-                              VOLUMES, "--us-volume FILE@PHASE|FILE=SECONDS"),
+                              "FILE=SECONDS on the ECG's clock; a 4-D file with times is split", "`file`",
+                              "[ed.nrrd@0.0, es.nrrd@0.35]", VOLUMES, "--us-volume FILE@PHASE|FILE=SECONDS"),
     "ultrasound.probe_name": Key("what the recording calls the probe's marker", "Probe", "Probe", TEXT,
                                  "--probe-name NAME"),
     "ultrasound.reference_name": Key("what its poses are relative to", "Reference if recorded, or Tracker",

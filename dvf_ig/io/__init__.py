@@ -17,6 +17,7 @@ from .ecg.trigger import write_triggers as write_triggers
 from .image.gated_volume import GatedVolumeFile as GatedVolumeFile
 from .image.gated_volume import gated_volume_files as gated_volume_files
 from .image.gated_volume import read_gated_volumes as read_gated_volumes
+from .image.gated_volume import sequence_volumes as sequence_volumes
 from .image.labels import read_cine_labels as read_cine_labels
 from .image.labels import read_label_names as read_label_names
 from .image.labels import read_labels as read_labels

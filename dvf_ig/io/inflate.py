@@ -23,14 +23,13 @@ _STEP = 4096
 """
 
 
-def inflated(path: Path, packed: Any, needed: int, *, more: bool = False) -> NDArray[np.uint8]:
+def inflated(path: Path, packed: Any, needed: int) -> NDArray[np.uint8]:
     """Decompress (needed,) bytes, read-only, from a stream that is checked to its end.
 
     Args:
         path: the file, for messages.
         packed: the stream, a buffer of bytes; gzip may hold several members one after the other.
         needed: number of bytes that the header states.
-        more: allow a longer stream, whose rest is not read.
     Raises:
         UnreadableFileError: the stream is damaged, has no end, or holds another number of bytes.
     """
@@ -39,13 +38,10 @@ def inflated(path: Path, packed: Any, needed: int, *, more: bool = False) -> NDA
     out, at = np.empty(needed, np.uint8), 0
     try:
         for block in _blocks(path, memoryview(packed)):
-            if at + len(block) > needed and not more:
+            if at + len(block) > needed:
                 require_size(path, at + len(block), needed)
-            part = np.frombuffer(block, np.uint8)[: needed - at]
-            out[at : at + len(part)] = part
-            at += len(part)
-            if len(part) < len(block):
-                break
+            out[at : at + len(block)] = np.frombuffer(block, np.uint8)
+            at += len(block)
     except zlib_ng.error as exc:  # type: ignore[misc]  # its stub calls the class an instance
         raise UnreadableFileError(
             f"{path}: its compressed image data are damaged ({exc}); copy it again"
@@ -65,11 +61,19 @@ def _blocks(path: Path, packed: memoryview) -> Iterator[bytes]:
         if inflater.eof:
             begin = min(begin, len(packed)) - len(inflater.unused_data)
             if packed[begin : begin + 2] != _GZIP:
-                return
+                return _require_padding(path, packed[begin:])
             inflater = zlib_ng.decompressobj(_GZIP_OR_ZLIB)
     raise UnreadableFileError(
         f"{path} is truncated: its compressed image data have no end; copy or record it again"
     )
+
+
+def _require_padding(path: Path, rest: memoryview) -> None:
+    """Refuse bytes after the end of a stream that are not padding."""
+    if np.frombuffer(rest, np.uint8).any() and bytes(rest[:64]).strip():
+        raise UnreadableFileError(
+            f"{path} holds {len(rest)} bytes after the end of its compressed image data; copy it again"
+        )
 
 
 def require_size(path: Path, got: int, needed: int) -> None:

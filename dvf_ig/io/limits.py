@@ -11,6 +11,7 @@ from dvf_ig.core.errors import InvalidInputError
 from dvf_ig.core.plausible import ECG_VALUE as ECG_VALUE
 from dvf_ig.core.plausible import LENGTH_MM as LENGTH_MM
 from dvf_ig.core.plausible import TIME_S as TIME_S
+from dvf_ig.core.plausible import VOXEL_MM as VOXEL_MM
 
 FILE_BYTES = 8 << 30
 """Largest file read as a whole: ten minutes of uncompressed ultrasound at 30 frames/s (820 x 616) have 9 GB,
@@ -37,8 +38,6 @@ ELEMENTS = 50_000_000
 """Most vertices or triangles of a mesh; whole-heart surfaces have 10 000 to 1 000 000."""
 MODEL_BYTES = 2 << 30
 """Largest arrays of a model: 20 phases with knots every 3 mm have 55 MB, every 1 mm 1.5 GB."""
-SPACING_MM = (1e-4, 1e3)
-"""Smallest and largest voxel side: micro-CT has 0.005 mm; outside are wrong units or damaged headers."""
 NESTING = 100
 """Deepest nesting of lists in a text; our files have five levels."""
 WIRE_TIME_S = 4.0e9

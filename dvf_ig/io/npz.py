@@ -9,7 +9,10 @@ import re
 import struct
 import zipfile
 import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import IO
 
 import numpy as np
 
@@ -35,16 +38,33 @@ def read_npz(path: Path, data: bytes, most_bytes: int) -> dict[str, AnyArray]:
         UnreadableFileError: damaged, compressed, more than `most_bytes`, or not numbers.
     """
     arrays: dict[str, AnyArray] = {}
+    with _archive(path, io.BytesIO(data), len(data), most_bytes) as archive:
+        for member in archive.infolist():
+            name = member.filename.removesuffix(".npy")
+            if name in arrays:
+                raise UnreadableFileError(f"{path} holds two arrays named {name[:60]!r}; write it again")
+            with archive.open(member) as stream:
+                arrays[name] = _array(path, name, stream.read(member.file_size + 1))
+    return arrays
+
+
+def require_npz_sizes(path: Path, most_bytes: int) -> None:
+    """Check the directory of an archive without reading its arrays.
+
+    Raises:
+        UnreadableFileError: as `read_npz`.
+    """
+    with path.open("rb") as stream, _archive(path, stream, path.stat().st_size, most_bytes):
+        pass
+
+
+@contextmanager
+def _archive(path: Path, source: IO[bytes], size: int, most_bytes: int) -> Iterator[zipfile.ZipFile]:
+    """Open an archive whose directory states no more than it holds, and wrap its errors."""
     try:
-        with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            members = archive.infolist()
-            _require_sizes(path, members, len(data), most_bytes)
-            for member in members:
-                name = member.filename.removesuffix(".npy")
-                if name in arrays:
-                    raise UnreadableFileError(f"{path} holds two arrays named {name[:60]!r}; write it again")
-                with archive.open(member) as stream:
-                    arrays[name] = _array(path, name, stream.read(member.file_size + 1))
+        with zipfile.ZipFile(source) as archive:
+            _require_sizes(path, archive.infolist(), size, most_bytes)
+            yield archive
     except (
         zipfile.BadZipFile,
         zlib.error,
@@ -60,7 +80,6 @@ def read_npz(path: Path, data: bytes, most_bytes: int) -> dict[str, AnyArray]:
         raise UnreadableFileError(
             f"{path} is not a readable archive of arrays ({exc}); write it again"
         ) from exc
-    return arrays
 
 
 def _require_sizes(path: Path, members: list[zipfile.ZipInfo], size: int, most_bytes: int) -> None:

@@ -88,8 +88,8 @@ def reading(path: Path, what: str) -> Iterator[None]:
             f"{path} is not {what}: it holds bytes that are not text", path=path
         ) from exc
     except InvalidInputError as exc:
-        told = exc.message if exc.path == path else f"{path}: {exc.message}"
-        raise UnreadableFileError(told, path=path, settings=exc.settings) from exc
+        message = exc.message if exc.path == path else f"{path}: {exc.message}"
+        raise UnreadableFileError(message, path=path, settings=exc.settings) from exc
 
 
 def read_bytes(path: Path, what: str) -> bytes:

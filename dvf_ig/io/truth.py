@@ -161,8 +161,8 @@ def _image_document(image: ImageMap) -> dict[str, Any]:
 
 
 def _image(document: dict[str, Any]) -> ImageMap:
-    if not np.max(document["probe_from_image_scale_mm_per_px"]) <= limits.SPACING_MM[1]:
-        raise InvalidInputError(f"a pixel of its images is wider than {limits.SPACING_MM[1]:g} mm")
+    if not np.max(document["probe_from_image_scale_mm_per_px"]) <= limits.VOXEL_MM[1]:
+        raise InvalidInputError(f"a pixel of its images is wider than {limits.VOXEL_MM[1]:g} mm")
     return ImageMap(
         rigid_from_matrix(document["probe_from_image_rigid"], "probe", "image"),
         document["probe_from_image_scale_mm_per_px"],

@@ -6,9 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dvf_ig.core import CycleTiming, UnreadableFileError, Volume, VolumeSeries
+from dvf_ig.core import CycleTiming, InvalidInputError, UnreadableFileError, Volume, VolumeSeries
 from dvf_ig.core.space.volume import Grid
-from dvf_ig.io import read_volume, read_volume_series, write_volume, write_volume_series
+from dvf_ig.io import read_cine_labels, read_volume, read_volume_series, write_volume, write_volume_series
+from scripts.fuzz_lies import LIES, silent_lies
 from scripts.fuzz_readers import READERS, write_seeds
 
 UNIT = re.compile(rb"(?<![A-Za-z_])(mm|mV|uV|s|rad)(?![A-Za-z_])")
@@ -41,6 +42,21 @@ def test_another_unit_is_refused(seeds: Path, reader: str) -> None:
             read(path)
     finally:
         path.write_bytes(whole)
+
+
+@pytest.mark.parametrize("reader", LIES)
+def test_no_header_that_contradicts_itself_is_taken_silently(seeds: Path, reader: str) -> None:
+    assert silent_lies(reader, 1, 20, seeds) == []
+
+
+def test_labels_of_a_heart_in_cm_are_refused(tmp_path: Path) -> None:
+    grid = Grid.axis_aligned("mr", (40, 40, 40), [0.0, 0.0, 0.0], 0.15)
+    labels = np.zeros(grid.shape, np.uint8)
+    labels[5:-5, 5:-5, 5:-5] = 1
+    write_volume(Volume(grid, labels), tmp_path / "labels.mha")
+    image = VolumeSeries(grid, np.stack([labels, labels]), CycleTiming((0.0, 0.5), 1.0))
+    with pytest.raises(InvalidInputError, match=r"4\.5 mm across, and an organ 5 to 1000 mm"):
+        read_cine_labels(tmp_path / "labels.mha", image, 0)
 
 
 @pytest.mark.parametrize("ending", ["mha", "nrrd", "nii.gz"])

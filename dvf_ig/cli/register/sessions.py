@@ -59,7 +59,7 @@ def _register_volumes(
     heart, mr = build_heart(files.heart, model), files.heart.mr
     pose = start_pose(files.start, heart, seed)
     landmarks = pose if landmarks_start(files.start) else None
-    volumes = read_gated_volumes([file.path for file in files.volumes], _model_phases(files, model))
+    volumes = read_gated_volumes(files.volumes, _model_phases(files, model))
     result = register_gated_volumes(
         volumes,
         heart,
@@ -70,7 +70,7 @@ def _register_volumes(
         prior=landmark_prior(files.start),
         landmarks=landmarks,
     )
-    about = ", ".join(file.path.name for file in files.volumes)
+    about = ", ".join(dict.fromkeys(file.path.name for file in files.volumes))
     return result, volumes_shown(result, volumes, heart, mr, about=about)
 
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from dvf_ig.core.arrays import FloatArray, IntArray, frozen_floats, read_only_arrays
 from dvf_ig.core.errors import InvalidInputError
+from dvf_ig.core.plausible import CYCLE_SHARE, RR_S
 
 
 @read_only_arrays
@@ -34,7 +35,7 @@ class CycleTiming:
                 f"phase fractions run from {fractions[0]:g} to {fractions[-1]:g}; "
                 "they must increase strictly within [0, 1)"
             )
-        if not 0.2 <= self.rr_s <= 3.0:
+        if not RR_S[0] <= self.rr_s <= RR_S[1]:
             raise InvalidInputError(f"RR interval is {self.rr_s:g} s; needed 0.2 to 3.0 s (is it in ms?)")
         object.__setattr__(self, "fractions", fractions)
 
@@ -54,6 +55,20 @@ class CycleTiming:
         first, second = (after - 1) % count, after % count
         width = (self.fractions[second] - self.fractions[first]) % 1.0
         return first, second, float(((phi - self.fractions[first]) % 1.0) / width)
+
+
+def require_whole_cycle(fractions: FloatArray, what: str) -> None:
+    """Refuse phases that span less than CYCLE_SHARE of the RR interval, as times in another unit do.
+
+    Raises:
+        InvalidInputError: states the share.
+    """
+    share = float(np.ptp(fractions)) * len(fractions) / max(len(fractions) - 1, 1)
+    if share < CYCLE_SHARE:
+        raise InvalidInputError(
+            f"{what} spans {100 * share:.2g} % of the RR interval; needed at least {100 * CYCLE_SHARE:g} %: "
+            "check its unit, or give --timing"
+        )
 
 
 def phase_distance(fractions: FloatArray, phases: FloatArray) -> FloatArray:

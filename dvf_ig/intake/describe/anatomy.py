@@ -1,19 +1,20 @@
 """Facts about images, meshes, models, landmarks and transforms, for `describe`."""
 
+import logging
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from dvf_ig.core.arrays import AnyArray
-from dvf_ig.core.errors import InvalidInputError
+from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
 from dvf_ig.core.plausible import surface_problem
 from dvf_ig.core.space.mesh import Mesh
 from dvf_ig.core.space.points import Landmarks
 from dvf_ig.core.space.volume import Grid
 from dvf_ig.core.timing.cycle import CycleTiming
 from dvf_ig.io.dicom.cine import read_dicom_cine
-from dvf_ig.io.image.volume import image_dimension, read_volume, read_volume_series
+from dvf_ig.io.image.volume import image_dimension, read_array, read_volume, series_timing
 from dvf_ig.io.itk_transform import linear_matrix
 from dvf_ig.io.landmarks import read_landmarks, read_tag_pair
 from dvf_ig.io.mesh.file import read_mesh
@@ -21,6 +22,8 @@ from dvf_ig.io.mesh.series import read_surface_series, surface_names
 from dvf_ig.io.model.model_file import model_digest, read_model
 from dvf_ig.io.reading import reading
 from dvf_ig.io.transform import rigid_from_matrix, sidecar_frames
+
+log = logging.getLogger(__name__)
 
 Facts = dict[str, Any]
 
@@ -31,13 +34,13 @@ MOST_LABELS = 32
 def image_facts(path: Path) -> Facts:
     """Summarise size, geometry, pixel type and range of a 3-D image or a cyclic 4-D one."""
     if image_dimension(path) == 4:
-        series = read_volume_series(path)
-        return {
-            **_grid_facts(series.grid),
-            **_value_facts(series.values),
-            "phases": len(series.timing),
-            **_timing_facts(series.timing),
-        }
+        grid, values = read_array(path, "mr", 4)
+        facts = {**_grid_facts(grid), **_value_facts(values)}
+        try:
+            return {**facts, "phases": len(values), **_timing_facts(series_timing(path, len(values)))}
+        except UnreadableFileError as exc:  # more than one cycle, as 4-D ultrasound may have
+            log.warning("%s", exc.message)
+            return {**facts, "volumes": len(values)}
     volume = read_volume(path)
     return {**_grid_facts(volume.grid), **_value_facts(volume.values)}
 

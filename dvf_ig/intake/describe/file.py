@@ -156,6 +156,8 @@ def _file_kind(path: Path) -> tuple[str, Reader]:
             ".igs." in name or b"Seq_Frame" in read_bytes(path, "an image or a tracked sequence")[:65536]
         )
         return ("tracked sequence", sequence_file_facts) if tracked else ("image", image_facts)
+    if is_dicom_folder(path):
+        return "cine of DICOM images", cine_facts
     raise UnreadableFileError(
         f"{path} is of no kind that can be read; give a tracked sequence (.igs.mha, .igs.nrrd), an image "
         "(.nii.gz, .nrrd, .mha), mesh (.obj, .stl, .ply, .vtp), model (.npz), transform (.tfm, .h5), "

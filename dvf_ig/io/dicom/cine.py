@@ -1,4 +1,4 @@
-"""Read a folder of DICOM images as one cyclic 4-D image: slices by position, phases by trigger time."""
+"""Read DICOM images, classic or enhanced, as one cyclic 4-D image: slices by position, phases by time."""
 
 import logging
 from dataclasses import dataclass
@@ -15,8 +15,8 @@ from dvf_ig.io import limits
 from dvf_ig.io.provenance import record_file
 from dvf_ig.io.reading import reading
 
-from .gdcm import read_pixels
 from .header import CineImage, read_images
+from .process import read_pixels
 from .stack import CineStack, stack_of
 
 log = logging.getLogger(__name__)
@@ -44,35 +44,42 @@ class DicomCine:
 
 
 def is_dicom_folder(folder: Path) -> bool:
-    """Return whether a folder, or one within it, holds a DICOM file."""
-    return folder.is_dir() and any(_is_dicom(path) for path in _regular_files(folder))
+    """Return whether a folder, or one within it, holds a DICOM file; an enhanced one may stand alone."""
+    exists = folder.is_dir() or folder.is_file()
+    return exists and any(_is_dicom(path) for path in _regular_files(folder))
 
 
-def read_dicom_cine(folder: Path, frame: str = "mr") -> DicomCine:
+def read_dicom_cine(folder: Path, frame: str = "mr", *, timed: bool = True) -> DicomCine:
     """Read the one cine stack of a folder and the folders within it; skip other files.
 
     Slices are ordered along their common normal, phases by trigger time (0018,1060), which divided by the RR
     interval (0018,1062, or from the heart rate 0018,1088) gives the phase, averaged over slices, because each
-    was acquired at its own RR. Without trigger times the instance numbers order the phases, at i/N; without
-    RR intervals the cycle ends one step after the last phase. Both are marked as assumed.
+    was acquired at its own RR. Without trigger times of a heart the temporal positions (0020,0100) order the
+    phases, else the instance numbers, at i/N; without RR intervals the cycle ends one step after the last
+    phase. Both are marked as assumed.
 
     Args:
+        folder: or one enhanced file.
         frame: name of the images' LPS frame.
+        timed: read the times of the phases; otherwise the caller knows them.
     Raises:
         UnreadableFileError: no DICOM, several patients, orientations or matrix sizes, a slice or a phase
-            missing or present twice, enhanced DICOM, or an image that cannot be read.
+            missing or present twice, tags that contradict each other, or an image that cannot be read.
     """
     with reading(folder, WHAT):
-        stack, images = _stack(folder)
-        flat = [image.path for row in stack.images for image in row]
+        stack, images = _stack(folder, timed=timed)
+        flat = [image for row in stack.images for image in row]
         columns, rows = images[0].columns, images[0].rows
         needed = 4 * columns * rows * len(flat)
         if needed > limits.VOXEL_BYTES:
             raise UnreadableFileError(
                 f"{folder}: its images need {needed:.3g} bytes; at most {limits.VOXEL_BYTES:.3g} can be read"
             )
-        pixels = read_pixels(flat, columns, rows)
-        for path in flat:
+        files = list(dict.fromkeys(image.path for image in images))
+        stored = read_pixels(files, len(images), columns, rows)
+        at = {(image.path, image.frame): i for i, image in enumerate(images)}
+        pixels = stored[[at[image.path, image.frame] for image in flat]]
+        for path in files:
             record_file(path)
         phases, slices = len(stack.images[0]), len(stack.images)
         values = pixels.reshape(slices, phases, rows, columns).transpose(1, 3, 2, 0)
@@ -90,13 +97,12 @@ def dicom_patient_id(folder: Path) -> str:
         UnreadableFileError: as `read_dicom_cine`.
     """
     with reading(folder, WHAT):
-        return _stack(folder)[1][0].patient
+        return _stack(folder, timed=False)[1][0].patient
 
 
-def _stack(folder: Path) -> tuple[CineStack, list[CineImage]]:
-    files = _dicom_files(folder)
-    images = read_images(files)
-    return stack_of(folder, images), images
+def _stack(folder: Path, *, timed: bool) -> tuple[CineStack, list[CineImage]]:
+    images = read_images(_dicom_files(folder))
+    return stack_of(folder, images, timed=timed), images
 
 
 def _dicom_files(folder: Path) -> list[Path]:
@@ -105,6 +111,10 @@ def _dicom_files(folder: Path) -> list[Path]:
     if not files:
         raise UnreadableFileError(f"{folder} holds no DICOM image; needed the images of a short-axis cine")
     limits.require_count(len(files), limits.DICOM_FILES, "DICOM files")
+    if doubles := sorted(folder.rglob("._*")):
+        log.warning(
+            "%s: %d files of macOS were skipped, for example %s", folder, len(doubles), doubles[0].name
+        )
     skipped = len(candidates) - len(files)
     if skipped:
         log.warning("%s: %d files that are not DICOM images were skipped", folder, skipped)
@@ -112,7 +122,9 @@ def _dicom_files(folder: Path) -> list[Path]:
 
 
 def _regular_files(folder: Path) -> list[Path]:
-    """List the files below a folder by name, without links, hidden files and DICOMDIR."""
+    """List a file, or those below a folder by name, without links, hidden files and DICOMDIR."""
+    if folder.is_file():
+        return [folder]
     return sorted(
         path
         for path in folder.rglob("*")

@@ -1,4 +1,4 @@
-"""Headers of cine images: position, time in the cycle, patient."""
+"""Headers of cine images, classic (one image a file) or enhanced: position, time in the cycle, patient."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,26 +10,8 @@ from dvf_ig.core.arrays import FloatArray, read_only_arrays
 from dvf_ig.core.errors import UnreadableFileError
 from dvf_ig.io import limits
 
-from .gdcm import Header, read_headers
+from .process import Tags, read_tags
 
-PATIENT, SERIES, SERIES_NAME = "0010|0020", "0020|000e", "0008|103e"
-FRAME_OF_REFERENCE, INSTANCE, FRAMES = "0020|0052", "0020|0013", "0028|0008"
-POSITION, ORIENTATION, PIXEL_SPACING = "0020|0032", "0020|0037", "0028|0030"
-TRIGGER_TIME, NOMINAL_INTERVAL, HEART_RATE = "0018|1060", "0018|1062", "0018|1088"
-TAGS = (
-    PATIENT,
-    SERIES,
-    SERIES_NAME,
-    FRAME_OF_REFERENCE,
-    INSTANCE,
-    FRAMES,
-    POSITION,
-    ORIENTATION,
-    PIXEL_SPACING,
-    TRIGGER_TIME,
-    NOMINAL_INTERVAL,
-    HEART_RATE,
-)
 _UNIT = 1e-3
 """Tolerance of the stored axes of an image: unit length and orthogonality."""
 
@@ -40,18 +22,22 @@ class CineImage:
     """One image: a slice at a moment of the cycle.
 
     Attributes:
-        path: its file.
+        path: its file; frame: which of the file's, from 0.
         patient: (0010,0020); series, its name, frame of reference: of the acquisition.
         columns, rows: its matrix.
         position_mm: (3,) centre of the first pixel, LPS.
         axes: (2, 3) unit directions of growing column and of growing row, LPS.
         spacing_mm: (2,) between columns, between rows.
-        trigger_s: since the R peak (0018,1060); None if not recorded.
-        rr_s: from nominal interval (0018,1062) or heart rate (0018,1088); None if neither is recorded.
-        number: of the instance within its series.
+        slice_mm: stated thickness (0018,0050) and distance of slices (0018,0088); NaN if not recorded.
+        trigger_s: since the R peak (0018,1060), (0020,9153) or (0020,9252); None if not recorded.
+        rr_s: every stated RR interval: (0018,1062), (0020,9251), and from the heart rate (0018,1088).
+        temporal: position in the cycle (0020,0100) or (0020,9128); None if not recorded.
+        positions: stated number of temporal positions (0020,0105); None if not recorded.
+        number: of the instance within its series, or of the frame in its file.
     """
 
     path: Path
+    frame: int
     patient: str
     series: str
     series_name: str
@@ -61,8 +47,11 @@ class CineImage:
     position_mm: FloatArray
     axes: FloatArray
     spacing_mm: FloatArray
+    slice_mm: FloatArray
     trigger_s: float | None
-    rr_s: float | None
+    rr_s: tuple[float, ...]
+    temporal: float | None
+    positions: float | None
     number: int
 
     @property
@@ -72,70 +61,142 @@ class CineImage:
 
 
 def read_images(files: Sequence[Path]) -> list[CineImage]:
-    """Read the headers of DICOM files, without their pixels.
+    """Read the headers of DICOM files, without their pixels, one per frame in the order of the files.
 
     Raises:
-        UnreadableFileError: a file cannot be read, holds several frames or colours, or has no position.
+        UnreadableFileError: a file cannot be read, holds colours or several frames without positions, states
+            something twice with different values, or has no position.
     """
-    return [_image(file, header) for file, header in zip(files, read_headers(files, TAGS), strict=True)]
+    return [
+        image for file, tags in zip(files, read_tags(files), strict=True) for image in _images(file, tags)
+    ]
 
 
-def _image(path: Path, header: Header) -> CineImage:
-    tags = {name: value.strip(" \0") for name, value in header["tags"].items()}
-    size = [int(n) for n in header["size"]]
-    frames = tags.get(FRAMES, "1")
-    if any(n != 1 for n in size[2:]) or frames not in ("", "1"):
+def _images(path: Path, tags: Tags) -> list[CineImage]:
+    general, frames = tags["general"], tags["frames"]
+    stated = general.get("NumberOfFrames") or "1"
+    if stated != str(len(frames)):
         raise UnreadableFileError(
-            f"{path} holds several frames (enhanced DICOM); convert the folder to NIfTI, for example with "
-            "dcm2niix, and give its times as timing.json"
+            f"{path} holds {stated[:20]} frames, with positions of {len(frames)}; needed one for each: "
+            "convert the folder to NIfTI, for example with dcm2niix, and give its times as timing.json"
         )
-    if header["components"] != 1 or not all(0 < n <= limits.AXIS for n in size):
+    columns, rows = (_optional(path, general, name) or 0 for name in ("Columns", "Rows"))
+    if general.get("SamplesPerPixel", "1") != "1" or not all(0 < n <= limits.AXIS for n in (columns, rows)):
         raise UnreadableFileError(f"{path} is not a grey-level image of a plausible size; export it again")
-    axes = _numbers(path, tags, ORIENTATION, "orientation", 6).reshape(2, 3)
+    single = [_single(path, number, frame) for number, frame in enumerate(frames)]
+    scales = {(one.get("RescaleSlope", "1"), one.get("RescaleIntercept", "0")) for one in single}
+    if any(_zero(slope) for slope, _ in scales):
+        raise UnreadableFileError(
+            f"{path}: its RescaleSlope (0028,1053) is not a number other than 0; export it again"
+        )
+    if len(scales) > 1:
+        texts = " and ".join(f"{slope}, {intercept}" for slope, intercept in sorted(scales)[:2])
+        raise UnreadableFileError(
+            f"{path}: its frames have different rescale slopes and intercepts ({texts}); convert it to "
+            "classic DICOM, or to NIfTI"
+        )
+    return [
+        _image(path, number, {**general, **one}, enhanced=tags["enhanced"])
+        for number, one in enumerate(single)
+    ]
+
+
+def _single(path: Path, number: int, frame: dict[str, list[str]]) -> dict[str, str]:
+    """Take the one value of each tag; empty values state nothing."""
+    out: dict[str, str] = {}
+    for name, texts in frame.items():
+        values = [text for text in texts if text]
+        if len({_rounded(value) for value in values}) > 1:
+            raise UnreadableFileError(
+                f"{path}: frame {number + 1} states {name} as {values[0][:60]} and as {values[1][:60]}; "
+                "export it from the scanner or the archive as an original image"
+            )
+        if values:
+            out[name] = values[0]
+    return out
+
+
+def _zero(text: str) -> bool:
+    try:
+        return float(text) == 0.0
+    except ValueError:
+        return True
+
+
+def _rounded(text: str) -> tuple[float, ...] | str:
+    try:
+        return tuple(round(float(word), 4) for word in text.split("\\"))
+    except ValueError:
+        return text
+
+
+def _image(path: Path, frame: int, tags: dict[str, str], *, enhanced: bool) -> CineImage:
+    axes = _numbers(path, tags, "ImageOrientationPatient", "orientation", 6).reshape(2, 3)
     if np.abs(axes @ axes.T - np.eye(2)).max() > _UNIT:
         raise UnreadableFileError(f"{path}: its axes are not orthogonal; export it again")
-    rows_mm, columns_mm = _numbers(path, tags, PIXEL_SPACING, "pixel spacing", 2)
-    low, high = limits.SPACING_MM
+    rows_mm, columns_mm = _numbers(path, tags, "PixelSpacing", "pixel spacing", 2)
+    low, high = limits.VOXEL_MM
     if not (low <= rows_mm <= high and low <= columns_mm <= high):
-        raise UnreadableFileError(f"{path}: its pixels have sides of {columns_mm:g} x {rows_mm:g} mm")
-    position = _numbers(path, tags, POSITION, "position", 3)
+        raise UnreadableFileError(
+            f"{path}: its pixels have sides of {columns_mm:g} x {rows_mm:g} mm; needed {low:g} to {high:g}"
+        )
+    position = _numbers(path, tags, "ImagePositionPatient", "position", 3)
     limits.require_lengths(position, f"the position of {path.name}")
-    interval, rate = _optional(path, tags, NOMINAL_INTERVAL), _optional(path, tags, HEART_RATE)
-    trigger = _optional(path, tags, TRIGGER_TIME)
-    number = _optional(path, tags, INSTANCE)
+    number = {name: _optional(path, tags, name) for name in _OPTIONAL}
+    interval = number["NominalInterval"] or number["RRIntervalTimeNominal"]
+    delay = number["NominalCardiacTriggerDelayTime"]
+    stated = (number["TriggerTime"], delay, number["ActualCardiacTriggerDelayTime"])
+    trigger = next((value for value in stated if value is not None), None)
+    percent = number["NominalPercentageOfCardiacPhase"]
+    if trigger is None and percent is not None and interval:
+        trigger = percent / 100.0 * interval
+    temporal = number["TemporalPositionIdentifier"]
+    rate, thickness, apart = (number[n] for n in ("HeartRate", "SliceThickness", "SpacingBetweenSlices"))
     return CineImage(
         path=path,
-        patient=tags.get(PATIENT, ""),
-        series=tags.get(SERIES, ""),
-        series_name=tags.get(SERIES_NAME, ""),
-        frame_of_reference=tags.get(FRAME_OF_REFERENCE, ""),
-        columns=size[0],
-        rows=size[1],
+        frame=frame,
+        patient=tags.get("PatientID", ""),
+        series=tags.get("SeriesInstanceUID", ""),
+        series_name=tags.get("SeriesDescription", ""),
+        frame_of_reference=tags.get("FrameOfReferenceUID", ""),
+        columns=int(tags["Columns"]),
+        rows=int(tags["Rows"]),
         position_mm=position,
         axes=axes,
         spacing_mm=np.array([columns_mm, rows_mm]),
+        slice_mm=np.array([thickness or np.nan, apart or np.nan]),
         trigger_s=None if trigger is None else trigger / 1000.0,
-        rr_s=interval / 1000.0 if interval else (60.0 / rate if rate else None),
-        number=0 if number is None else int(number),
+        rr_s=tuple(rr for rr in ((interval or 0.0) / 1000.0, 60.0 / rate if rate else 0.0) if rr),
+        temporal=number["TemporalPositionIndex"] if temporal is None else temporal,
+        positions=number["NumberOfTemporalPositions"],
+        number=frame if enhanced else int(number["InstanceNumber"] or 0),
     )
 
 
-def _numbers(path: Path, tags: dict[str, str], tag: str, name: str, count: int) -> FloatArray:
+_OPTIONAL = (
+    *("TriggerTime", "NominalCardiacTriggerDelayTime", "ActualCardiacTriggerDelayTime"),
+    *("NominalPercentageOfCardiacPhase", "NominalInterval", "RRIntervalTimeNominal", "HeartRate"),
+    *("TemporalPositionIdentifier", "TemporalPositionIndex", "NumberOfTemporalPositions"),
+    *("InstanceNumber", "SliceThickness", "SpacingBetweenSlices"),
+)
+
+
+def _numbers(path: Path, tags: dict[str, str], keyword: str, name: str, count: int) -> FloatArray:
     try:
-        values = np.array([float(word) for word in tags.get(tag, "").split("\\")])
+        values = np.array([float(word) for word in tags.get(keyword, "").split("\\")])
     except ValueError:
         values = np.zeros(0)
     if len(values) != count or not np.isfinite(values).all():
         raise UnreadableFileError(
-            f"{path} has no {name} ({tag.replace('|', ',')}) of {count} numbers; export it from the "
-            "scanner or the archive as an original image"
+            f"{path} has no {name} ({keyword}) of {count} numbers; export it from the scanner or the archive "
+            "as an original image"
         )
     return values
 
 
-def _optional(path: Path, tags: dict[str, str], tag: str) -> float | None:
+def _optional(path: Path, tags: dict[str, str], keyword: str) -> float | None:
     """Read an optional number; None if the tag is empty."""
-    text = tags.get(tag, "")
+    text = tags.get(keyword, "")
     if not text:
         return None
     try:
@@ -143,7 +204,5 @@ def _optional(path: Path, tags: dict[str, str], tag: str) -> float | None:
     except ValueError:
         value = np.nan
     if not (0 <= value <= 1e9):
-        raise UnreadableFileError(
-            f"{path}: ({tag.replace('|', ',')}) is '{text[:30]}'; needed a number of at least 0"
-        )
+        raise UnreadableFileError(f"{path}: {keyword} is '{text[:30]}'; needed a number of at least 0")
     return value

@@ -9,7 +9,8 @@ import numpy as np
 
 from dvf_ig.core.arrays import FloatArray, read_only_arrays
 from dvf_ig.core.errors import UnreadableFileError
-from dvf_ig.core.timing.cycle import CycleTiming
+from dvf_ig.core.plausible import RR_S
+from dvf_ig.core.timing.cycle import CycleTiming, require_whole_cycle
 
 from .header import CineImage
 
@@ -21,6 +22,8 @@ SAME_DIRECTION = 1e-3
 """Largest difference of equal unit vectors: 0.06 degrees, 0.1 mm at the edge of the image."""
 UNEVEN = 0.1
 """Allowed variation of the slice spacing as a fraction of it: 1 mm in 10 mm."""
+SAME_RR = 1.2
+"""Largest ratio of two statements of one RR interval; rates are whole beats/min."""
 MISSING_STEP = 1.6
 """Ratio of a trigger-time step to the usual step above which a phase is missing: one missing gives 2."""
 
@@ -43,8 +46,11 @@ class CineStack:
     timing: CycleTiming
 
 
-def stack_of(folder: Path, images: Sequence[CineImage]) -> CineStack:
+def stack_of(folder: Path, images: Sequence[CineImage], *, timed: bool = True) -> CineStack:
     """Put images in order by slice and phase.
+
+    Args:
+        timed: read the times of the phases; otherwise they are replaced by the caller's.
 
     Raises:
         UnreadableFileError: the images are not one stack of one patient, complete in space and time;
@@ -58,11 +64,13 @@ def stack_of(folder: Path, images: Sequence[CineImage]) -> CineStack:
     groups = [[images[i] for i in group] for group in np.split(order, cuts)]
     heights = np.array([float(along[group].mean()) for group in np.split(order, cuts)])
     pitch = _pitch(folder, heights)
-    timed = _timed(folder, images)
+    _require_stated_pitch(folder, images, pitch)
+    clock = _clock(folder, images)
     slices = tuple(
-        _phases(folder, group, height, timed) for group, height in zip(groups, heights, strict=True)
+        _phases(folder, group, height, clock) for group, height in zip(groups, heights, strict=True)
     )
     _require_equal_counts(folder, slices, heights)
+    _require_one_order(folder, slices)
     origin = slices[0][0].position_mm
     for row, height in zip(slices, heights, strict=True):
         shift = np.array([image.position_mm for image in row]) - origin
@@ -74,7 +82,10 @@ def stack_of(folder: Path, images: Sequence[CineImage]) -> CineStack:
             )
     direction = np.column_stack([*first.axes, first.normal])
     spacing = np.array([*first.spacing_mm, pitch])
-    return CineStack(slices, origin, spacing, direction, _timing(folder, slices, timed))
+    timing = (
+        _timing(folder, slices, clock) if timed else CycleTiming.uniform(len(slices[0]), 1.0, rr_assumed=True)
+    )
+    return CineStack(slices, origin, spacing, direction, timing)
 
 
 def _require_one_acquisition(folder: Path, images: Sequence[CineImage]) -> None:
@@ -119,39 +130,124 @@ def _pitch(folder: Path, heights: FloatArray) -> float:
     return float((heights[-1] - heights[0]) / len(steps))
 
 
-def _timed(folder: Path, images: Sequence[CineImage]) -> bool:
-    """Whether trigger times are recorded."""
-    without = [image for image in images if image.trigger_s is None]
-    if without and len(without) < len(images):
-        raise UnreadableFileError(
-            f"{folder}: {len(without)} of {len(images)} images have no trigger time (0018,1060), for example "
-            f"{without[0].path.name}; needed all or none"
-        )
-    return not without
+def _require_stated_pitch(folder: Path, images: Sequence[CineImage], pitch: float) -> None:
+    """Refuse positions that contradict the distance of slices that their series states.
+
+    Some scanners state the gap instead. Series of one slice each state what the protocol had, not the stack.
+    """
+    thickness, apart = images[0].slice_mm
+    fits = [
+        abs(stated - pitch) <= UNEVEN * pitch for stated in (apart, apart + thickness) if np.isfinite(stated)
+    ]
+    if not fits or any(fits):
+        return
+    problem = (
+        f"its slices are {pitch:.2f} mm apart by their positions (0020,0032), {apart:g} mm by "
+        "SpacingBetweenSlices (0018,0088)"
+    )
+    if len({image.series for image in images}) > 1:
+        log.warning("%s: %s; the positions are used", folder, problem)
+        return
+    raise UnreadableFileError(f"{folder}: {problem}; export it from the scanner or the archive again")
 
 
-def _phases(folder: Path, images: Sequence[CineImage], height: float, timed: bool) -> tuple[CineImage, ...]:
-    """One slice in order of time."""
-    ordered = sorted(images, key=lambda one: one.trigger_s or 0.0 if timed else float(one.number))
-    times = np.array([one.trigger_s or 0.0 if timed else float(one.number) for one in ordered])
+@dataclass(frozen=True, slots=True)
+class _Clock:
+    """The tag that orders the phases: its name, unit and value of an image, None if not recorded."""
+
+    name: str
+    unit: str
+    scale: float
+    value: Callable[[CineImage], float | None]
+
+    def of(self, image: CineImage) -> float:
+        return self.value(image) or 0.0
+
+
+_TRIGGER = _Clock("trigger time", "ms", 1000.0, lambda image: image.trigger_s)
+_TEMPORAL = _Clock("temporal position", "", 1.0, lambda image: image.temporal)
+_NUMBER = _Clock("number", "", 1.0, lambda image: float(image.number))
+
+
+def _clock(folder: Path, images: Sequence[CineImage]) -> _Clock:
+    """Choose trigger times if they are those of a heart, else temporal positions, else instance numbers."""
+    for clock, tag in ((_TRIGGER, "(0018,1060)"), (_TEMPORAL, "(0020,0100)")):
+        without = [image for image in images if clock.value(image) is None]
+        if len(without) == len(images):
+            continue
+        if without:
+            raise UnreadableFileError(
+                f"{folder}: {len(without)} of {len(images)} images have no {clock.name} {tag}, for example "
+                f"{without[0].path.name}; needed all or none"
+            )
+        low, high = (clock.scale * limit(map(clock.of, images)) for limit in (min, max))
+        if high > low and (clock is _TEMPORAL or high <= clock.scale * RR_S[1]):
+            return clock
+        if clock is _TRIGGER:
+            log.warning(
+                "%s: its trigger times (0018,1060), %g to %g ms, are not those of a heart; the phases are in "
+                "order of %s, at equal steps",
+                folder,
+                low,
+                high,
+                "temporal positions (0020,0100)" if images[0].temporal else "instance numbers (0020,0013)",
+            )
+    return _NUMBER
+
+
+def _phases(folder: Path, images: Sequence[CineImage], height: float, clock: _Clock) -> tuple[CineImage, ...]:
+    """Order one slice by time."""
+    ordered = sorted(images, key=clock.of)
+    times = clock.scale * np.array([clock.of(one) for one in ordered])
     steps = np.diff(times)
     same = np.flatnonzero(steps <= 0)
     if len(same):
         one, other = ordered[same[0]], ordered[same[0] + 1]
-        when = f"trigger time {1000 * times[same[0]]:g} ms" if timed else f"number {times[same[0]]:g}"
         raise UnreadableFileError(
-            f"{folder}: the slice at {height:.1f} mm has two images of {when}, {one.path.name} and "
-            f"{other.path.name}: it was acquired twice, or these are phase images; keep one acquisition"
+            f"{folder}: the slice at {height:.1f} mm has two images of {clock.name} {times[same[0]]:g} "
+            f"{clock.unit}".rstrip()
+            + f", {_name(one)} and {_name(other)}: it was acquired twice, or these are "
+            "phase images; keep one acquisition"
         )
     if len(steps) > 2 and (largest := int(steps.argmax())) >= 0:
         usual = float(np.median(steps))
         if steps[largest] > MISSING_STEP * usual:
-            unit, scale = ("ms", 1000.0) if timed else ("", 1.0)
             raise UnreadableFileError(
                 f"{folder}: a phase is missing in the slice at {height:.1f} mm, between "
-                f"{scale * times[largest]:g} and {scale * times[largest + 1]:g} {unit}".rstrip()
+                f"{times[largest]:g} and {times[largest + 1]:g} {clock.unit}".rstrip()
             )
     return tuple(ordered)
+
+
+def _name(image: CineImage) -> str:
+    return image.path.name if not image.frame else f"frame {image.frame + 1} of {image.path.name}"
+
+
+def _require_one_order(folder: Path, slices: Sequence[Sequence[CineImage]]) -> None:
+    """Refuse phases that trigger times and temporal positions order or count differently."""
+    for row in slices:
+        stated = np.array([np.nan if one.temporal is None else one.temporal for one in row])
+        count = int(np.isfinite(stated).sum())
+        if count not in (0, len(row)):
+            raise UnreadableFileError(
+                f"{folder}: {count} of {len(row)} images of a slice have a temporal position (0020,0100); "
+                "needed all or none"
+            )
+        if not count or (stated == stated[0]).all():
+            continue
+        if (np.diff(stated) <= 0).any():
+            at = int(np.argmax(np.diff(stated) <= 0))
+            raise UnreadableFileError(
+                f"{folder}: by trigger time {_name(row[at])} comes before {_name(row[at + 1])}, but their "
+                f"temporal positions (0020,0100) are {stated[at]:g} and {stated[at + 1]:g}; export it from "
+                "the scanner or the archive again"
+            )
+    counts = {one.positions for row in slices for one in row if one.positions and one.positions > 1}
+    if counts and counts != {len(slices[0])}:
+        raise UnreadableFileError(
+            f"{folder} holds {len(slices[0])} phases, and its images state {max(counts):g} temporal "
+            "positions (0020,0105): export the whole series again"
+        )
 
 
 def _require_equal_counts(folder: Path, slices: Sequence[Sequence[CineImage]], heights: FloatArray) -> None:
@@ -167,23 +263,37 @@ def _require_equal_counts(folder: Path, slices: Sequence[Sequence[CineImage]], h
         raise UnreadableFileError(f"{folder} holds one phase; needed a cine through the cycle")
 
 
-def _timing(folder: Path, slices: Sequence[Sequence[CineImage]], timed: bool) -> CycleTiming:
+def _timing(folder: Path, slices: Sequence[Sequence[CineImage]], clock: _Clock) -> CycleTiming:
     """Mean over slices of trigger time over RR, each slice having been acquired at its own RR."""
-    intervals = [one.rr_s for row in slices for one in row if one.rr_s is not None]
-    rr_s = float(np.mean(intervals)) if intervals else None
-    if not timed:
-        if rr_s is None:
-            return CycleTiming.uniform(len(slices[0]), 1.0, rr_assumed=True)
-        return CycleTiming.uniform(len(slices[0]), rr_s)
+    own = np.array([_rr_s(folder, row) for row in slices])
+    if clock is not _TRIGGER:
+        recorded = own[np.isfinite(own)]
+        rr_s = float(recorded.mean()) if len(recorded) else 1.0
+        return CycleTiming.uniform(len(slices[0]), rr_s, rr_assumed=not len(recorded))
     times = np.array([[one.trigger_s or 0.0 for one in row] for row in slices])
-    own = [[one.rr_s for one in row if one.rr_s is not None] for row in slices]
     ends = times[:, -1] + np.diff(times, axis=1).mean(axis=1)
-    recorded = np.array([np.mean(row) if row else np.nan for row in own])
-    usable = np.isfinite(recorded) & (recorded > times[:, -1])
+    usable = np.isfinite(own) & (own > times[:, -1])
     if not usable.all():
         log.warning(
             "%s: no RR interval fits the trigger times; the cycle ends a step after its last phase", folder
         )
-        recorded = ends
-    fractions = (times / recorded[:, None]).mean(axis=0)
-    return CycleTiming(fractions, float(recorded.mean()), rr_assumed=not usable.all())
+        own = ends
+    fractions = (times / own[:, None]).mean(axis=0)
+    require_whole_cycle(fractions, "trigger time (0018,1060)")
+    return CycleTiming(fractions, float(own.mean()), rr_assumed=not usable.all())
+
+
+def _rr_s(folder: Path, row: Sequence[CineImage]) -> float:
+    """Mean RR interval of a slice; NaN if none is recorded.
+
+    Raises:
+        UnreadableFileError: RR interval and heart rate contradict each other.
+    """
+    for one in row:
+        if len(one.rr_s) == 2 and max(one.rr_s) > SAME_RR * min(one.rr_s):
+            raise UnreadableFileError(
+                f"{folder}: {_name(one)} states an RR interval (0018,1062) of {1e3 * one.rr_s[0]:g} ms and a "
+                f"heart rate (0018,1088) of {60 / one.rr_s[1]:g} beats/min; give --timing"
+            )
+    stated = [one.rr_s[0] for one in row if one.rr_s]
+    return float(np.mean(stated)) if stated else np.nan

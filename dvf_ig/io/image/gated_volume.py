@@ -1,4 +1,4 @@
-"""Read gated 3-D ultrasound from image files: its time in the cycle, grey levels and visible region.
+"""Read gated 3-D ultrasound from images or 4-D sequences: time in the cycle, grey levels, visible region.
 
 The LPS coordinates of a file's header, in mm, are tracker coordinates.
 """
@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 
 from dvf_ig.core.arrays import AnyArray, BoolArray
 from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
+from dvf_ig.core.plausible import VOLUME_STEP_S
 from dvf_ig.core.recordings.tracked_volume import TrackedVolume
 from dvf_ig.core.space.rigid import Rigid
 from dvf_ig.core.space.volume import Grid, Volume
 from dvf_ig.io.reading import reading
 
-from .volume import image_dimension, read_volume
+from .volume import image_dimension, image_header, read_array
 
 FRAME = "tracker"
 SAME_SECTOR = 0.95
@@ -27,13 +28,15 @@ synthetic images of one transducer.
 """
 _PLACE = re.compile(r"(.+)([@=])([^@=]*)")
 _SEQUENCE_MARK = b"Seq_Frame"
+WHAT = "a 3-D ultrasound image (NIfTI, NRRD or MetaImage)"
 
 
 @dataclass(frozen=True, slots=True)
 class GatedVolumeFile:
-    """A file and when its image was taken: either a phase or a time.
+    """A volume's file and when it was taken: either a phase or a time.
 
     Attributes:
+        volume: number of the volume in a 4-D file, in order of time; None for a file of one volume.
         phase: fraction of the RR interval since the R peak, [0, 1).
         t_s: seconds on the clock of the ECG.
     """
@@ -41,6 +44,7 @@ class GatedVolumeFile:
     path: Path
     phase: float | None = None
     t_s: float | None = None
+    volume: int | None = None
 
 
 def gated_volume_files(texts: Sequence[str]) -> tuple[GatedVolumeFile, ...]:
@@ -81,7 +85,54 @@ def _gated_volume_file(text: str) -> GatedVolumeFile:
     return GatedVolumeFile(path, phase=number)
 
 
-def read_gated_volumes(paths: Sequence[Path], model_phases: Sequence[float]) -> tuple[TrackedVolume, ...]:
+def sequence_volumes(files: Sequence[GatedVolumeFile]) -> tuple[GatedVolumeFile, ...]:
+    """Split 4-D files with times (4-D echo as 3D Slicer's `.seq.nrrd`) into volumes, in order of time.
+
+    FILE=SECONDS is the time of the first volume, FILE@PHASE its phase; then the file's own times are
+    percentages of the RR interval.
+
+    Raises:
+        UnreadableFileError: absent, damaged, several volumes without times, or times of no ultrasound probe.
+    """
+    return tuple(volume for file in files for volume in _volumes_of(file))
+
+
+def _volumes_of(file: GatedVolumeFile) -> tuple[GatedVolumeFile, ...]:
+    path = file.path
+    with reading(path, WHAT):
+        _refuse_planes(path)
+        header = image_header(path)
+        if header.dimension != 4 or file.volume is not None:
+            return (file,)
+        if header.times is None:
+            raise UnreadableFileError(
+                f"{path} holds several volumes without their times; split it into one file per volume, and "
+                "give the phase of each"
+            )
+        fractions = header.times.fractions(path)
+        seconds = np.zeros(0) if fractions is not None else header.times.seconds(path)
+        if (fractions is None) == (file.t_s is None):
+            needed = "FILE=SECONDS, the time of its first volume" if fractions is None else "FILE@PHASE"
+            raise UnreadableFileError(
+                f"{path} holds volumes with times in '{header.times.unit[:20]}' ({header.times.field}); "
+                f"write {needed}"
+            )
+        if fractions is not None:
+            phases = ((file.phase or 0.0) + fractions - fractions[0]) % 1.0
+            return tuple(GatedVolumeFile(path, float(phase), None, i) for i, phase in enumerate(phases))
+        step, (low, high) = float(np.median(np.diff(seconds))), VOLUME_STEP_S
+        if not low <= step <= high:
+            raise UnreadableFileError(
+                f"{path}: its volumes are {step:.4g} s apart by {header.times.field}; needed {low:g} to "
+                f"{high:g}: check their unit"
+            )
+        times = (file.t_s or 0.0) + seconds - seconds[0]
+        return tuple(GatedVolumeFile(path, None, float(t_s), i) for i, t_s in enumerate(times))
+
+
+def read_gated_volumes(
+    files: Sequence[GatedVolumeFile], model_phases: Sequence[float]
+) -> tuple[TrackedVolume, ...]:
     """Read gated 3-D ultrasound images in the frame "tracker".
 
     Grey levels are log-compressed, 0 to 255 in any pixel type, or 0 to 1 in a floating-point image; NaN is
@@ -89,12 +140,14 @@ def read_gated_volumes(paths: Sequence[Path], model_phases: Sequence[float]) -> 
     sectors agree to SAME_SECTOR come from one transducer and share the union of their regions.
 
     Args:
-        paths: NIfTI, NRRD or MetaImage whose LPS coordinates are the tracker's; voxels of any edges.
+        files: NIfTI, NRRD or MetaImage whose LPS coordinates are the tracker's; voxels of any edges.
         model_phases: phase of each in the model's cycle, [0, 1).
     Raises:
-        UnreadableFileError: absent, damaged, a sequence, 4-D, other grey levels, or black throughout.
+        UnreadableFileError: absent, damaged, a sequence of planes, several volumes of which none is named
+            (`sequence_volumes`), other grey levels, or black throughout.
     """
-    images = [_read_image(Path(path)) for path in paths]
+    volumes = {path: _read_images(path) for path in dict.fromkeys(file.path for file in files)}
+    images = [_chosen(file, volumes[file.path]) for file in files]
     masks = _common_sectors([image.grid for image in images], [insonified_voxels(i.values) for i in images])
     pose = Rigid.identity(FRAME, FRAME)
     return tuple(
@@ -140,26 +193,33 @@ def _common_sectors(grids: Sequence[Grid], masks: Sequence[BoolArray]) -> list[B
     return out
 
 
-def _read_image(path: Path) -> Volume:
-    with reading(path, "a 3-D ultrasound image (NIfTI, NRRD or MetaImage)"):
-        _require_one_volume(path)
-        image = read_volume(path, frame=FRAME)
-        grey = _grey_levels(path, image.values)
-        if not grey.any():
-            raise UnreadableFileError(f"{path} is black throughout; needed an ultrasound image")
-        return Volume(image.grid, grey)
+def _read_images(path: Path) -> tuple[Grid, NDArray[np.uint8]]:
+    """Read grid and grey levels, (volumes, x, y, z)."""
+    with reading(path, WHAT):
+        _refuse_planes(path)
+        dimension = image_dimension(path)
+        grid, values = read_array(path, FRAME, dimension)
+        return grid, _grey_levels(path, values.reshape(-1, *grid.shape))
 
 
-def _require_one_volume(path: Path) -> None:
+def _chosen(file: GatedVolumeFile, volumes: tuple[Grid, NDArray[np.uint8]]) -> Volume:
+    grid, grey = volumes
+    if file.volume is None and len(grey) > 1:
+        raise UnreadableFileError(
+            f"{file.path} holds {len(grey)} volumes; split it into one file per volume, or give their times"
+        )
+    one = grey[file.volume or 0]
+    if not one.any():
+        raise UnreadableFileError(f"{file.path} is black throughout; needed an ultrasound image")
+    return Volume(grid, one)
+
+
+def _refuse_planes(path: Path) -> None:
     with path.open("rb") as file:
         head = file.read(65536)
     if ".igs." in path.name.lower() or _SEQUENCE_MARK in head:
         raise UnreadableFileError(
             f"{path} is a tracked sequence of planes, not a 3-D image; needed one gated volume per file"
-        )
-    if image_dimension(path) == 4:
-        raise UnreadableFileError(
-            f"{path} holds several volumes; split it into one file per volume, and give the phase of each"
         )
 
 

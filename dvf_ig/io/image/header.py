@@ -1,4 +1,4 @@
-"""Storage and geometry of voxels as the header of a MetaImage or NRRD file describes them."""
+"""Storage and geometry of voxels as the header of a MetaImage, NRRD or NIfTI file describes them."""
 
 import re
 from dataclasses import dataclass, field
@@ -9,6 +9,8 @@ import numpy as np
 from dvf_ig.core.arrays import FloatArray, read_only_arrays
 from dvf_ig.core.errors import UnreadableFileError
 from dvf_ig.io import limits
+
+from .phase_times import PhaseTimes
 
 _BLOCK = 1 << 18
 _LARGEST = 1e12
@@ -22,7 +24,7 @@ class Storage:
     Attributes:
         files: separate files, in order; empty if the voxels follow the header.
         offset: of the voxels in the header's own file, bytes.
-        skip: bytes to skip at the start of a separate file; None reads its last bytes.
+        skip: bytes to skip after that, or at the start of a separate file; None reads the last bytes.
         compressed: zlib or gzip.
     """
 
@@ -46,6 +48,8 @@ class ImageHeader:
             of `direction` is that of axis a.
         storage: where the voxels are.
         fields: every field of the header by its name.
+        times: of the volumes of a 4-D image; None if the header states none.
+        scaling: slope and intercept of the values; a slope of 0 means none.
     """
 
     sizes: tuple[int, ...]
@@ -57,6 +61,13 @@ class ImageHeader:
     direction: FloatArray
     storage: Storage
     fields: dict[str, str] = field(default_factory=dict)
+    times: PhaseTimes | None = None
+    scaling: tuple[float, float] = (0.0, 0.0)
+
+    @property
+    def dimension(self) -> int:
+        """Number of axes, without one of a single phase."""
+        return len(self.sizes) - (self.phase_axis is not None and self.sizes[self.phase_axis] == 1)
 
     @property
     def bytes(self) -> int:

@@ -1,16 +1,21 @@
 """Read labels of a 4-D image: of end-diastole alone, or of every phase."""
 
+import logging
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from dvf_ig.core.arrays import AnyArray, FloatArray
-from dvf_ig.core.errors import InvalidInputError
+from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
+from dvf_ig.core.plausible import LABELS_MM
 from dvf_ig.core.space.volume import Grid, Volume, VolumeSeries
 from dvf_ig.io.reading import reading
 
-from .segments import Segment, merged_segments, segment_values, segments_of
-from .volume import image_dimension, image_header, read_array
+from .segments import merged_segments, segment_values, segments_of
+from .volume import image_header, read_array
+
+log = logging.getLogger(__name__)
 
 PLACE_TOLERANCE_MM = 0.05
 
@@ -41,6 +46,7 @@ def read_cine_labels(
             f"{path} has labels of {len(layers)} phases, the image has {phases}; needed those of "
             "end-diastole or of every phase"
         )
+    _require_organ_size(path, grid, layers)
     placed = _on_grid(path, grid, layers, image.grid)
     if len(placed) == 1:
         return Volume(image.grid, placed[0]), None
@@ -60,23 +66,46 @@ def read_labels(path: Path | str, frame: str = "mr") -> tuple[Volume, ...]:
 
 def read_label_names(path: Path | str) -> tuple[tuple[int, str], ...]:
     """Read label and name of each segment of a 3D Slicer segmentation; empty for any other image."""
-    segments = _segments(Path(path))
+    path = Path(path)
+    with reading(path, "a label image"):
+        segments = segments_of(path, image_header(path).fields)
     return tuple(zip(segment_values(segments), (s.name for s in segments), strict=True))
 
 
 def _read(path: Path, frame: str) -> tuple[Grid, AnyArray]:
     """Read the grid and (phases, x, y, z) labels."""
-    dimension = image_dimension(path)
-    grid, values = read_array(path, frame, dimension)
-    layers = values[None] if dimension == 3 else values
-    segments = _segments(path)
-    return grid, merged_segments(path, layers, segments)[None] if segments else layers
-
-
-def _segments(path: Path) -> tuple[Segment, ...]:
     with reading(path, "a label image"):
         header = image_header(path)
-        return () if header is None else segments_of(path, header.fields)
+        if len(header.sizes) == 4 and header.sizes[0] == 1 and header.phase_axis == 3:
+            log.warning("%s: its first axis has one voxel; the other three are taken as x, y, z", path)
+            header = replace(header, sizes=header.sizes[1:], phase_axis=None, times=None)
+        if header.dimension not in (3, 4):
+            raise UnreadableFileError(f"{path} is {header.dimension}-D; needed labels of 3-D or 4-D")
+        grid, values = read_array(path, frame, header.dimension, header)
+        layers = values[None] if header.dimension == 3 else values
+        if layers.dtype.kind == "f" and (layers != np.rint(layers)).any():
+            odd = layers[layers != np.rint(layers)][0]
+            raise UnreadableFileError(
+                f"{path} holds {odd:g}; needed labels, which are whole numbers: resample by nearest "
+                "neighbour, or threshold probabilities"
+            )
+        segments = segments_of(path, header.fields)
+        return grid, merged_segments(path, layers, segments)[None] if segments else layers
+
+
+def _require_organ_size(path: Path, grid: Grid, layers: AnyArray) -> None:
+    """Refuse labels of a size that no organ has, as voxels in cm or m give."""
+    inside = (layers != 0).any(axis=0)
+    if not inside.any():
+        return  # who chooses labels reports which are present
+    ends = [np.flatnonzero(np.moveaxis(inside, axis, 0).any(axis=(1, 2)))[[0, -1]] for axis in range(3)]
+    side = max(float((last - first + 1) * grid.spacing_mm[axis]) for axis, (first, last) in enumerate(ends))
+    low, high = LABELS_MM
+    if not low <= side <= high:
+        raise InvalidInputError(
+            f"{path}: its labels are {side:.3g} mm across, and an organ {low:g} to {high:g} mm; correct the "
+            "voxel size (mm) of the image and its labels"
+        )
 
 
 def _on_grid(path: Path, labels: Grid, values: AnyArray, image: Grid) -> AnyArray:

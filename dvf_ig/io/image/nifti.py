@@ -1,21 +1,24 @@
-"""Parse NIfTI headers, and refuse those that ITK reads wrongly: damaged or sheared."""
+"""Read NIfTI: a header whose statements agree, and its voxels; damaged or sheared images are refused."""
 
 import gzip
 import math
 import struct
 import zlib
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from dvf_ig.core import read_only_arrays
 from dvf_ig.core.arrays import AnyArray, FloatArray
 from dvf_ig.core.errors import UnreadableFileError
 from dvf_ig.io import limits
 from dvf_ig.io.inflate import inflated, require_size
+from dvf_ig.io.provenance import record_file
 from dvf_ig.io.reading import read_bytes, refuse_lfs_pointer
+
+from .header import ImageHeader, Storage
+from .phase_times import uniform_times
 
 TOLERANCE = 1e-3
 _FIELDS = {
@@ -60,28 +63,15 @@ _TYPES = {
     1280: "u8",
 }
 """Supported data types: integers of 8 to 64 bit, float32, float64."""
+_LPS = np.array([-1.0, -1.0, 1.0])
+"""Signs that convert NIfTI's RAS to LPS."""
 _GZIP = b"\x1f\x8b"
 _UNITS = {1: "m", 3: "micrometres"}
-
-
-@read_only_arrays
-@dataclass(frozen=True, slots=True, eq=False)
-class NiftiHeader:
-    """Fields of a NIfTI-1 or -2 header that are used here.
-
-    Attributes:
-        sizes: of the axes, the fastest first, without trailing ones of one voxel after the third, as in ITK.
-        dtype: of a voxel, with its byte order.
-        axes: (3, 3) of the sform; None if it is not used.
-        offset: bytes before the first voxel, in the file that holds them.
-        scaling: slope and intercept of the values; a slope of 0 means none.
-    """
-
-    sizes: tuple[int, ...]
-    dtype: np.dtype[np.generic]
-    axes: FloatArray | None
-    offset: int
-    scaling: tuple[float, float]
+_TIME_UNITS = {0: "", 8: "s", 16: "ms", 24: "us"}
+_SAME_SIDE = 0.01
+"""Largest relative difference of two statements of a voxel's side."""
+_SAME_MM, _SAME_SHARE = 0.1, 0.1
+"""Largest distance of one voxel in two geometries: mm, and as a share of its smallest side."""
 
 
 def nifti_files(path: Path) -> tuple[Path, ...]:
@@ -90,12 +80,12 @@ def nifti_files(path: Path) -> tuple[Path, ...]:
     return () if other is None else (path.with_suffix(other),)
 
 
-def read_nifti_header(path: Path) -> NiftiHeader:
+def read_nifti_header(path: Path) -> ImageHeader:
     """Check the header of a NIfTI file without reading voxels.
 
     Raises:
-        UnreadableFileError: not NIfTI, truncated, implausible sizes, types, units or geometry, or an sform
-            (if its code is set) whose axes are not orthogonal; then the message gives a repair command.
+        UnreadableFileError: not NIfTI, truncated, implausible sizes, types, units or geometry, no
+            orientation, two that differ, or axes that are not orthogonal; then with a repair command.
     """
     pair = nifti_files(path)
     header_file = path if path.suffix.lower() != ".img" else pair[0]
@@ -103,28 +93,27 @@ def read_nifti_header(path: Path) -> NiftiHeader:
         refuse_lfs_pointer(file)
         if not file.is_file():
             raise UnreadableFileError(f"{file} does not exist; a NIfTI pair needs .hdr and .img together")
-    header = _parse(path, _begin(header_file, 540), single=not pair)
-    if header.axes is not None:
-        _require_orthogonal(path, header.axes)
-    return header
+    return _parse(path, _begin(header_file, 540), single=not pair)
 
 
-def read_nifti_voxels(path: Path, header: NiftiHeader) -> AnyArray:
-    """Read values indexed [x, y, z] or [x, y, z, phase]; values that the header scales become floats.
+def read_nifti_voxels(path: Path, header: ImageHeader) -> AnyArray:
+    """Read values indexed [x, y, z] or [phase, x, y, z]; values that the header scales become floats.
 
     Raises:
-        UnreadableFileError: truncated, or its compressed data is damaged.
+        UnreadableFileError: truncated, longer than its header says, or its compressed data are damaged.
     """
     voxels = path if path.suffix.lower() != ".hdr" else nifti_files(path)[0]
-    needed = header.offset + math.prod(header.sizes) * header.dtype.itemsize
-    data = read_bytes(voxels, "an image (NIfTI)")
-    if data.startswith(_GZIP):
-        content: Any = inflated(path, data, needed, more=True)
-    else:
-        content = memoryview(data)[:needed]
-        require_size(path, len(content), needed)
-    values = np.frombuffer(content, header.dtype, offset=header.offset).reshape(header.sizes[::-1]).T
-    return _scaled(values, *header.scaling)
+    offset = header.storage.offset
+    needed = offset + header.bytes
+    content: Any = read_bytes(voxels, "an image (NIfTI)")
+    if content.startswith(_GZIP):
+        content = inflated(path, content, needed)
+    require_size(path, len(content), needed)
+    for file in nifti_files(path):
+        record_file(file)
+    values = np.frombuffer(content, header.dtype, offset=offset).reshape(header.sizes[::-1]).T
+    scaled = _scaled(values, *header.scaling)
+    return scaled if header.phase_axis is None else np.moveaxis(scaled, header.phase_axis, 0)
 
 
 def _scaled(values: AnyArray, slope: float, intercept: float) -> AnyArray:
@@ -140,10 +129,7 @@ def _scaled(values: AnyArray, slope: float, intercept: float) -> AnyArray:
 
 
 def _require_orthogonal(path: Path, axes: FloatArray) -> None:
-    length = np.linalg.norm(axes, axis=0)
-    if (length == 0).any():
-        raise UnreadableFileError(f"{path}: an axis of its sform has no length; set its geometry again")
-    unit = axes / length
+    unit = axes / np.linalg.norm(axes, axis=0)
     shear = float(np.abs(unit.T @ unit - np.eye(3)).max())
     if shear > TOLERANCE:
         raise UnreadableFileError(
@@ -167,7 +153,7 @@ def _is_packed(path: Path) -> bool:
         return stream.read(2) == _GZIP
 
 
-def _parse(path: Path, start: bytes, *, single: bool) -> NiftiHeader:
+def _parse(path: Path, start: bytes, *, single: bool) -> ImageHeader:
     for order in "<>":
         stated = struct.unpack_from(f"{order}i", start)[0] if len(start) >= 4 else 0
         if len(start) < stated or stated not in _FIELDS:
@@ -183,7 +169,7 @@ def _parse(path: Path, start: bytes, *, single: bool) -> NiftiHeader:
 
 def _checked(
     path: Path, order: str, fields: dict[str, tuple[Any, ...]], begin: int, *, single: bool
-) -> NiftiHeader:
+) -> ImageHeader:
     """Check that all fields are plausible and finite, and build the header."""
     dims = [int(size) for size in fields["dim"]]
     count = dims[0]
@@ -226,8 +212,80 @@ def _checked(
         raise UnreadableFileError(
             f"{path}: its header states {needed:.3g} bytes; at most {limits.VOXEL_BYTES:.3g} are read"
         )
-    slope, intercept = fields["scaling"]
-    sform = axes[:, :3] if uses_sform else None
     while len(used) > 3 and used[-1] == 1:
         used.pop()
-    return NiftiHeader(tuple(used), dtype, sform, int(offset), (slope, intercept))
+    geometry = (np.zeros(3), np.ones(3), np.eye(3)) if count < 3 else _geometry(path, fields, used)
+    step, time_unit = (
+        float(f"{fields['pixdim'][4]:.7g}"),
+        _TIME_UNITS.get(int(fields["units"][0]) & 0x38, "Hz, ppm or rad"),
+    )
+    return ImageHeader(
+        tuple(used),
+        dtype,
+        1,
+        3 if len(used) == 4 else None,
+        *geometry,
+        Storage((), int(offset)),
+        times=uniform_times(step, used[3], time_unit, "pixdim[4]") if len(used) == 4 else None,
+        scaling=fields["scaling"],
+    )
+
+
+def _geometry(
+    path: Path, fields: dict[str, tuple[Any, ...]], sizes: list[int]
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return origin, spacing and direction in LPS of the sform, or of the qform if it alone is set.
+
+    Raises:
+        UnreadableFileError: neither is set, they differ, or the sform contradicts the voxel sizes.
+    """
+    uses_qform, uses_sform = (code > 0 for code in fields["codes"])
+    sides = np.array(fields["pixdim"][1:4])
+    if not uses_qform and not uses_sform:
+        raise UnreadableFileError(
+            f"{path} does not state how it is oriented (qform_code and sform_code are 0), and programs "
+            "differ on which side is left; set its orientation, or convert the scanner's images again"
+        )
+    if not uses_sform:
+        axes, origin = _qform(fields)
+        return origin * _LPS, sides, axes * _LPS[:, None]
+    sform = np.array(fields["sform"]).reshape(3, 4)
+    length = np.linalg.norm(sform[:, :3], axis=0)
+    if (length == 0).any():
+        raise UnreadableFileError(f"{path}: an axis of its sform has no length; set its geometry again")
+    _require_orthogonal(path, sform[:, :3])
+    ends = np.array(sizes[:3]) - 1.0
+    allowed = max(_SAME_MM, _SAME_SHARE * float(min(sides.min(), length.min())))
+    apart_mm = np.abs((length - sides) * np.maximum(ends, 1.0))
+    if apart_mm.max() > allowed or np.abs(length / sides - 1.0).max() > _SAME_SIDE:
+        raise UnreadableFileError(
+            f"{path}: its sform has voxels of {_text(length)} mm, its pixdim of {_text(sides)} mm; "
+            "write it again with one voxel size, or take it from the scanner's images"
+        )
+    if uses_qform:
+        corners = np.array(np.meshgrid(*((0.0, end) for end in ends))).reshape(3, -1)
+        by_sform = sform[:, :3] @ corners + sform[:, 3:]
+        axes, origin = _qform(fields)
+        by_qform = axes @ (sides[:, None] * corners) + origin[:, None]
+        apart = float(np.linalg.norm(by_sform - by_qform, axis=0).max())
+        if apart > allowed:
+            raise UnreadableFileError(
+                f"{path} has two geometries that lie up to {apart:.1f} mm apart: its first voxel is at RAS "
+                f"{_text(origin)} mm by the qform, {_text(sform[:, 3])} mm by the sform; keep the one that "
+                f"the other images use: fslorient -copysform2qform {path.name}, or -copyqform2sform"
+            )
+    return sform[:, 3] * _LPS, sides, (sform[:, :3] / length) * _LPS[:, None]
+
+
+def _qform(fields: dict[str, tuple[Any, ...]]) -> tuple[FloatArray, FloatArray]:
+    """Return unit axes (3, 3) and origin (3,) of the qform, RAS. Source: nifti1.h, method 2."""
+    b, c, d = fields["qform"][:3]
+    a = math.sqrt(max(1.0 - (b * b + c * c + d * d), 0.0))
+    norm = math.hypot(a, b, c, d)
+    turn = Rotation.from_quat(np.array([b, c, d, a]) / norm).as_matrix()
+    handed = -1.0 if fields["pixdim"][0] < 0 else 1.0
+    return turn * (1.0, 1.0, handed), np.array(fields["qform"][3:])
+
+
+def _text(numbers: FloatArray) -> str:
+    return " ".join(f"{number:.4g}" for number in numbers)

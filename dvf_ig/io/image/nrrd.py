@@ -6,6 +6,7 @@ Source: teem.sourceforge.net/nrrd/format.html.
 import logging
 import re
 from pathlib import Path
+from urllib.parse import unquote
 
 import numpy as np
 
@@ -22,6 +23,7 @@ from .header import (
     three_dimensional,
     whole_numbers,
 )
+from .phase_times import PhaseTimes, uniform_times
 from .voxel_files import named_voxel_files
 
 log = logging.getLogger(__name__)
@@ -50,6 +52,27 @@ _SPACES = {
 """Signs that convert a space to LPS. With "-time" or "t" added, its fourth axis is time."""
 _DOMAIN_KINDS = ("domain", "space", "time", "???", "none")
 _MILLIMETRES = ("", "mm", "millimeter", "millimeters", "millimetre", "millimetres")
+_FIELDS = re.compile(
+    "content|number|type|block size|dimension|space( (dimension|units|origin|directions))?|sizes|spacings|"
+    "thicknesses|axis (mins|maxs)|centers|kinds|labels|units|(old )?(min|max)|endian|encoding|"
+    "(line|byte) skip|sample units|measurement frame|data file"
+)
+"""Every field of the format; keys ("name:=value") may have any name."""
+_JOINED = {
+    "datafile": "data file",
+    "lineskip": "line skip",
+    "byteskip": "byte skip",
+    "blocksize": "block size",
+    "axismins": "axis mins",
+    "axismaxs": "axis maxs",
+    "oldmin": "old min",
+    "oldmax": "old max",
+    "sampleunits": "sample units",
+    "centerings": "centers",
+}
+"""Other spellings of fields."""
+_TIME_TAGS = ("", "TriggerTime", "AcquisitionTime", "ContentTime", "SeriesTime", "TemporalPositionIdentifier")
+"""DICOM attributes that number or time the frames of a MultiVolume."""
 _VECTOR = re.compile(r"none|\(([^()]*)\)")
 
 
@@ -84,6 +107,11 @@ def read_nrrd_header(path: Path) -> ImageHeader:
         raise UnreadableFileError(
             f"{path}: the values of a voxel are not stored next to each other; save it again"
         )
+    for name in ("old min", "old max"):
+        if fields.get(name, "nan").lower() != "nan":
+            raise UnreadableFileError(
+                f"{path}: {name} is {fields[name][:20]}, so its values are quantised; save its real values"
+            )
     space_axes, phase = _axes(path, fields, kinds, listed=listed, dropped=dropped)
     stored = [a for a in range(len(sizes)) if a not in dropped]
     return ImageHeader(
@@ -94,7 +122,47 @@ def read_nrrd_header(path: Path) -> ImageHeader:
         *_geometry(path, fields, space_axes, phase),
         _storage(path, fields, text, len(data) if end is None else end.end()),
         fields,
+        None if phase is None else _times(path, fields, phase, sizes[phase]),
     )
+
+
+def _times(path: Path, fields: dict[str, str], axis: int, count: int) -> PhaseTimes | None:
+    """Return the times of the volumes along a stored axis; None if the header states none.
+
+    Source: 3D Slicer's volume sequences (docs, "Volume sequence file format") and its MultiVolumeExplorer.
+
+    Raises:
+        UnreadableFileError: times that are not numbers, of another number of volumes, or stated twice.
+    """
+    label, unit = (_of_axis(fields, name, axis) for name in ("labels", "units"))
+    unit = unit or fields.get(f"axis {axis} index unit", "") or (label if "%" in label else "")
+    stated, name = [], f"axis {axis} index values"
+    if name in fields and fields.get(f"axis {axis} index type") != "text":
+        stated.append(PhaseTimes(real_numbers(path, name, unquote(fields[name]), count), unit, name))
+    name, tag = "MultiVolume.FrameLabels", fields.get("MultiVolume.FrameIdentifyingDICOMTagName", "")
+    if name in fields and tag in _TIME_TAGS:
+        own = fields.get("MultiVolume.FrameIdentifyingDICOMTagUnits", "")
+        stated.append(PhaseTimes(real_numbers(path, name, fields[name].replace(",", " "), count), own, name))
+    if len(stated) == 2 and not np.array_equal(stated[0].order(path), stated[1].order(path)):
+        raise UnreadableFileError(
+            f"{path}: {stated[0].field} and {stated[1].field} put its volumes in different orders; delete one"
+        )
+    if stated:
+        return stated[-1] if len(stated) == 2 and not stated[0].unit else stated[0]
+    words, vectors = fields.get("spacings", "").split(), _VECTOR.findall(fields.get("space directions", ""))
+    along = vectors[axis].split(",") if axis < len(vectors) else []
+    step = along[-1] if len(along) == 4 else words[axis] if axis < len(words) else "nan"
+    try:
+        return uniform_times(
+            float(step), count, unit or _of_axis(fields, "space units", 3), "the spacing of its time axis"
+        )
+    except ValueError:
+        return None  # the geometry refuses what is no number
+
+
+def _of_axis(fields: dict[str, str], name: str, axis: int) -> str:
+    quoted = re.findall(r'"([^"]*)"', fields.get(name, ""))
+    return quoted[axis].strip() if axis < len(quoted) else ""
 
 
 def _fields(path: Path, text: str) -> dict[str, str]:
@@ -113,6 +181,10 @@ def _fields(path: Path, text: str) -> dict[str, str]:
                 continue  # names of a LIST
             wrong = "is not 'field: value'" if match is None else "occurs twice"
             raise UnreadableFileError(f"{path}: header line '{line.strip()[:60]}' {wrong}; copy it again")
+        if not match[2] and not _FIELDS.fullmatch(name):
+            raise UnreadableFileError(
+                f"{path}: its header has a field '{name[:40]}', which NRRD does not define; correct its name"
+            )
         fields[name] = match[3].strip()
     return fields
 
@@ -120,8 +192,7 @@ def _fields(path: Path, text: str) -> dict[str, str]:
 def _plain_name(name: str) -> str:
     """Normalise a field name: NRRD allows some names without their blank, such as "datafile"."""
     plain = name.strip().lower()
-    joined = {"datafile": "data file", "lineskip": "line skip", "byteskip": "byte skip"}
-    return joined.get(plain, plain)
+    return _JOINED.get(plain, plain)
 
 
 def _dtype(path: Path, fields: dict[str, str]) -> np.dtype[np.generic]:
@@ -187,6 +258,13 @@ def _geometry(
             f"{path}: its space is '{space[:40]}'; needed left-posterior-superior or right-anterior-superior"
         )
     _require_millimetres(path, "space units", fields, [0, 1, 2])
+    for other in ("spacings", "axis mins", "axis maxs"):
+        words = fields.get(other, "").lower().split()
+        if any(a < len(words) and words[a] != "nan" for a in axes):
+            raise UnreadableFileError(
+                f"{path} states its axes twice (delete one), by space directions "
+                f"'{fields.get('space directions', '')[:60]}' and by {other} '{fields[other][:30]}'"
+            )
     count = 4 if timed else 3
     matrix = np.eye(count)
     matrix[:, :3] = np.column_stack([_direction(path, fields, a, count) for a in axes])
@@ -208,6 +286,8 @@ def _direction(path: Path, fields: dict[str, str], axis: int, count: int) -> Flo
 
 
 def _origin(path: Path, fields: dict[str, str], count: int) -> FloatArray:
+    if "space origin" not in fields:
+        log.warning("%s states no space origin: 0 is assumed", path)
     text = fields.get("space origin", f"({','.join(['0'] * count)})")
     match = _VECTOR.fullmatch(text)
     inside = text if match is None or match[1] is None else match[1].replace(",", " ")
@@ -220,8 +300,12 @@ def _without_space(
     """Parse a file that states only the spacing; its axes are assumed to be LPS."""
     _require_millimetres(path, "units", fields, axes)
     words = fields.get("spacings", "").split()
-    chosen = " ".join(words[a] for a in axes if a < len(words)) or "1 1 1"
-    begins = fields.get("axis mins", fields.get("axismins", "")).lower().split()
+    chosen = " ".join(words[a] for a in axes if a < len(words))
+    if "axis maxs" in fields:
+        raise UnreadableFileError(
+            f"{path} states axis maxs; save it with space directions and a space origin"
+        )
+    begins = fields.get("axis mins", "").lower().split()
     first = " ".join("0" if a >= len(begins) or begins[a] == "nan" else begins[a] for a in axes)
     log.warning("%s does not state the direction of its axes: left, posterior, superior are assumed", path)
     spacing = real_numbers(path, "spacings", chosen, 3)

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
-from dvf_ig.core.timing.cycle import CycleTiming
+from dvf_ig.core.timing.cycle import CycleTiming, require_whole_cycle
 from dvf_ig.io.json_file import read_json, write_json
 from dvf_ig.io.reading import reading
 
@@ -16,7 +16,7 @@ ASSUMED_RR_S = 1.0
 def read_timing(
     path: Path | str | None,
     *,
-    beside: Path,
+    folder: Path,
     phases: int,
     image: str | None = None,
     rr_s: float | None = None,
@@ -24,9 +24,9 @@ def read_timing(
     """Read the timing of `phases` phases.
 
     Args:
-        path: the timing file; None looks for `timing.json` in `beside`; otherwise phase i is at i/N,
+        path: the timing file; None looks for `timing.json` in `folder`; otherwise phase i is at i/N,
             marked as assumed.
-        beside: folder of the data.
+        folder: of the data.
         phases: how many phases the data have.
         image: name of the image file, for a timing file that lists several.
         rr_s: RR interval that overrides the file's; without file and without it, 1.0 s, marked as assumed.
@@ -34,7 +34,7 @@ def read_timing(
         UnreadableFileError: absent, not a timing file, or of another number of phases.
     """
     if path is None:
-        path = beside / "timing.json"
+        path = folder / "timing.json"
         if not path.is_file():
             if rr_s is None:
                 return CycleTiming.uniform(phases, ASSUMED_RR_S, rr_assumed=True)
@@ -106,4 +106,5 @@ def _from_triggers(path: Path, entry: dict[str, Any]) -> CycleTiming:
         fractions = (trigger_s / rr_s[:, None]).mean(axis=0)
     except (KeyError, TypeError, ValueError, OverflowError) as exc:
         raise UnreadableFileError(f"{path}: needed trigger_ms and RR_ms of each slice ({exc})") from exc
+    require_whole_cycle(fractions, "trigger_ms")
     return CycleTiming(fractions, float(rr_s.mean()))

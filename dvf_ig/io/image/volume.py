@@ -1,5 +1,6 @@
-"""Read 3-D and cyclic 4-D images in LPS, mm: MetaImage and NRRD here, NIfTI and DICOM through SimpleITK."""
+"""Read 3-D and cyclic 4-D images in LPS, mm: MetaImage, NRRD, NIfTI, and folders of DICOM images."""
 
+import logging
 from pathlib import Path
 from typing import Any
 
@@ -7,21 +8,24 @@ import numpy as np
 
 from dvf_ig.core.arrays import AnyArray, FloatArray
 from dvf_ig.core.errors import InvalidInputError, OutputError, UnreadableFileError
+from dvf_ig.core.plausible import SCANNER_MM
 from dvf_ig.core.space.rigid import rigidity_defect
 from dvf_ig.core.space.volume import Grid, Volume, VolumeSeries
 from dvf_ig.core.timing.cycle import CycleTiming
 from dvf_ig.io import limits
 from dvf_ig.io.dicom.cine import is_dicom_folder, read_dicom_cine
-from dvf_ig.io.provenance import record_file
 from dvf_ig.io.reading import reading
 from dvf_ig.io.writing.atomic import atomic_file
 
 from .header import ImageHeader
 from .metaimage import read_metaimage_header
-from .nifti import nifti_files, read_nifti_header, read_nifti_voxels
+from .nifti import read_nifti_header, read_nifti_voxels
 from .nrrd import read_nrrd_header
+from .phase_times import require_same_timing
 from .timing import read_timing
 from .voxels import in_c_order, read_voxels
+
+log = logging.getLogger(__name__)
 
 DIRECTION_TOLERANCE = 1e-3
 _EXACT_KEY = "dvf_ig_origin_spacing_direction"
@@ -53,22 +57,24 @@ def read_volume_series(
     Args:
         path: NIfTI, NRRD or MetaImage, or a folder of DICOM images (`read_dicom_cine`).
         timing: phase times, or a timing file; None uses the trigger times of DICOM images, else
-            `timing.json` in the image's folder, else phase i at i/N of an RR of 1.0 s, both marked as
-            assumed.
+            `timing.json` in the image's folder, else the times in the image's header, else phase i at i/N
+            of an RR of 1.0 s, both marked as assumed.
         frame: name of the image's LPS frame.
     Raises:
-        UnreadableFileError: as `read_volume`, or not 4-D.
+        UnreadableFileError: as `read_volume`, not 4-D, or times that contradict `timing.json`.
         InvalidInputError: timing of another number of phases.
     """
     path = Path(path)
-    if path.is_dir():
-        cine = read_dicom_cine(path, frame)
+    if path.is_dir() or is_dicom_folder(path):
+        cine = read_dicom_cine(path, frame, timed=timing is None)
         grid, values = cine.grid, cine.values
         timing = cine.timing if timing is None else timing
     else:
         grid, values = read_array(path, frame, 4)
-    if not isinstance(timing, CycleTiming):
-        timing = read_timing(timing, beside=path.parent, phases=len(values), image=path.name)
+    if timing is None:
+        timing = series_timing(path, len(values))
+    elif not isinstance(timing, CycleTiming):
+        timing = read_timing(timing, folder=path.parent, phases=len(values), image=path.name)
     if len(timing) != len(values):
         raise InvalidInputError(
             f"{path} has {len(values)} phases, its timing {len(timing)}; they must agree", path=path
@@ -76,8 +82,32 @@ def read_volume_series(
     return VolumeSeries(grid, values, timing)
 
 
+def series_timing(path: Path, phases: int) -> CycleTiming:
+    """Read the timing in an image's header or in `timing.json` of its folder; both must agree.
+
+    Raises:
+        UnreadableFileError: times of no heart, of another number of phases, or that contradict each other.
+    """
+    file = path.parent / "timing.json"
+    with reading(path, "an image (NIfTI, NRRD or MetaImage)"):
+        header = image_header(path)
+        try:
+            stated = None if header.times is None else header.times.timing(path)
+        except InvalidInputError as exc:
+            if not file.is_file():
+                raise
+            log.warning("%s; %s in its folder is used", exc.message, file.name)
+            stated = None
+        if stated is not None and not file.is_file():
+            return stated
+        timing = read_timing(None, folder=path.parent, phases=phases, image=path.name)
+        if stated is not None:
+            require_same_timing(path, stated, file, timing)
+        return timing
+
+
 def image_dimension(path: Path | str) -> int:
-    """Return 3 or 4, from the header alone; 4 for a folder of DICOM images.
+    """Return 3 or 4, from the header alone: 3 for a single phase, 4 for a folder of DICOM images.
 
     Raises:
         UnreadableFileError: absent, not an image, or of another dimension.
@@ -86,8 +116,7 @@ def image_dimension(path: Path | str) -> int:
     if is_dicom_folder(path):
         return 4
     with reading(path, "an image (NIfTI, NRRD or MetaImage)"):
-        header = image_header(path)
-        count = len(read_nifti_header(path).sizes if header is None else header.sizes)
+        count = image_header(path).dimension
         if count not in (3, 4):
             raise UnreadableFileError(
                 f"{path} is {count}-D; needed a 3-D image, or 4-D of the phases of a cycle"
@@ -95,17 +124,17 @@ def image_dimension(path: Path | str) -> int:
         return count
 
 
-def image_header(path: Path) -> ImageHeader | None:
-    """Parse the header of a MetaImage or NRRD file by content and ending; None for NIfTI.
+def image_header(path: Path) -> ImageHeader:
+    """Parse the header of an image by content and ending.
 
     Raises:
         UnreadableFileError: damaged, or another format.
     """
+    if _is_nifti(path):
+        return read_nifti_header(path)
     name = path.name.lower()
     with path.open("rb") as stream:
         begin = stream.read(4)
-    if name.endswith(NIFTI_SUFFIXES):
-        return None
     if begin == b"NRRD" or name.endswith((".nrrd", ".nhdr")):
         return read_nrrd_header(path)
     if name.endswith((".mha", ".mhd")):
@@ -113,6 +142,10 @@ def image_header(path: Path) -> ImageHeader | None:
     raise UnreadableFileError(
         f"{path} has no known image ending; needed one of {', '.join((*SUFFIXES, *NIFTI_SUFFIXES[2:]))}"
     )
+
+
+def _is_nifti(path: Path) -> bool:
+    return path.name.lower().endswith(NIFTI_SUFFIXES)
 
 
 def write_volume(volume: Volume, path: Path | str) -> None:
@@ -137,64 +170,51 @@ def write_volume_series(series: VolumeSeries, path: Path | str) -> None:
     _write(joined, Path(path))
 
 
-def read_array(path: Path, frame: str, dimension: int) -> tuple[Grid, AnyArray]:
-    """Read grid and values, indexed [x, y, z] or [phase, x, y, z].
+def read_array(
+    path: Path, frame: str, dimension: int, header: ImageHeader | None = None
+) -> tuple[Grid, AnyArray]:
+    """Read grid and values, indexed [x, y, z] or [phase, x, y, z], with the phases in order of their times.
 
     3D Slicer stores sequences and layers of segments as NRRD with a list of values at each voxel; such a list
     is the fourth dimension.
 
+    Args:
+        dimension: 3 or 4; a single phase counts as 3-D.
+        header: the file's; None parses it.
     Raises:
         UnreadableFileError: as `read_volume`, or of another dimension.
     """
     with reading(path, "an image (NIfTI, NRRD or MetaImage)"):
-        header = image_header(path)
-        if header is None:
-            return _read_nifti(path, frame, dimension)
-        size, count = len(header.sizes), header.values_per_voxel
-        if size != dimension or count != 1:
+        header = image_header(path) if header is None else header
+        if header.dimension != dimension or header.values_per_voxel != 1:
             raise UnreadableFileError(
-                f"{path} is {size}-D with {count} value(s) per voxel; needed {dimension}-D with one"
+                f"{path} is {header.dimension}-D with {header.values_per_voxel} value(s) per voxel; needed "
+                f"{dimension}-D with one"
             )
         _require_plausible(path, header.origin_mm, header.spacing_mm)
-        values = read_voxels(path, header)
+        values = (read_nifti_voxels if _is_nifti(path) else read_voxels)(path, header)
+        if dimension == 3 and header.phase_axis is not None:
+            values = values[0]
+        elif header.times is not None and not np.array_equal(
+            order := header.times.order(path), np.arange(len(values))
+        ):
+            log.warning("%s: its volumes were put in order of %s", path, header.times.field)
+            values = values[order]
         geometry = (header.origin_mm, header.spacing_mm, header.direction)
         return _right_handed(path, frame, *_exact(header.fields.get(_EXACT_KEY, ""), *geometry), values)
 
 
-def _read_nifti(path: Path, frame: str, dimension: int) -> tuple[Grid, AnyArray]:
-    """Read a NIfTI image for `read_array`."""
-    import SimpleITK
-
-    header = read_nifti_header(path)
-    if len(header.sizes) != dimension:
-        raise UnreadableFileError(
-            f"{path} is {len(header.sizes)}-D with 1 value(s) per voxel; needed {dimension}-D with one"
-        )
-    image = SimpleITK.ImageFileReader()  # ITK resolves the position from qform and sform
-    image.SetImageIO("NiftiImageIO")
-    image.SetFileName(str(path))
-    try:
-        image.ReadImageInformation()
-    except RuntimeError as exc:
-        raise UnreadableFileError(f"{path} is not a readable image: {_itk_reason(exc)}") from exc
-    if tuple(image.GetSize()) != header.sizes or image.GetNumberOfComponents() != 1:
-        raise UnreadableFileError(f"{path} holds several values per voxel; needed an image with one")
-    values = read_nifti_voxels(path, header)
-    for file in nifti_files(path):
-        record_file(file)
-    values = np.moveaxis(values, -1, 0) if dimension == 4 else values
-    origin, spacing = np.array(image.GetOrigin()[:3]), np.array(image.GetSpacing()[:3])
-    _require_plausible(path, origin, spacing)
-    direction = np.array(image.GetDirection()).reshape(dimension, dimension)[:3, :3]
-    return _right_handed(path, frame, origin, spacing, direction, values)
-
-
 def _require_plausible(path: Path, origin: FloatArray, spacing: FloatArray) -> None:
-    limits.require_lengths(origin, "the image's origin")
-    low, high = limits.SPACING_MM
+    """Refuse an image farther away than a table or tracker reaches, or voxels that no scanner has."""
+    if (far := float(np.abs(origin).max())) > SCANNER_MM:
+        raise UnreadableFileError(
+            f"{path}: its origin is {far:.3g} mm away; needed at most {SCANNER_MM:g}: check the unit"
+        )
+    low, high = limits.VOXEL_MM
     if not ((spacing >= low) & (spacing <= high)).all():
         raise UnreadableFileError(
-            f"{path}: its voxels have sides of {spacing.tolist()}; needed {low:g} to {high:g} mm"
+            f"{path}: its voxels have sides of {spacing.tolist()} mm; needed {low:g} to {high:g} mm: "
+            "check the unit of its header, which may be m or um"
         )
 
 

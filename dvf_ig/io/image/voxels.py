@@ -1,5 +1,6 @@
 """Read the voxels of a MetaImage or NRRD file, raw or compressed, and no more than its header states."""
 
+import logging
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,8 @@ from dvf_ig.io.provenance import record_file
 from dvf_ig.io.reading import refuse_lfs_pointer
 
 from .header import ImageHeader, Storage
+
+log = logging.getLogger(__name__)
 
 _AT_ONCE = 256
 """Bytes copied per step: four cache lines of a processor."""
@@ -34,7 +37,8 @@ def read_voxels(path: Path, header: ImageHeader) -> AnyArray:
     stored_bytes = sum(file.stat().st_size for file in storage.files or (path,))
     if needed > stored_bytes * (MOST_PACKED if storage.compressed else 1):
         require_size(path, stored_bytes, needed)
-    flat = (_unpacked if storage.compressed else _raw)(path, storage, needed)
+    stated = header.fields.get("CompressedDataSize", "")
+    flat = _unpacked(path, storage, needed, stated) if storage.compressed else _raw(path, storage, needed)
     for file in storage.files:
         record_file(file)
     stored = flat.view(header.dtype).reshape(header.sizes[::-1]).T
@@ -52,8 +56,10 @@ def _raw(path: Path, storage: Storage, needed: int) -> AnyArray:
     share, flat = needed // len(parts), np.empty(needed, np.uint8)
     for part, target in zip(parts, flat.reshape(len(parts), share), strict=True):
         size = part.stat().st_size
-        skip = storage.skip if storage.files else storage.offset
-        begin = max(size - share, 0) if skip is None else skip
+        first = 0 if storage.files else storage.offset
+        begin = max(size - share, first) if storage.skip is None else first + storage.skip
+        if storage.skip is None and begin > first:
+            log.warning("%s: %d bytes before its voxels are skipped, as its header asks", part, begin - first)
         require_size(part, size - begin, share)
         with part.open("rb") as stream:
             stream.seek(begin)
@@ -62,12 +68,16 @@ def _raw(path: Path, storage: Storage, needed: int) -> AnyArray:
     return flat
 
 
-def _unpacked(path: Path, storage: Storage, needed: int) -> AnyArray:
+def _unpacked(path: Path, storage: Storage, needed: int, stated: str) -> AnyArray:
     packed = b"".join(file.read_bytes() for file in storage.files)
     if not storage.files:
         with path.open("rb") as stream:
             stream.seek(storage.offset)
             packed = stream.read()
+    if stated and stated != str(len(packed)):
+        raise UnreadableFileError(
+            f"{path}: CompressedDataSize is {stated[:20]}, but {len(packed)} bytes follow; copy it again"
+        )
     return inflated(path, packed, needed)
 
 

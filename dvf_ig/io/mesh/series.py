@@ -80,7 +80,7 @@ def read_surface_series(
         timing = (
             timing_file
             if isinstance(timing_file, CycleTiming)
-            else read_timing(timing_file, beside=folder, phases=len(files), rr_s=rr_s)
+            else read_timing(timing_file, folder=folder, phases=len(files), rr_s=rr_s)
         )
         for file, mesh in zip(files, meshes, strict=True):
             if problem := surface_problem(mesh.vertices):

@@ -15,7 +15,7 @@ from dvf_ig.core.model import DvfModel
 from dvf_ig.core.space.mesh import Mesh
 from dvf_ig.core.timing.cycle import CycleTiming
 from dvf_ig.io.limits import MODEL_BYTES
-from dvf_ig.io.npz import read_npz
+from dvf_ig.io.npz import read_npz, require_npz_sizes
 from dvf_ig.io.reading import read_bytes, reading
 from dvf_ig.io.writing.atomic import write_bytes
 from dvf_ig.io.yaml_config import validated
@@ -63,7 +63,10 @@ def read_model(path: Path | str, patient_id: str | None = None) -> DvfModel:
         UnreadableFileError: absent, not a model, another schema, or any byte changed since it was written.
         InvalidInputError: the model of another patient.
     """
-    model = parse_model(read_bytes(Path(path), "a model file"), Path(path))
+    path = Path(path)
+    with reading(path, "a model file"):
+        _require_ends(path)
+    model = parse_model(read_bytes(path, "a model file"), path)
     if patient_id is not None:
         model.require_patient(patient_id, f"{path} is the model")
     return model
@@ -140,6 +143,27 @@ def _digest(header: dict[str, Any], arrays: dict[str, AnyArray]) -> str:
     return digest.hexdigest()
 
 
+def _require_ends(path: Path) -> None:
+    """Refuse, before the whole file is read, one that does not begin or end like a model, or is too large."""
+    if not path.is_file():
+        return  # a pipe has no size; its content is checked as a whole
+    size = path.stat().st_size
+    with path.open("rb") as stream:
+        begin = stream.read(2)
+        stream.seek(max(size - _CHECKSUM_BYTES, 0))
+        end = stream.read(_CHECKSUM_BYTES)
+    if begin != b"PK":
+        raise UnreadableFileError(f"{path} is not a model file; build one with: dvf-ig model build")
+    if not end.startswith(_CHECKSUM):
+        raise _damaged(path, size)
+    try:
+        require_npz_sizes(path, MODEL_BYTES)
+    except UnreadableFileError as exc:
+        raise UnreadableFileError(
+            f"{path} is not an intact model file ({exc.message}); build it again"
+        ) from exc
+
+
 def _check_checksum(path: Path, data: bytes) -> None:
     """Refuse files that are not model files, and model files with any changed byte."""
     if not data.startswith(b"PK"):
@@ -147,10 +171,14 @@ def _check_checksum(path: Path, data: bytes) -> None:
     body, stated = data[:-64], data[-64:]
     has_checksum = data[-_CHECKSUM_BYTES:-64] == _CHECKSUM
     if not has_checksum or hashlib.sha256(body).hexdigest().encode("ascii") != stated:
-        raise UnreadableFileError(
-            f"{path} is not an intact model file ({len(data)} bytes, its checksum does not match): "
-            "it was truncated, changed, or not written by dvf-ig; build it again"
-        )
+        raise _damaged(path, len(data))
+
+
+def _damaged(path: Path, size: int) -> UnreadableFileError:
+    return UnreadableFileError(
+        f"{path} is not an intact model file ({size} bytes, its checksum does not match): "
+        "it was truncated, changed, or not written by dvf-ig; build it again"
+    )
 
 
 def _unpack(path: Path, data: bytes) -> tuple[dict[str, Any], dict[str, AnyArray]]:

@@ -1,6 +1,6 @@
 """A cine of DICOM images, written by pydicom: every voxel at its place and time, and what is refused."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from dvf_ig.core import UnreadableFileError
 from dvf_ig.intake import describe
 from dvf_ig.io import image_dimension, read_volume_series
+from dvf_ig.io.dicom.child import read_tags
 from dvf_ig.io.dicom.cine import read_dicom_cine
 from dvf_ig.io.dicom.header import read_images
 from dvf_ig.io.dicom.stack import CineStack, stack_of
@@ -125,16 +126,18 @@ def test_rescale_slope_and_other_files(tmp_path: Path, caplog: pytest.LogCapture
 
     written = write(tmp_path / "cine", halves)
     (written / "notes.txt").write_text("not an image")
+    (written / "._IM0003").write_bytes(b"\0\5\x16\7" + bytes(200))
     (written / "DICOMDIR").write_bytes(bytes(128) + b"DICM")
     values = read_dicom_cine(written).values
     assert values[1, 3, 2, 1] == 0.5 * value(3, 2, 1, 1) - 1
     assert "1 files that are not DICOM" in caplog.text
+    assert "1 files of macOS were skipped, for example ._IM0003" in caplog.text
 
 
 @pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Tags as pydicom finds them, which starts no process."""
-    monkeypatch.setattr("dvf_ig.io.dicom.header.read_headers", tags_by_pydicom)
+    """Tags read in this process."""
+    monkeypatch.setattr("dvf_ig.io.dicom.header.read_tags", lambda files: [read_tags(str(f)) for f in files])
 
 
 def stack(folder: Path) -> CineStack:
@@ -150,6 +153,106 @@ def test_without_trigger_times_the_order_is_that_of_the_instances(tmp_path: Path
     assert found.timing.timing_assumed
     assert found.timing.rr_assumed
     assert [[image.number for image in row] for row in found.images] == [[1, 2, 3, 4, 5]] * SLICES
+
+
+@pytest.mark.usefixtures("quick")
+@pytest.mark.parametrize("stated", [(0, 0, 0, 0, 0), (0, 2000, 4000, 6000, 8000)])
+@pytest.mark.parametrize("temporal", [True, False])
+def test_trigger_times_of_no_heart_order_nothing(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, stated: tuple[int, ...], temporal: bool
+) -> None:
+    """dcm2niix issues 395, 408, 529: all zero, or the start of each scan; instance numbers may be jumbled."""
+    jumbled = (3, 1, 5, 2, 4)
+
+    def change(data: Any, number: int, phase: int) -> None:
+        data.TriggerTime, data.NominalInterval = stated[phase], 0
+        if temporal:
+            data.TemporalPositionIdentifier, data.InstanceNumber = phase + 1, jumbled[phase]
+
+    result = stack(write(tmp_path / "cine", change))
+    assert [image.path.name for image in result.images[0]] == [
+        f"IM{(7 * p + 3) % 11:04d}" for p in range(PHASES)
+    ]
+    assert result.timing.timing_assumed
+    assert "not those of a heart" in caplog.text
+    assert ("temporal positions" if temporal else "instance numbers") in caplog.text
+
+
+def enhanced(path: Path, change: Callable[[Any], None] = lambda data: None) -> Path:
+    """The stack as one file, its frames in an order of their own."""
+    from pydicom import Dataset
+    from pydicom.uid import EnhancedMRImageStorage
+
+    frames = [(phase, number) for phase in reversed(range(PHASES)) for number in range(SLICES)]
+    images = [image(number, phase) for phase, number in frames]
+    data = image(0, 0)
+    data.SOPClassUID = data.file_meta.MediaStorageSOPClassUID = EnhancedMRImageStorage
+    groups = []
+    for one in images:
+        group, place, time = Dataset(), Dataset(), Dataset()
+        place.ImagePositionPatient = one.ImagePositionPatient
+        time.NominalCardiacTriggerDelayTime, time.RRIntervalTimeNominal = one.TriggerTime, one.NominalInterval
+        group.PlanePositionSequence, group.CardiacSynchronizationSequence = [place], [time]
+        groups.append(group)
+    shared, measures, turn = Dataset(), Dataset(), Dataset()
+    measures.PixelSpacing, turn.ImageOrientationPatient = data.PixelSpacing, data.ImageOrientationPatient
+    shared.PixelMeasuresSequence, shared.PlaneOrientationSequence = [measures], [turn]
+    moved = (
+        "ImagePositionPatient",
+        "ImageOrientationPatient",
+        "PixelSpacing",
+        "TriggerTime",
+        "NominalInterval",
+    )
+    for name in moved:
+        delattr(data, name)
+    data.SharedFunctionalGroupsSequence, data.PerFrameFunctionalGroupsSequence = [shared], groups
+    data.NumberOfFrames, data.PixelData = len(images), b"".join(one.PixelData for one in images)
+    change(data)
+    data.save_as(path, enforce_file_format=True)
+    return path
+
+
+def test_an_enhanced_file_is_the_classic_stack(tmp_path: Path, folder: Path) -> None:
+    classic, one = read_dicom_cine(folder), read_dicom_cine(enhanced(tmp_path / "IM1"))
+    np.testing.assert_array_equal(one.values, classic.values)
+    np.testing.assert_allclose(one.grid.axes_mm, classic.grid.axes_mm)
+    np.testing.assert_allclose(one.grid.origin_mm, classic.grid.origin_mm)
+    np.testing.assert_allclose(one.timing.fractions, classic.timing.fractions)
+    assert (one.timing.rr_s, one.patient_id) == (classic.timing.rr_s, classic.patient_id)
+
+
+def _twice(data: Any) -> None:
+    data.PixelSpacing = [3.0, 3.0]
+
+
+def _fewer(data: Any) -> None:
+    data.NumberOfFrames -= 1
+
+
+def _scaled(data: Any) -> None:
+    from pydicom import Dataset
+
+    for n, group in enumerate(data.PerFrameFunctionalGroupsSequence):
+        scale = Dataset()
+        scale.RescaleSlope, scale.RescaleIntercept = 1 + n % 2, 0
+        group.PixelValueTransformationSequence = [scale]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (_twice, "frame 1 states PixelSpacing as 3.0.*and as 1.6"),
+        (_fewer, "holds 19 frames, with positions of 20"),
+        (_scaled, "different rescale slopes and intercepts"),
+    ],
+)
+@pytest.mark.usefixtures("quick")
+def test_an_enhanced_file_that_contradicts_itself_is_refused(
+    tmp_path: Path, change: Callable[[Any], None], message: str
+) -> None:
+    with pytest.raises(UnreadableFileError, match=message):
+        read_dicom_cine(enhanced(tmp_path / "IM1", change))
 
 
 @pytest.mark.usefixtures("quick")
@@ -169,6 +272,22 @@ def set_in(number: int, **tags: Any) -> Change:
                 setattr(data, name, entry)
 
     return change
+
+
+def every(**tags: Any) -> Change:
+    def change(data: Any, number: int, phase: int) -> None:
+        for name, entry in tags.items():
+            setattr(data, name, entry)
+
+    return change
+
+
+def backward(data: Any, number: int, phase: int) -> None:
+    data.TemporalPositionIdentifier = PHASES - phase
+
+
+def in_seconds(data: Any, number: int, phase: int) -> None:
+    data.TriggerTime = round(data.TriggerTime / 1000, 6)
 
 
 def matrix(data: Any, number: int, phase: int) -> None:
@@ -214,7 +333,18 @@ def moved_slice(data: Any, number: int, phase: int) -> None:
         (set_in(2, TriggerTime=30), (), "two images of trigger time 30 ms"),
         (untimed_slice, (), "5 of 20 images have no trigger time"),
         (sideways, (), "shifted sideways by 5.0 mm"),
-        (frames, (), "several frames"),
+        (frames, (), "holds 2 frames, with positions of 1"),
+        (set_in(1, SpacingBetweenSlices=12), (), None),
+        (
+            every(SpacingBetweenSlices=12, SeriesInstanceUID="1.2"),
+            (),
+            "are 9.00 mm apart .* 12 mm by Spacing",
+        ),
+        (set_in(1, RescaleSlope=0, RescaleIntercept=5), (), "RescaleSlope .* is not a number other than 0"),
+        (every(NumberOfTemporalPositions=6), (), "holds 5 phases, and its images state 6"),
+        (backward, (), "by trigger time .* temporal positions .* are 5 and 4"),
+        (every(HeartRate=120), (), "800 ms and a heart rate .* of 120 beats"),
+        (in_seconds, (), "spans 0.1 % of the RR interval"),
         (set_in(0, PixelSpacing=[1e-9, 1]), (), "pixels have sides"),
     ],
 )
@@ -223,27 +353,15 @@ def test_what_is_no_stack_is_refused_in_one_sentence(
     tmp_path: Path,
     change: Change | None,
     leave_out: tuple[tuple[int, int], ...],
-    message: str,
+    message: str | None,
 ) -> None:
     written = write(tmp_path / "cine", change, leave_out)
+    if message is None:
+        assert read_dicom_cine(written).grid.spacing_mm[2] == pytest.approx(SPACING[2])
+        return
     with pytest.raises(UnreadableFileError, match=message) as refused:
         read_dicom_cine(written)
     assert "\n" not in str(refused.value)
-
-
-def tags_by_pydicom(files: Sequence[Path], tags: Sequence[str]) -> list[dict[str, Any]]:
-    headers = []
-    for file in files:
-        data = pydicom.dcmread(file)
-        known = {tag: data.get(tuple(int(part, 16) for part in tag.split("|"))) for tag in tags}
-        texts = {
-            tag: "\\".join(map(str, one.value)) if one.VM > 1 else str(one.value)
-            for tag, one in known.items()
-            if one is not None
-        }
-        size = [data.Columns, data.Rows, int(data.get("NumberOfFrames", 1))]
-        headers.append({"size": size, "components": 1, "tags": texts})
-    return headers
 
 
 def test_damaged_files_are_named_and_end_no_process(tmp_path: Path) -> None:

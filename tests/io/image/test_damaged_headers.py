@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 import SimpleITK
 
-from dvf_ig.core import UnreadableFileError
+from dvf_ig.core import CycleTiming, UnreadableFileError
 from dvf_ig.intake import describe
-from dvf_ig.io import read_label_names, read_labels, read_volume, read_volume_series
+from dvf_ig.io import read_label_names, read_labels, read_volume, read_volume_series, write_timing
 from dvf_ig.io.image.volume import image_dimension
 
 VOXELS = bytes(range(24))
@@ -25,6 +25,7 @@ NRRD = {
     "encoding": "raw",
     "space origin": "(10,20,30)",
 }
+SFORM = (1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0)
 NRRD_4D = NRRD | {
     "dimension": "4",
     "sizes": "2 3 4 2",
@@ -104,10 +105,23 @@ def nifti(path: Path, at: int, form: str, *values: float) -> Path:
         ({"data file": "/dev/zero"}, "its own folder"),
         ({"data file": "%d.raw 0 999999999 1"}, "names 1000000000 files"),
         ({"data file": "%s%n.raw"}, "does not exist"),
+        ({"spacings": "1 2 4"}, "states its axes twice .*'1 2 4'"),
+        ({"spacings": "nan nan nan"}, None),
+        ({"axis mins": "0 0 5"}, "states its axes twice"),
+        ({"space": None, "space directions": None, "space origin": None}, "spacings is ''"),
+        ({"space orign": "(1,2,3)"}, "a field 'space orign', which NRRD does not define"),
+        ({"old min": "0"}, "values are quantised"),
+        ({"sizes": "2 3 3"}, "longer than its header says"),
+        ({"byte skip": "6", "sizes": "2 3 3"}, None),
+        ({"space directions": "(0.001,0,0) (0,0.002,0) (0,0,0.003)"}, "which may be m or um"),
+        ({"space directions": "(1000,0,0) (0,2000,0) (0,0,3000)"}, "which may be m or um"),
     ],
 )
-def test_nrrd_headers(tmp_path: Path, changes: dict[str, str | None], sentence: str) -> None:
+def test_nrrd_headers(tmp_path: Path, changes: dict[str, str | None], sentence: str | None) -> None:
     path = nrrd(tmp_path / "a.nrrd", changes)
+    if sentence is None:
+        assert read_volume(path).values[1, 2, -1] == VOXELS[-1]
+        return
     with pytest.raises(UnreadableFileError, match=sentence) as caught:
         read_volume(path)
     assert str(tmp_path) in str(caught.value)
@@ -124,6 +138,11 @@ def test_nrrd_headers(tmp_path: Path, changes: dict[str, str | None], sentence: 
         ({"DimSize": "2 3 3"}, "longer than its header says"),
         ({"DimSize": "1024 1024 1024", "CompressedData": "True"}, "truncated"),
         ({"CompressedData": "True"}, "damaged"),
+        (
+            {"CompressedData": "True", "CompressedDataSize": "25"},
+            "CompressedDataSize is 25, but 24 bytes follow",
+        ),
+        ({"CompresedData": "True"}, "field CompresedData is not known; write CompressedData"),
         ({"CompressedData": "perhaps"}, "CompressedData"),
         ({"Offset": "nan 0 0"}, "finite"),
         ({"Offset": "1e11 0 0"}, "check the unit"),
@@ -143,6 +162,21 @@ def test_nrrd_headers(tmp_path: Path, changes: dict[str, str | None], sentence: 
         ({"ElementDataFile": "a\0b"}, "own folder"),
         ({"BinaryData": "False"}, "binary"),
         ({"ObjectType": "Tube"}, "needed an Image"),
+        (
+            {"HeaderSize": "6", "DimSize": "2 3 3"},
+            "HeaderSize is 6, which applies to raw voxels in a separate",
+        ),
+        ({"ElementSpacing": None}, "ElementSpacing is ''"),
+        ({"ElementSize": "1 2 4"}, "ElementSpacing is '1 2 3', its ElementSize '1 2 4'"),
+        ({"Position": "1 2 3"}, "occurs twice"),
+        ({"ElementToIntensityFunctionSlope": "2"}, "is '2', which is not applied"),
+        ({"CenterOfRotation": "0 0 5"}, "is '0 0 5', which is not applied"),
+        (
+            {"AnatomicalOrientation": "LPI"},
+            "AnatomicalOrientation is 'LPI', but its TransformMatrix '1 0 0 0",
+        ),
+        ({"ElementSpacing": "0.001 0.002 0.003"}, "which may be m or um"),
+        ({"Offset": "2e4 0 0"}, "check the unit"),
     ],
 )
 def test_metaimage_headers(tmp_path: Path, changes: dict[str, str | None], sentence: str) -> None:
@@ -178,6 +212,18 @@ def test_metaimage_headers(tmp_path: Path, changes: dict[str, str | None], sente
         ((108, "f", np.nan), "begin at byte"),
         ((268, "f", 1e11), "check the unit"),
         ((344, "4s", b"ni1\0"), "not marked as NIfTI"),
+        ((252, "2h", 0, 0), "qform_code and sform_code are 0"),
+        ((46, "h", 3), "longer than its header says"),
+        (
+            (252, "2h6f12f", 1, 1, 0, 0, 0, 0, 0, 0, *SFORM[:11], 5),
+            "up to 5.0 mm apart: .* at RAS 0 0 0 mm by",
+        ),
+        ((252, "2h6f12f", 1, 1, 0, 0, 1, 0, 0, 0, *SFORM), "two geometries"),
+        (
+            (252, "2h6f12f", 0, 1, 0, 0, 0, 0, 0, 0, 1.05, *SFORM[1:]),
+            "sform has voxels of 1.05 1 1 mm, its pix",
+        ),
+        ((80, "3f", 0.001, 0.001, 0.001), "which may be m or um"),
     ],
 )
 def test_nifti_headers(tmp_path: Path, field: tuple[int, str, float], sentence: str) -> None:
@@ -258,6 +304,112 @@ def test_a_list_of_values_a_voxel_is_a_series(tmp_path: Path, kinds: str, space:
         at = series.grid.to_index(np.array(image.TransformIndexToPhysicalPoint(index)))
         stored = [series.values[(phase, *np.rint(at).astype(int))] for phase in range(2)]
         assert tuple(stored) == image[index]
+
+
+TIMED = NRRD_4D | {"sizes": "2 3 2 4"}
+VALUES = "axis 3 index values:"
+MULTI = "MultiVolume.FrameLabels:"
+
+
+@pytest.mark.parametrize(
+    ("stated", "order", "fractions", "rr_s"),
+    [
+        ({VALUES: "=0 200 600 400", "units": '"" "" "" "ms"'}, [0, 1, 3, 2], [0, 0.25, 0.5, 0.75], 0.8),
+        ({VALUES: "=0.3 0.2 0.1 0.0"}, [3, 2, 1, 0], [0, 0.25, 0.5, 0.75], 0.4),
+        ({VALUES: "=10 40 70 80", "labels": '"" "" "" "%R-R"'}, [0, 1, 2, 3], [0.1, 0.4, 0.7, 0.8], 1.0),
+        ({VALUES: "=0 1 3 2", "labels": '"" "" "" "frame"'}, [0, 1, 3, 2], [0, 0.25, 0.5, 0.75], 1.0),
+        (
+            {MULTI: "=20,220,620,420", MULTI.replace("FrameLabels", "FrameIdentifyingDICOMTagUnits"): "=ms"},
+            [0, 1, 3, 2],
+            np.array([20, 220, 420, 620]) / 820,
+            0.82,
+        ),
+        ({"spacings": "nan nan nan 0.2", "units": '"" "" "" "s"'}, [0, 1, 2, 3], [0, 0.25, 0.5, 0.75], 0.8),
+    ],
+)
+def test_volumes_are_in_order_of_their_stated_times(
+    tmp_path: Path, stated: dict[str, str], order: list[int], fractions: list[float], rr_s: float
+) -> None:
+    """3D Slicer's sequences and multi-volumes; dcm2niix issue 407."""
+    voxels = np.repeat(np.arange(4, dtype=np.uint8), 12).tobytes()
+    text = "".join(
+        f"{name}: {value}\n" if name[-1] != ":" else f"{name}{value}\n" for name, value in stated.items()
+    )
+    path = nrrd(tmp_path / "a.nrrd", {"space origin": f"(0,0,0)\n{text.rstrip()}"}, voxels, TIMED)
+    series = read_volume_series(path)
+    assert series.values[:, 0, 0, 0].tolist() == order
+    np.testing.assert_allclose(series.timing.fractions, fractions, atol=1e-9)
+    assert series.timing.rr_s == pytest.approx(rr_s)
+    assert series.timing.rr_assumed
+    assert series.timing.timing_assumed == ("frame" in str(stated))
+    (labels,) = read_labels(nrrd(tmp_path / "one.nrrd", {"sizes": "2 3 4 1"}, VOXELS, NRRD_4D))
+    assert labels.grid.shape == (2, 3, 4)
+
+
+@pytest.mark.parametrize(
+    ("stated", "sentence"),
+    [
+        ({VALUES: "=0 200 200 400"}, "needed a time of its own for each"),
+        ({VALUES: "=0 200 400"}, "needed 4 finite numbers"),
+        ({VALUES: "=0 2 4 6", "units": '"" "" "" "s"'}, "a cycle of 8 s; a heart's has 0.2 to 3 s"),
+        ({VALUES: "=0 40 80 100", "units": '"" "" "" "%"'}, "needed fractions of one RR interval"),
+        ({VALUES: "=0 0.2 0.4 0.6", "units": '"" "" "" "%"'}, "spans 0.8 % of the RR interval"),
+        ({VALUES: "=0 1 2 3", MULTI: "=0,100,300,200"}, "put its volumes in different orders"),
+    ],
+)
+def test_times_of_no_cycle_are_refused(tmp_path: Path, stated: dict[str, str], sentence: str) -> None:
+    text = "".join(
+        f"{name}: {value}\n" if name[-1] != ":" else f"{name}{value}\n" for name, value in stated.items()
+    )
+    path = nrrd(tmp_path / "a.nrrd", {"space origin": f"(0,0,0)\n{text.rstrip()}"}, VOXELS * 2, TIMED)
+    with pytest.raises(UnreadableFileError, match=sentence):
+        read_volume_series(path)
+
+
+def test_a_timing_file_that_contradicts_the_header_is_refused_unless_it_is_chosen(tmp_path: Path) -> None:
+    path = nrrd(tmp_path / "a.nrrd", {"space origin": f"(0,0,0)\n{VALUES}=0 0.2 0.4 0.6"}, VOXELS * 2, TIMED)
+    for fractions, rr_s, refused in (([0, 0.25, 0.5, 0.75], 0.82, False), ([0, 0.25, 0.5, 0.75], 1.2, True)):
+        write_timing(CycleTiming(np.array(fractions), rr_s), tmp_path / "timing.json")
+        if refused:
+            with pytest.raises(
+                UnreadableFileError, match=r"a cycle of 0\.8 s, timing\.json in its folder 1\.2 s"
+            ):
+                read_volume_series(path)
+        else:
+            assert read_volume_series(path).timing.rr_s == rr_s
+        assert read_volume_series(path, tmp_path / "timing.json").timing.rr_s == rr_s
+
+
+def test_a_timing_file_replaces_times_of_no_heart(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    changes = {"space origin": f"(0,0,0)\n{VALUES}=0 40 80 120", "units": '"" "" "" "s"'}
+    path = nrrd(tmp_path / "a.nrrd", changes, VOXELS * 2, TIMED)
+    with pytest.raises(UnreadableFileError, match="a cycle of 160 s"):
+        read_volume_series(path)
+    write_timing(CycleTiming(np.arange(4) / 4, 0.8), tmp_path / "timing.json")
+    assert read_volume_series(path).timing.rr_s == 0.8
+    assert "timing.json in its folder is used" in caplog.text
+
+
+def test_labels_are_whole_numbers(tmp_path: Path) -> None:
+    path = meta(tmp_path / "a.mha", {"ElementType": "MET_FLOAT"}, np.full(24, 0.25, "<f4").tobytes())
+    with pytest.raises(UnreadableFileError, match=r"holds 0\.25; needed labels"):
+        read_labels(path)
+
+
+@pytest.mark.parametrize("name", ["a.nii", "a.mha"])
+def test_labels_with_a_first_axis_of_one_voxel(
+    tmp_path: Path, name: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    """As arrays of a network with its channel first are saved: (1, x, y, z)."""
+    if name == "a.nii":
+        path = nifti(tmp_path / name, 40, "5h", 4, 1, 2, 3, 4)
+    else:
+        axes = " ".join(map(str, np.eye(4, dtype=int).ravel()))
+        shape = {"NDims": "4", "DimSize": "1 2 3 4", "Offset": "0 0 0 0", "ElementSpacing": "1 1 1 1"}
+        path = meta(tmp_path / name, {**shape, "TransformMatrix": axes})
+    (labels,) = read_labels(path)
+    assert labels.values.T.tobytes() == VOXELS or labels.values[..., ::-1].T.tobytes() == VOXELS
+    assert "its first axis has one voxel" in caplog.text
 
 
 @pytest.mark.parametrize("kind", ["int8", "int16", "uint32", "int64", "uint64", "float32", "float64"])

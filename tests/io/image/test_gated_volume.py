@@ -9,8 +9,15 @@ import SimpleITK
 from scipy import ndimage
 from scipy.spatial.transform import Rotation
 
-from dvf_ig.core import AnyArray, Grid, InvalidInputError, UnreadableFileError, Volume
-from dvf_ig.io import gated_volume_files, read_gated_volumes, write_volume
+from dvf_ig.core import AnyArray, Grid, InvalidInputError, TrackedVolume, UnreadableFileError, Volume
+from dvf_ig.intake import describe
+from dvf_ig.io import (
+    GatedVolumeFile,
+    gated_volume_files,
+    read_gated_volumes,
+    sequence_volumes,
+    write_volume,
+)
 from dvf_ig.io.image.gated_volume import insonified_voxels
 
 SHAPE = (30, 34, 26)
@@ -39,6 +46,11 @@ def written(path: Path, values: AnyArray, *, shift_mm: float = 0.0) -> Path:
     grid = Grid("tracker", SHAPE, np.array([-20.0 + shift_mm, 40, 7]), np.array([0.6, 0.6, 1.2]), TURN)
     write_volume(Volume(grid, values), path)
     return path
+
+
+def read(paths: list[Path], phases: list[float]) -> tuple[TrackedVolume, ...]:
+    files = [GatedVolumeFile(path, phase) for path, phase in zip(paths, phases, strict=True)]
+    return read_gated_volumes(sequence_volumes(files), phases)
 
 
 @pytest.mark.parametrize(
@@ -88,7 +100,7 @@ def test_any_pixel_type_gives_the_same_volume(tmp_path: Path, convert: str | typ
         stored = np.where(sector(), grey, np.nan).astype(np.float32)
     else:
         stored = grey.astype(convert)
-    (volume,) = read_gated_volumes([written(tmp_path / "us.nrrd", stored)], [0.25])
+    (volume,) = read([written(tmp_path / "us.nrrd", stored)], [0.25])
     np.testing.assert_array_equal(volume.image.values, grey)
     assert volume.image.values.dtype == np.uint8
     assert volume.model_phase == 0.25
@@ -103,7 +115,7 @@ def test_the_header_places_it_in_the_trackers_lps_coordinates(tmp_path: Path, en
     made.SetOrigin([-31.0, 12.0, 77.0])
     made[5, 2, 3] = 200
     SimpleITK.WriteImage(made, str(tmp_path / f"us.{ending}"))
-    (volume,) = read_gated_volumes([tmp_path / f"us.{ending}"], [0.0])
+    (volume,) = read([tmp_path / f"us.{ending}"], [0.0])
     bright = np.argwhere(volume.image.values == 200).astype(float)
     place = volume.tracker_from_image.apply_array(volume.image.grid.to_mm(bright))
     assert volume.tracker_from_image.target == "tracker"
@@ -134,7 +146,7 @@ def test_images_of_one_sector_share_what_was_insonified(tmp_path: Path) -> None:
         written(tmp_path / "b.nrrd", second, shift_mm=3.0),
     ]
     assert insonified_voxels(second).sum() < 0.99 * sector().sum()
-    for volume in read_gated_volumes(files, [0.0, 0.5]):
+    for volume in read(files, [0.0, 0.5]):
         np.testing.assert_array_equal(volume.mask.values, sector())
 
 
@@ -144,7 +156,7 @@ def test_views_resampled_to_one_grid_keep_their_own_sectors(tmp_path: Path) -> N
         written(tmp_path / "a.nrrd", image(1, dark=0.0)),
         written(tmp_path / "b.nrrd", image(2, seen=other, dark=0.0)),
     ]
-    first, second = read_gated_volumes(files, [0.0, 0.5])
+    first, second = read(files, [0.0, 0.5])
     np.testing.assert_array_equal(first.mask.values, sector())
     np.testing.assert_array_equal(second.mask.values, other)
 
@@ -160,6 +172,63 @@ def listed(path: Path) -> None:
         b"space directions: none (1,0,0) (0,1,0) (0,0,1)\nkinds: list domain domain domain\n"
         b"encoding: raw\nspace origin: (0,0,0)\n\n" + bytes(54)
     )
+
+
+def echo(path: Path, times: str, unit: str, label: str = "time") -> Path:
+    """4-D echo as SlicerHeart saves it; volume i is 10 (i + 1) everywhere."""
+    count = len(times.split())
+    voxels = np.broadcast_to(10 * (1 + np.arange(count, dtype=np.uint8)), (3, 3, 3, count))
+    path.write_bytes(
+        f"NRRD0005\ntype: unsigned char\ndimension: 4\nspace: left-posterior-superior\nsizes: {count} 3 3 3\n"
+        f"space directions: none (1,0,0) (0,1,0) (0,0,1)\nkinds: list domain domain domain\n"
+        f'labels: "{label}" "" "" ""\nunits: "{unit}" "" "" ""\nencoding: raw\nspace origin: (0,0,0)\n'
+        f"axis 0 index type:=numeric\naxis 0 index values:={times}\n\n".encode()
+        + voxels.tobytes()
+    )
+    return path
+
+
+def test_a_4d_echo_is_its_volumes_at_their_times(tmp_path: Path) -> None:
+    path = echo(tmp_path / "us.seq.nrrd", "0 80 40 160", "ms")
+    files = sequence_volumes([GatedVolumeFile(path, t_s=12.0)])
+    np.testing.assert_allclose([file.t_s or 0 for file in files], [12.0, 12.04, 12.08, 12.16])
+    volumes = read_gated_volumes(files, [0.1, 0.2, 0.3, 0.4])
+    assert [int(volume.image.values[1, 1, 1]) for volume in volumes] == [10, 30, 20, 40]
+    assert [volume.model_phase for volume in volumes] == [0.1, 0.2, 0.3, 0.4]
+
+
+def test_a_4d_echo_of_more_or_less_than_a_cycle_is_described(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    facts = describe(str(echo(tmp_path / "us.seq.nrrd", "0 40 80", "ms"))).facts
+    assert (facts["volumes"], "rr_s" in facts) == (3, False)
+    assert "a cycle of 0.12 s" in caplog.text
+
+
+def test_a_gated_4d_echo_is_its_volumes_at_their_phases(tmp_path: Path) -> None:
+    path = echo(tmp_path / "us.seq.nrrd", "0 25 50", "", "%R-R")
+    files = sequence_volumes(gated_volume_files([f"{path}@0.9"]))
+    np.testing.assert_allclose([file.phase or 0 for file in files], [0.9, 0.15, 0.4])
+
+
+@pytest.mark.parametrize(
+    ("times", "unit", "placed", "says"),
+    [
+        ("0 40 80", "s", {"t_s": 1.0}, "40 s apart"),
+        ("0 40 80", "ms", {"phase": 0.0}, "write FILE=SECONDS"),
+        ("0 40 80", "%", {"t_s": 1.0}, "write FILE@PHASE"),
+        ("0 40 140", "%", {"phase": 0.0}, "fractions of one RR interval"),
+        ("0 40 40", "ms", {"t_s": 1.0}, "a time of its own"),
+        ("0 40", "furlong", {"t_s": 1.0}, "is in 'furlong'"),
+        ("0 1 2", "", {"phase": 0.1}, "is in ''; needed times in s or ms: state the unit"),
+    ],
+)
+def test_a_4d_echo_whose_times_are_none_is_refused(
+    tmp_path: Path, times: str, unit: str, placed: dict[str, float], says: str
+) -> None:
+    path = echo(tmp_path / "us.seq.nrrd", times, unit)
+    with pytest.raises(UnreadableFileError, match=says):
+        sequence_volumes([GatedVolumeFile(path, **placed)])
 
 
 def colours(path: Path) -> None:
@@ -186,8 +255,8 @@ def planes(path: Path) -> None:
 @pytest.mark.parametrize(
     ("make", "name", "says"),
     [
-        (several, "us.nii.gz", "split it"),
-        (listed, "us.seq.nrrd", "split it"),
+        (several, "us.nii.gz", "several volumes without their times; split it"),
+        (listed, "us.seq.nrrd", "several volumes without their times; split it"),
         (colours, "us.nrrd", "needed 3-D with one"),
         (bright, "us.nrrd", "from 0 to 4080; needed log-compressed"),
         (decibels, "us.nrrd", "from -60"),
@@ -202,5 +271,5 @@ def test_what_is_no_volume_is_refused_by_name(
 ) -> None:
     make(tmp_path / name)
     with pytest.raises(UnreadableFileError, match=says) as refused:
-        read_gated_volumes([tmp_path / name], [0.0])
+        read([tmp_path / name], [0.0])
     assert name in str(refused.value)

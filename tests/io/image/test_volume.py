@@ -133,7 +133,9 @@ def test_real_cine_and_its_trigger_times(data_dir: Path) -> None:
     assert chamber.timing.rr_s == pytest.approx(0.876)
 
 
-def nifti(path: Path, *, sform: np.ndarray, code: int = 1, wide: bool = False, order: str = "<") -> None:
+def nifti(
+    path: Path, *, sform: np.ndarray, code: int = 1, q_code: int = 0, wide: bool = False, order: str = "<"
+) -> None:
     """A 2×2×2 uint8 NIfTI-1 (or -2) file with the given 3×4 sform."""
     header = bytearray(544 if wide else 352)
     if wide:
@@ -141,14 +143,14 @@ def nifti(path: Path, *, sform: np.ndarray, code: int = 1, wide: bool = False, o
         struct.pack_into(f"{order}8q", header, 16, 3, 2, 2, 2, 1, 1, 1, 1)
         struct.pack_into(f"{order}8d", header, 104, 1, 1, 1, 1, 1, 1, 1, 1)
         struct.pack_into(f"{order}q", header, 168, 544)
-        struct.pack_into(f"{order}ii", header, 344, 0, code)
+        struct.pack_into(f"{order}ii", header, 344, q_code, code)
         struct.pack_into(f"{order}12d", header, 400, *sform.ravel())
     else:
         struct.pack_into(f"{order}i", header, 0, 348)
         struct.pack_into(f"{order}8h", header, 40, 3, 2, 2, 2, 1, 1, 1, 1)
         struct.pack_into(f"{order}hh", header, 70, 2, 8)
         struct.pack_into(f"{order}9f", header, 76, 1, 1, 1, 1, 1, 1, 1, 1, 352)
-        struct.pack_into(f"{order}hh", header, 252, 0, code)
+        struct.pack_into(f"{order}hh", header, 252, q_code, code)
         struct.pack_into(f"{order}12f", header, 280, *sform.ravel())
         header[344:348] = b"n+1\0"
     data = bytes(header) + bytes(range(8))
@@ -178,7 +180,7 @@ def test_straight_nifti(tmp_path: Path, name: str) -> None:
 
 
 def test_unused_sform_does_not_matter(tmp_path: Path) -> None:
-    nifti(tmp_path / "v.nii", sform=SHEARED, code=0)
+    nifti(tmp_path / "v.nii", sform=SHEARED, code=0, q_code=1)
     assert read_volume(tmp_path / "v.nii").values.shape == (2, 2, 2)
 
 

@@ -156,6 +156,27 @@ def test_bad_files(tmp_path: Path) -> None:
         read_model(path)
 
 
+def test_a_large_damaged_file_is_refused_without_reading_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def unread(path: Path, what: str) -> bytes:
+        raise AssertionError(f"{path} was read as {what}")
+
+    monkeypatch.setattr("dvf_ig.io.model.model_file.read_bytes", unread)
+    path = tmp_path / "m.npz"
+    write_model(model(), path)
+    whole = path.read_bytes()
+    with path.open("r+b") as stream:
+        stream.truncate(2 << 30)  # sparse: no byte of it is stored
+    with pytest.raises(UnreadableFileError, match="not an intact model file \\(2147483648 bytes"):
+        read_model(path)
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, a=np.zeros(1 << 20))
+    path.write_bytes(buffer.getvalue()[:-2] + len(whole[-78:]).to_bytes(2, "little") + whole[-78:])
+    with pytest.raises(UnreadableFileError, match="holds compressed arrays"):
+        read_model(path)
+
+
 def test_another_schema(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with monkeypatch.context() as patch:
         patch.setattr("dvf_ig.io.model.model_file.SCHEMA", "dvf_ig.model/2")
