@@ -4,11 +4,12 @@ import ast
 import re
 from pathlib import Path
 
+from dvf_ig.session.pose import beat_jobs, confirmation, pose_tracker, registration_jobs
+from dvf_ig.session.ultrasound import beat_evaluation, frame_buffer, gated_frames
+
 from dvf_ig.core.space import pose_motion
 from dvf_ig.session import heart as session_heart
 from dvf_ig.session import stamp_order, tool_tracker
-from dvf_ig.session.pose import beat_jobs, confirmation, pose_tracker, registration_jobs
-from dvf_ig.session.ultrasound import beat_evaluation, frame_buffer, gated_frames
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "dvf_ig/docs/guide/one-frame.md").read_text(encoding="utf-8")

@@ -4,18 +4,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from dvf_ig.session.pose.registration_monitor import CONSISTENT_LOG_RATIO, confirms
 from known_patient import KnownBeat
 
 from dvf_ig.core import Rigid
 from dvf_ig.registration.tracking.pose_estimate import INFORMATIVE_LOG_RATIO
-from dvf_ig.session.pose.confirmation import (
+from dvf_ig.session.pose_states import (
     AGEING_MM_PER_S,
     MAX_AGE_S,
     MAX_BOUND_MM,
     MAX_MISSED_BEATS,
     Confirmation,
 )
-from dvf_ig.session.pose.registration_monitor import CONSISTENT_LOG_RATIO, confirms
 
 
 def test_a_confirmed_pose_lasts_five_seconds_or_three_beats() -> None:

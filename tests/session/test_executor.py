@@ -4,8 +4,8 @@ import threading
 
 import pytest
 
-from dvf_ig.session import Beside, InCaller
-from dvf_ig.session.executor import answered
+from dvf_ig.session import InlineExecutor, ThreadedExecutor
+from dvf_ig.session.work import answered
 
 
 def test_the_caller_works_when_the_result_is_due_and_not_before() -> None:
@@ -15,7 +15,7 @@ def test_the_caller_works_when_the_result_is_due_and_not_before() -> None:
         done.append(1)
         return 5
 
-    job = InCaller().submit(work)
+    job = InlineExecutor().submit(work)
     assert job.done()
     assert not done
     assert job.result() == 5
@@ -25,7 +25,7 @@ def test_the_caller_works_when_the_result_is_due_and_not_before() -> None:
 
 def test_threads_go_on_beside_a_caller_that_does_not_wait() -> None:
     gate = threading.Event()
-    with Beside(waits=False) as executor:
+    with ThreadedExecutor(waits=False) as executor:
         late, quick = executor.submit(lambda: gate.wait(10.0)), executor.submit(lambda: 3)
         assert quick.result() == 3
         assert quick.done()
@@ -37,7 +37,7 @@ def test_threads_go_on_beside_a_caller_that_does_not_wait() -> None:
 
 def test_a_caller_that_waits_may_always_take_the_result() -> None:
     gate = threading.Event()
-    with Beside(waits=True) as executor:
+    with ThreadedExecutor(waits=True) as executor:
         job = executor.submit(lambda: gate.wait(10.0))
         assert job.done()
         threading.Timer(0.02, gate.set).start()
@@ -46,7 +46,7 @@ def test_a_caller_that_waits_may_always_take_the_result() -> None:
 
 @pytest.mark.parametrize("waits", [True, False])
 def test_an_exception_comes_with_the_result(waits: bool) -> None:
-    with Beside(waits=waits) as executor:
+    with ThreadedExecutor(waits=waits) as executor:
         job = executor.submit(lambda: 1 // 0)
         with pytest.raises(ZeroDivisionError):
             job.result()
@@ -60,7 +60,7 @@ def test_leaving_ends_the_threads_and_forgets_what_has_not_begun() -> None:
         begun.append(1)
         gate.wait(10.0)
 
-    with Beside(waits=False) as executor:
+    with ThreadedExecutor(waits=False) as executor:
         for _ in range(10):
             executor.submit(work)
         threading.Timer(0.05, gate.set).start()

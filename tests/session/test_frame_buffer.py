@@ -6,7 +6,7 @@ import pytest
 from dvf_ig.core import FloatArray, InvalidInputError
 from dvf_ig.core.space.rigid import is_rigid
 from dvf_ig.session import TrackedFrame
-from dvf_ig.session.ultrasound.frame_buffer import AROUND_S, KEEP_S, SETTLED_IMAGES, FrameBuffer
+from dvf_ig.session.arrived_ultrasound import AROUND_S, KEEP_S, SETTLED_IMAGES, FrameBuffer
 
 STEP_S = 0.1
 NO_PLACE = np.eye(4)

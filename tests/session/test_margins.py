@@ -13,7 +13,7 @@ from dvf_ig.guidance.margins import MarginOptions
 from dvf_ig.guidance.servo import ServoInputs
 from dvf_ig.session import GuidanceState, Session
 from dvf_ig.session.margins import SHAPE_SIGMA_MM, TIP_SIGMA_MM, TOOL_SIGMA_MM
-from dvf_ig.session.pose.confirmation import AGEING_MM_PER_S
+from dvf_ig.session.pose_states import AGEING_MM_PER_S
 
 pytestmark = pytest.mark.usefixtures("known_ultrasound")
 WALL_AND_GUIDE = (FixtureOptions(Sigmoid()), FixtureOptions(Gaussian(6.0, cap_n=0.3)))

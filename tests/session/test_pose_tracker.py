@@ -4,6 +4,8 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+from dvf_ig.session.pose.registration_jobs import COMPUTE_S
+from dvf_ig.session.pose.registration_monitor import RegistrationMonitor
 from known_patient import DETECTION_S, KnownBeat, Patient, registration, still
 
 from dvf_ig.cardiac import RPeak
@@ -12,15 +14,13 @@ from dvf_ig.core.space.pose_motion import UPDATE_MM_PER_S
 from dvf_ig.registration import Gated, PoseChart
 from dvf_ig.replay.result.pose_summary import drift_mm_per_min, suspensions
 from dvf_ig.session import Refusal, SessionHistory
-from dvf_ig.session.executor import Job, answered
-from dvf_ig.session.pose.confirmation import MAX_AGE_S, MAX_MISSED_BEATS
-from dvf_ig.session.pose.history import PoseUpdate
-from dvf_ig.session.pose.pose_tracker import FIRST_ATTEMPT_S, RECOVER_S, PoseTracker
-from dvf_ig.session.pose.registration_jobs import COMPUTE_S
-from dvf_ig.session.pose.registration_monitor import RegistrationMonitor
-from dvf_ig.session.ultrasound.beat_evaluation import BEAT_COMPUTE_S, ComparedBeat
-from dvf_ig.session.ultrasound.frame_registration import RegistrationRecord, RegistrationRequest
-from dvf_ig.session.ultrasound.gated_frames import GatedFrames
+from dvf_ig.session.beat_evaluation import BEAT_COMPUTE_S, ComparedBeat
+from dvf_ig.session.gated_frames import GatedFrames
+from dvf_ig.session.history import PoseUpdate
+from dvf_ig.session.pose_states import MAX_AGE_S, MAX_MISSED_BEATS
+from dvf_ig.session.pose_tracker import FIRST_ATTEMPT_S, RECOVER_S, PoseTracker
+from dvf_ig.session.ultrasound_registration import RegistrationRecord, RegistrationRequest
+from dvf_ig.session.work import Job, answered
 
 CENTER = np.array([10.0, -20.0, 30.0])
 HOME = Rigid("mr", "tracker", np.eye(3), np.zeros(3))

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from dvf_ig.core import FloatArray, PoseStream
-from dvf_ig.session.ultrasound.probe_motion import POSES, REACH_MM, smoothed_poses
+from dvf_ig.session.gated_frames import POSES, REACH_MM, smoothed_poses
 
 RATE_HZ = 12.0
 

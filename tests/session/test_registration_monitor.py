@@ -4,10 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-
-from dvf_ig.core import Rigid, Stop
-from dvf_ig.registration import BeatMeasurement, PoseEstimate, TipSighting
-from dvf_ig.session import BeatEvaluation
 from dvf_ig.session.pose.registration_monitor import (
     CONFIRMING_BEATS,
     CONSISTENT_LOG_RATIO,
@@ -16,7 +12,11 @@ from dvf_ig.session.pose.registration_monitor import (
     SUSPEND_LOG_RATIO_ALONE,
     RegistrationMonitor,
 )
-from dvf_ig.session.refusal import Refusal, Refused
+
+from dvf_ig.core import Rigid, Stop
+from dvf_ig.registration import BeatMeasurement, PoseEstimate, TipSighting
+from dvf_ig.session import BeatEvaluation
+from dvf_ig.session.reasons import Refusal, Refused
 
 CENTER = np.array([10.0, -20.0, 30.0])
 

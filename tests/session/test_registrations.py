@@ -5,21 +5,21 @@ from typing import Generic, TypeVar
 
 import numpy as np
 import pytest
+from dvf_ig.session.pose.registration_jobs import COMPUTE_S, GATHER_S, LATEST_S, POLL_S
+from dvf_ig.session.pose.registration_monitor import RegistrationMonitor
 from known_patient import DETECTION_S, KnownBeat, Patient, registration, still
 
 from dvf_ig.cardiac import RPeak
 from dvf_ig.core import FloatArray, Rigid, Stop
 from dvf_ig.registration import Gated, PoseChart
 from dvf_ig.session import Landmark, Refusal, SessionHistory
-from dvf_ig.session.executor import Job, answered
-from dvf_ig.session.pose.confirmation import MAX_AGE_S
-from dvf_ig.session.pose.pose_tracker import FIRST_ATTEMPT_S, RETRY_S, PoseTracker
-from dvf_ig.session.pose.registration_jobs import COMPUTE_S, GATHER_S, LATEST_S, POLL_S
-from dvf_ig.session.pose.registration_monitor import RegistrationMonitor
-from dvf_ig.session.refusal import DoubtCause
-from dvf_ig.session.ultrasound.beat_evaluation import ComparedBeat
-from dvf_ig.session.ultrasound.frame_registration import RegistrationRecord, RegistrationRequest
-from dvf_ig.session.ultrasound.gated_frames import GatedFrames
+from dvf_ig.session.beat_evaluation import ComparedBeat
+from dvf_ig.session.gated_frames import GatedFrames
+from dvf_ig.session.pose_states import MAX_AGE_S
+from dvf_ig.session.pose_tracker import FIRST_ATTEMPT_S, RETRY_S, PoseTracker
+from dvf_ig.session.reasons import DoubtCause
+from dvf_ig.session.ultrasound_registration import RegistrationRecord, RegistrationRequest
+from dvf_ig.session.work import Job, answered
 
 T = TypeVar("T")
 CENTER = np.array([10.0, -20.0, 30.0])
@@ -126,7 +126,7 @@ def tracked(
 def test_frames_are_gathered_when_they_have_arrived_and_the_result_is_taken_when_it_is_due() -> None:
     ultrasound = Ultrasound(still)
     tracker = tracked(ultrasound, 13.0)
-    (attempt,) = tracker.history.attempts
+    (attempt,) = tracker.history.registrations
     assert ultrasound.requests[0].until_s == FIRST_ATTEMPT_S == attempt.asked_s
     assert ultrasound.known_s == [FIRST_ATTEMPT_S + GATHER_S]
     assert attempt.ready_s == FIRST_ATTEMPT_S + COMPUTE_S
@@ -136,7 +136,7 @@ def test_frames_are_gathered_when_they_have_arrived_and_the_result_is_taken_when
 def test_work_that_is_late_is_asked_for_again_until_it_is_done() -> None:
     ultrasound = Ultrasound(still, seconds=[5.005])
     tracker = tracked(ultrasound, 15.0)
-    (attempt,) = tracker.history.attempts
+    (attempt,) = tracker.history.registrations
     assert FIRST_ATTEMPT_S + 5.005 <= attempt.ready_s <= FIRST_ATTEMPT_S + 5.005 + POLL_S
     assert attempt.usable
     assert tracker.monitor.in_use is not None
@@ -149,7 +149,7 @@ def test_nothing_begins_in_the_past_after_late_work(seconds: float) -> None:
     """A registration is asked for, and its frames are gathered, at moments in order."""
     ultrasound = Ultrasound(still, seconds=[seconds], failures=["the images are black"])
     tracker = tracked(ultrasound, 30.0)
-    late, again = list(tracker.history.attempts)[:2]
+    late, again = list(tracker.history.registrations)[:2]
     assert again.asked_s >= late.ready_s
     assert (np.diff(ultrasound.stepped_s) >= 0).all()
 
@@ -157,7 +157,7 @@ def test_nothing_begins_in_the_past_after_late_work(seconds: float) -> None:
 def test_a_result_that_comes_too_late_is_dropped() -> None:
     ultrasound = Ultrasound(still, seconds=[LATEST_S + 0.5])
     tracker = tracked(ultrasound, 30.0)
-    late, *others = tracker.history.attempts
+    late, *others = tracker.history.registrations
     assert late.asked_s + LATEST_S <= late.ready_s <= late.asked_s + LATEST_S + POLL_S
     assert late.reason == "not finished in time"
     assert late.result is None
@@ -169,7 +169,7 @@ def test_a_result_that_comes_too_late_is_dropped() -> None:
 def test_a_registration_that_fails_is_recorded_with_its_sentence_and_repeated() -> None:
     ultrasound = Ultrasound(still, failures=["the images are black", "the images are black"])
     tracker = tracked(ultrasound, 28.0)
-    first, second, third = list(tracker.history.attempts)[:3]
+    first, second, third = list(tracker.history.registrations)[:3]
     assert first.reason == second.reason == "the images are black"
     assert not first.usable
     assert second.asked_s == max(first.asked_s + RETRY_S, first.ready_s)
@@ -192,7 +192,7 @@ def test_a_failure_leaves_the_pose_in_use_alone() -> None:
 
     ultrasound.register = second_fails  # type: ignore[method-assign]
     tracker = tracked(ultrasound, 40.0)
-    assert [a.usable for a in list(tracker.history.attempts)[:3]] == [True, False, False]
+    assert [a.usable for a in list(tracker.history.registrations)[:3]] == [True, False, False]
     assert all(update.pose is not None for update in tracker.history.updates)
 
 
@@ -302,7 +302,7 @@ def test_landmarks_elsewhere_keep_a_first_pose_from_use() -> None:
     off = PoseChart(HOME, CENTER).pose(np.array([0.0, 0.0, 0.0, 9.0, 0.0, 0.0]))
     tracker = tracked(Ultrasound(still), 20.0, start=None, landmarks=touched_at(1.0, off))
     assert not tracker.history.updates
-    refused = [a.refused for a in tracker.history.attempts]
+    refused = [a.refused for a in tracker.history.registrations]
     assert refused
     assert all(r is not None and r.cause is Refusal.LANDMARKS_DISAGREE for r in refused)
-    assert "9.0 mm" in tracker.history.attempts[0].reason
+    assert "9.0 mm" in tracker.history.registrations[0].reason

@@ -30,14 +30,14 @@ from toy_session import (
 from dvf_ig.core import FloatArray, InvalidInputError
 from dvf_ig.guidance import Hazard, Status, SupervisorState
 from dvf_ig.session import (
-    Beside,
     EcgSamples,
     Event,
     GuidanceState,
-    InCaller,
+    InlineExecutor,
     Landmark,
     Rearm,
     Session,
+    ThreadedExecutor,
     ToolPose,
     TrackedFrame,
 )
@@ -74,8 +74,8 @@ def all_bits(states: Sequence[GuidanceState]) -> list[tuple[object, ...]]:
 @pytest.fixture(scope="module")
 def reference() -> list[tuple[object, ...]]:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("dvf_ig.session.ultrasound.ultrasound_source.register_frames", register_known)
-        patch.setattr("dvf_ig.session.ultrasound.ultrasound_source.compare_beat", compare_known)
+        patch.setattr("dvf_ig.session.arrived_ultrasound.register_frames", register_known)
+        patch.setattr("dvf_ig.session.arrived_ultrasound.compare_beat", compare_known)
         with Session(toy_setup()) as session:
             states = run(session, eventful().merged(), TIMES)
     assert any(state.force_n.any() for state in states)
@@ -120,7 +120,7 @@ def test_how_the_streams_are_interleaved_changes_nothing(
 
 
 def test_threads_that_are_waited_for_change_nothing(reference: list[tuple[object, ...]]) -> None:
-    with Beside(waits=True) as executor, Session(toy_setup(), executor=executor) as session:
+    with ThreadedExecutor(waits=True) as executor, Session(toy_setup(), executor=executor) as session:
         assert all_bits(run(session, eventful().merged(), TIMES)) == reference
 
 
@@ -295,7 +295,7 @@ def test_an_empty_chunk_of_the_ecg_says_nothing() -> None:
 def test_a_long_stream_leaves_nothing_behind() -> None:
     """Every container of the session, and of what it is made of, after 40 s and after 80 s."""
     seen = {}
-    with Session(toy_setup(), executor=InCaller()) as session:
+    with Session(toy_setup(), executor=InlineExecutor()) as session:
         tool = tool_events(80.0)
         frames = frame_events(80.0, patient=still)
         ecg = ecg_events(ecg_of(0.0, 80.0), chunk=round(ECG_HZ))

@@ -6,7 +6,7 @@ import pytest
 from dvf_ig.core import FloatArray
 from dvf_ig.guidance.supervision.supervisor import LATCH_AFTER_S
 from dvf_ig.session import EcgSamples, EcgSource, Landmark, ToolPose
-from dvf_ig.session.source_clock import LARGEST_RATE, STEADY_S, SourceClock, SourceClocks
+from dvf_ig.session.clocks import LARGEST_RATE, STEADY_S, SourceClock, SourceClocks
 
 LATENCY_S = 0.004
 

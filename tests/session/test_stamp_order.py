@@ -2,7 +2,7 @@
 
 import pytest
 
-from dvf_ig.session.stamp_order import DEGRADED_SHARE, JITTER_S, WINDOW, StampOrder
+from dvf_ig.session.clocks import DEGRADED_SHARE, JITTER_S, WINDOW, StampOrder
 
 
 def after(*stamps_s: float, now_s: float = 1e9) -> tuple[list[bool], StampOrder]:

@@ -20,7 +20,7 @@ from toy_session import (
 from dvf_ig.core import FloatArray
 from dvf_ig.guidance import Hazard
 from dvf_ig.session import GuidanceState, Session, TrackedFrame
-from dvf_ig.session.refusal import DoubtCause, Refusal
+from dvf_ig.session.reasons import DoubtCause, Refusal
 
 pytestmark = pytest.mark.usefixtures("known_ultrasound")
 

@@ -5,8 +5,8 @@ import pytest
 
 from dvf_ig.core import Fan, ImageMap, Points, Rigid
 from dvf_ig.session import CalibrationsInUse, ToolPose, TrackedFrame
-from dvf_ig.session.ultrasound.frame_buffer import FrameBuffer
-from dvf_ig.session.ultrasound.tip_watch import TipWatch
+from dvf_ig.session.arrived_ultrasound import FrameBuffer
+from dvf_ig.session.tip_watch import TipWatch
 
 ROWS, COLUMNS, MM = 120, 120, 0.5
 TIP_MM = np.array([5.0, 0.0, 40.0])

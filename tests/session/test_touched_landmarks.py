@@ -7,7 +7,7 @@ from toy_session import HOME
 from dvf_ig.core import FloatArray
 from dvf_ig.registration.start import LEAST_SIGMA_MM, MIN_FOR_PRIOR
 from dvf_ig.session import Landmark
-from dvf_ig.session.pose.touched_landmarks import TouchedLandmarks
+from dvf_ig.session.registration_plan import TouchedLandmarks
 
 POINTS = np.array(
     [[40.0, 0.0, 0.0], [0.0, 35.0, 5.0], [0.0, -10.0, 50.0], [-30.0, 5.0, 8.0], [5.0, -40.0, 9.0]]

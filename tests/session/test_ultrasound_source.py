@@ -12,10 +12,9 @@ from dvf_ig.cardiac import RPeak
 from dvf_ig.core import Fan, Rigid
 from dvf_ig.registration import SliceThreads
 from dvf_ig.session import TrackedFrame
-from dvf_ig.session.executor import InCaller, Job
-from dvf_ig.session.ultrasound.frame_buffer import FrameBuffer
-from dvf_ig.session.ultrasound.frame_registration import RegistrationRequest
-from dvf_ig.session.ultrasound.ultrasound_source import ArrivedUltrasound
+from dvf_ig.session.arrived_ultrasound import ArrivedUltrasound, FrameBuffer
+from dvf_ig.session.ultrasound_registration import RegistrationRequest
+from dvf_ig.session.work import InlineExecutor, Job
 
 T = TypeVar("T")
 PEAKS = tuple(RPeak(0.4 + RR_S * k, 0.52 + RR_S * k, 1.0) for k in range(14))
@@ -29,7 +28,7 @@ class Counting:
 
     def submit(self, work: Callable[[], T]) -> Job[T]:
         self.submitted.append(work)
-        return InCaller().submit(work)
+        return InlineExecutor().submit(work)
 
 
 def source_of(
