@@ -194,7 +194,7 @@ Waiting = NoPose | Candidate | Suspended
 """States without a force."""
 
 
-def tested(pose: Pose) -> PoseEstimate | None:
+def under_test(pose: Pose) -> PoseEstimate | None:
     """Return the pose that the next beat is compared with."""
     return None if isinstance(pose, NoPose) else pose.estimate
 

@@ -18,7 +18,7 @@ from dvf_ig.registration import PoseEstimate, RegistrationResult, TipSighting
 from .beat_evaluation import BeatEvaluation, ComparableBeat, at_pose, evaluation_of
 from .events import Landmark
 from .history import RegistrationDecision, SessionHistory
-from .pose_states import Candidate, Confirmation, InUse, NoPose, Pose, last_used, suspended, tested
+from .pose_states import Candidate, Confirmation, InUse, NoPose, Pose, last_used, suspended, under_test
 from .pose_transition import (
     BeatCompared,
     BeatMissed,
@@ -119,7 +119,7 @@ class PoseTracker:
             if request is not None:
                 self._work.register(request)
         else:
-            beat = self._work.advance(now_s, tested(self.pose), in_use=isinstance(self.pose, InUse))
+            beat = self._work.advance(now_s, under_test(self.pose), in_use=isinstance(self.pose, InUse))
             if beat is not None:
                 self._take_beat(beat, now_s)
 
@@ -157,13 +157,13 @@ class PoseTracker:
         if not isinstance(self.pose, Candidate) or self.pose.estimate is not candidate:
             return
         for beat in [beat for beat in self._recent if beat.begin_s >= asked_s]:
-            estimate = tested(self.pose)
+            estimate = under_test(self.pose)
             if estimate is not None and (isinstance(self.pose, InUse) or estimate is candidate):
                 self._take_evaluation(self._evaluate(beat, estimate), now_s, again=True)
 
     def _take_beat(self, finished: FinishedBeat, now_s: float) -> None:
         """Take a beat's evaluation; evaluate it again if another pose is under test by now."""
-        compared, estimate = finished.compared, tested(self.pose)
+        compared, estimate = finished.compared, under_test(self.pose)
         evaluation = compared.evaluation
         if compared.slices is not None:
             self._recent = [*self._recent[1 - REMEMBERED_BEATS :], compared.slices]

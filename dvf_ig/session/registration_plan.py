@@ -11,7 +11,7 @@ from dvf_ig.core import InvalidInputError, Landmarks, Points, Rigid
 from dvf_ig.registration import LandmarkPrior, prior_from_landmarks, start_from_landmarks
 
 from .events import Landmark
-from .pose_states import InUse, Pose, tested
+from .pose_states import InUse, Pose, under_test
 from .pose_transition import RETRY_S, RegisterNext
 from .ultrasound_registration import RegistrationRequest
 
@@ -114,7 +114,7 @@ class RegistrationPlan:
         Right after a suspension it is the last beat's best pose; once such a start has failed, displaced
         copies of the last pose are also tried.
         """
-        estimate = tested(pose)
+        estimate = under_test(pose)
         if estimate is None:
             start = self._start or self.landmarks.fit
             return None if start is None else (start, False)
