@@ -207,11 +207,6 @@ class WorkQueue:
         beat_s = self._beats[0].next_s if self._beats else inf
         return min([beat_s, *(one.next_s for one in self._registrations)])
 
-    @property
-    def waiting_beats(self) -> int:
-        """Number of beats that have ended and are not taken yet."""
-        return len(self._beats)
-
     def register(self, request: RegistrationRequest) -> None:
         """Register frames once all of them have arrived."""
         self._registrations.append(_Registration(request, request.until_s + self._gather_s))

@@ -1,29 +1,33 @@
-"""Who does the long work, and when its result may be taken."""
+"""Executors do the long work; the queue takes its results when they are due."""
 
 import threading
+from math import inf
+from typing import Any
 
 import pytest
 
-from dvf_ig.session import InlineExecutor, ThreadedExecutor
-from dvf_ig.session.work import answered
+from dvf_ig.cardiac import RPeak
+from dvf_ig.core import Rigid
+from dvf_ig.session import InlineExecutor, Job, RegistrationRecord, RegistrationRequest, ThreadedExecutor
+from dvf_ig.session.work import LATEST_BEAT_S, POLL_S, WorkQueue, answered
 
 
-def test_the_caller_works_when_the_result_is_due_and_not_before() -> None:
-    done: list[int] = []
+def test_inline_work_is_done_when_the_result_is_due_and_not_before() -> None:
+    calls: list[int] = []
 
     def work() -> int:
-        done.append(1)
+        calls.append(1)
         return 5
 
     job = InlineExecutor().submit(work)
     assert job.done()
-    assert not done
+    assert not calls
     assert job.result() == 5
-    assert done == [1]
+    assert calls == [1]
     assert answered("known").result() == "known"
 
 
-def test_threads_go_on_beside_a_caller_that_does_not_wait() -> None:
+def test_threads_go_on_while_the_caller_does_not_wait() -> None:
     gate = threading.Event()
     with ThreadedExecutor(waits=False) as executor:
         late, quick = executor.submit(lambda: gate.wait(10.0)), executor.submit(lambda: 3)
@@ -66,3 +70,33 @@ def test_leaving_ends_the_threads_and_forgets_what_has_not_begun() -> None:
         threading.Timer(0.05, gate.set).start()
     assert threading.active_count() <= before + 1  # the timer
     assert len(begun) < 10
+
+
+class NeverFinished:
+    """Work that no executor ever finishes."""
+
+    def done(self) -> bool:
+        return False
+
+    def result(self) -> Any:
+        raise AssertionError("taken before it was finished")
+
+    def register(self, request: RegistrationRequest, known_s: float) -> Job[RegistrationRecord]:
+        return self
+
+    def beat(self, peaks: tuple[RPeak, ...], known_s: float, pose: Rigid | None, *, in_use: bool) -> Job[Any]:
+        return self
+
+
+def test_beats_that_are_never_finished_are_given_up_in_order() -> None:
+    queue = WorkQueue(NeverFinished(), 0.0)
+    for k in range(4):
+        queue.add_peak(RPeak(0.8 * k, 0.8 * k + 0.12, 1.0))
+    dropped_s = []
+    while queue.next_s < inf:
+        now_s = max(queue.next_s, dropped_s[-1] if dropped_s else 0.0)
+        beat = queue.advance(now_s, None, in_use=False)
+        if beat is not None:
+            assert (beat.compared.slices, beat.tested) == (None, None)
+            dropped_s.append(now_s)
+    assert dropped_s == pytest.approx([0.8 * k + 0.12 + LATEST_BEAT_S for k in (1, 2, 3)], abs=POLL_S)
