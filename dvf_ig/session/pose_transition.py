@@ -289,7 +289,7 @@ def _suspend(
 
 
 def _moved(pose: InUse, estimate: PoseEstimate, now_s: float) -> tuple[InUse, PoseUpdate]:
-    """Use another estimate, which the pose moves to from where it is now."""
+    """Use another estimate, towards which the pose moves from its present position."""
     motion = PoseMotion.towards(pose.motion.at(now_s), estimate.pose, now_s, estimate.center_mm)
     confirmation = pose.confirmation.changed(estimate.tre_bound_mm)
     moved = replace(pose, estimate=estimate, motion=motion, confirmation=confirmation)

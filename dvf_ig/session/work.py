@@ -227,13 +227,13 @@ class WorkQueue:
         for one in self._registrations:
             if one.job is None or one.next_s > now_s:
                 continue
-            done, asked_s = one.job.done(), one.request.until_s
-            if not done and now_s < asked_s + LATEST_S:
+            finished, asked_s = one.job.done(), one.request.until_s
+            if not finished and now_s < asked_s + LATEST_S:
                 one.next_s = now_s + POLL_S
                 continue
             self._registrations.remove(one)
             late = one.request.record(None, failure="not finished in time")
-            record = replace(one.job.result() if done else late, ready_s=now_s)
+            record = replace(one.job.result() if finished else late, ready_s=now_s)
             return FinishedRegistration(record, one.cancelled)
         return None
 

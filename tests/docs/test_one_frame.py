@@ -4,12 +4,18 @@ import ast
 import re
 from pathlib import Path
 
-from dvf_ig.session.pose import beat_jobs, confirmation, pose_tracker, registration_jobs
-from dvf_ig.session.ultrasound import beat_evaluation, frame_buffer, gated_frames
-
 from dvf_ig.core.space import pose_motion
+from dvf_ig.session import (
+    arrived_ultrasound,
+    beat_evaluation,
+    clocks,
+    gated_frames,
+    pose_states,
+    registration_plan,
+    tool_tracker,
+    work,
+)
 from dvf_ig.session import heart as session_heart
-from dvf_ig.session import stamp_order, tool_tracker
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "dvf_ig/docs/guide/one-frame.md").read_text(encoding="utf-8")
@@ -65,7 +71,8 @@ def test_the_times_are_the_code_s() -> None:
         f"$A$ + {work.COMPUTE_S:g} s",
         f"$D$ + {beat_evaluation.BEAT_COMPUTE_S:g} s",
         f"for {arrived_ultrasound.KEEP_S:g} s",
-        f"{gated_frames.MIN_FRAMES} to {gated_frames.MAX_FRAMES} slices of up to {registration_plan.MEMORY_S:g} s",
+        f"{gated_frames.MIN_FRAMES} to {gated_frames.MAX_FRAMES} slices",
+        f"of up to {registration_plan.MEMORY_S:g} s, coarse and fine",
         f"{session_heart.FINE_PITCH_MM:g} or {session_heart.COARSE_PITCH_MM:g} mm a pixel",
         f"more than {clocks.JITTER_S:g} s back",
         f"{pose_states.MAX_AGE_S:g} s or three beats",

@@ -55,7 +55,7 @@ def test_an_adaptive_margin_is_the_quantile_of_all_that_the_session_states() -> 
 
 
 def test_a_margin_widens_the_wall_that_a_session_renders() -> None:
-    """Off and fixed hold from the first moment on; a fixed margin is a wall that begins so much earlier."""
+    """Margins off and fixed hold from the first moment on; a fixed one widens the wall by its width."""
     off, fixed = states_with(MarginOptions()), states_with(MarginOptions("fixed", fixed_mm=1.5))
     assert not np.array([s.margin_mm for s in off]).any()
     assert (np.array([s.margin_mm for s in fixed]) == 1.5).all()

@@ -10,7 +10,7 @@ import pytest
 from known_patient import DETECTION_S, KnownBeat, Patient, registration, still
 
 from dvf_ig.cardiac import RPeak
-from dvf_ig.core import FloatArray, Rigid, Stop, mean_displacement_mm
+from dvf_ig.core import FloatArray, PoseMotion, Rigid, Stop, mean_displacement_mm
 from dvf_ig.core.space.pose_motion import UPDATE_MM_PER_S
 from dvf_ig.registration import Gated, PoseChart
 from dvf_ig.replay.result.pose_summary import drift_mm_per_min, suspensions
@@ -231,7 +231,7 @@ def test_a_registration_in_flight_is_dropped_when_a_beat_contradicts_the_pose() 
 
 def test_a_new_pose_is_moved_to_at_a_bounded_speed() -> None:
     """Whatever updates follow one another: between two events the pose goes on from where it is."""
-    motions = []
+    motions: list[PoseMotion] = []
 
     def observe(tracker: PoseTracker) -> None:
         if tracker.motion is not None and (not motions or tracker.motion is not motions[-1]):

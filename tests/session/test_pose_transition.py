@@ -9,7 +9,15 @@ import pytest
 from dvf_ig.core import FloatArray, PoseMotion, Rigid, Stop
 from dvf_ig.registration import BeatMeasurement, PoseEstimate, TipSighting
 from dvf_ig.registration.tracking.pose_estimate import INFORMATIVE_LOG_RATIO
-from dvf_ig.session import BeatEvaluation, DoubtCause, PoseUpdate, Refusal, Refused, RegistrationDecision
+from dvf_ig.session import (
+    BeatEvaluation,
+    DoubtCause,
+    PoseUpdate,
+    Refusal,
+    Refused,
+    RegistrationDecision,
+    SessionHistory,
+)
 from dvf_ig.session import RegistrationRecord as Record
 from dvf_ig.session.pose_states import (
     AGEING_MM_PER_S,
@@ -207,8 +215,8 @@ def test_the_table(pose: Pose, event: PoseEvent, kind: type, actions: set[str]) 
 
 
 def test_the_table_has_every_state_under_every_event() -> None:
-    states, events = (NoPose, Candidate, InUse, Suspended), (Registered, RegistrationRefused)
-    events += (BeatCompared, BeatMissed, TipSeen)  # type: ignore[assignment]
+    states = (NoPose, Candidate, InUse, Suspended)
+    events = (Registered, RegistrationRefused, BeatCompared, BeatMissed, TipSeen)
     assert {(type(pose), type(event)) for pose, event, *_ in TABLE} == {
         (s, e) for s in states for e in events
     }
@@ -376,6 +384,18 @@ def test_a_pose_comes_into_use_without_the_evidence_against_the_one_before() -> 
     assert isinstance(pose, InUse)
     assert (pose.tip, pose.refusals, pose.contradicting) == (TipEvidence(), 0, 0)
     assert pose.shift.compared == ()
+
+
+def test_a_later_decision_replaces_the_one_before_in_what_the_history_says_of_a_registration() -> None:
+    history, other = SessionHistory(), replace(RECORD, asked_s=0.0)
+    assert history.last_registration is None
+    for entry in (other, RECORD, RegistrationDecision(RECORD, Refused(Refusal.UNCONFIRMED))):
+        history.append(entry)
+    assert [record.refused for record in history.registrations] == [None, Refused(Refusal.UNCONFIRMED)]
+    history.append(RegistrationDecision(RECORD, None))
+    assert [record.refused for record in history.registrations] == [None, None]
+    assert history.last_registration is not None
+    assert history.last_registration.asked_s == RECORD.asked_s
 
 
 # ------------------------------------------------------------------ confirmation

@@ -92,7 +92,7 @@ def test_beats_that_are_never_finished_are_given_up_in_order() -> None:
     queue = WorkQueue(NeverFinished(), 0.0)
     for k in range(4):
         queue.add_peak(RPeak(0.8 * k, 0.8 * k + 0.12, 1.0))
-    dropped_s = []
+    dropped_s: list[float] = []
     while queue.next_s < inf:
         now_s = max(queue.next_s, dropped_s[-1] if dropped_s else 0.0)
         beat = queue.advance(now_s, None, in_use=False)
