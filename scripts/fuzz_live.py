@@ -60,10 +60,10 @@ def child(arguments: list[str]) -> None:
 
     patch = pytest.MonkeyPatch()
     serve_toy(patch)
-    patch.setattr("dvf_ig.session.ultrasound.ultrasound_source.register_frames", register_known)
-    patch.setattr("dvf_ig.session.ultrasound.ultrasound_source.compare_beat", compare_known)
-    patch.setattr("dvf_ig.session.pose.pose_tracker.FIRST_ATTEMPT_S", 2.5)
-    patch.setattr("dvf_ig.session.pose.registration_jobs.COMPUTE_S", 0.3)
+    patch.setattr("dvf_ig.session.arrived_ultrasound.register_frames", register_known)
+    patch.setattr("dvf_ig.session.arrived_ultrasound.compare_beat", compare_known)
+    patch.setattr("dvf_ig.session.registration_plan.FIRST_REGISTRATION_S", 2.5)
+    patch.setattr("dvf_ig.session.work.COMPUTE_S", 0.3)
     image_of, send_last = DeviceNames.image_of, Link.send_last
 
     def slowly(link: Link, messages: list[Message]) -> None:

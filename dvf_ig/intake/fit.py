@@ -20,7 +20,7 @@ from dvf_ig.core.space.volume import Grid
 from dvf_ig.core.timing.trigger import TriggerTimes
 from dvf_ig.registration import TouchedPoints, start_from_landmarks
 from dvf_ig.registration.surface_points.touched import require_spread
-from dvf_ig.session.calibrations import require_lag
+from dvf_ig.session.setup import require_lag
 
 from .agreement import disagreements
 from .findings import Finding

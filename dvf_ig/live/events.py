@@ -30,7 +30,7 @@ class PeerClock:
 
     The offset is the largest stamp minus arrival of the first second, so that the least latency counts as
     none; a stamp that is far from the median is wrong, not fast, and is ignored. Later changes of the peer's
-    clock are found by the session (`dvf_ig.session.source_clock`).
+    clock are found by the session (`dvf_ig.session.clocks`).
     """
 
     _seen_s: list[float] = field(default_factory=list, init=False)

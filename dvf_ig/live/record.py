@@ -20,8 +20,7 @@ from dvf_ig.intake.session_log.live import (
 )
 from dvf_ig.io.ros.log_file import UNFINISHED, LogWriter, require_log_packages
 from dvf_ig.io.writing.place import failure_reason
-from dvf_ig.session import Beside, Event, GuidanceState, TrackedFrame
-from dvf_ig.session.executor import Job
+from dvf_ig.session import Event, GuidanceState, Job, ThreadedExecutor, TrackedFrame
 
 from .priority import RECORDING, schedule_first
 
@@ -258,7 +257,7 @@ class CountedWork:
         record: receives it.
     """
 
-    def __init__(self, beside: Beside, record: Record) -> None:
+    def __init__(self, beside: ThreadedExecutor, record: Record) -> None:
         self._beside, self._record = beside, record
         self._count = 0
 

@@ -10,7 +10,7 @@ from math import inf
 from dvf_ig.core import InvalidInputError, Landmarks
 from dvf_ig.guidance.servo.inputs import VALID_FOR_S
 from dvf_ig.intake.live import EcgFieldConfig, LiveConfig
-from dvf_ig.session import Beside, Event, Landmark, Session, SessionHistory, SessionSetup
+from dvf_ig.session import Event, Landmark, Session, SessionHistory, SessionSetup, ThreadedExecutor
 
 from .answers import last_messages
 from .devices import DeviceNames, flips_between
@@ -67,7 +67,7 @@ def live_session(setup: SessionSetup, options: LiveOptions) -> Iterator[LiveLoop
     """
     config, inbox = options.config, Inbox()
     with ExitStack() as stack:
-        executor = CountedWork(stack.enter_context(Beside(waits=False)), options.record)
+        executor = CountedWork(stack.enter_context(ThreadedExecutor(waits=False)), options.record)
         session = stack.enter_context(
             Session(
                 setup,

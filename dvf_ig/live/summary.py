@@ -57,7 +57,7 @@ class LiveSummary:
 
     def result(self, loop: LiveLoop) -> dict[str, Any]:
         """JSON values."""
-        attempts = loop.session.history.attempts
+        registrations = loop.session.history.registrations
         return {
             "answers": self.answers,
             "latency_ms": {
@@ -68,7 +68,7 @@ class LiveSummary:
             "servo_states": dict(self.by_state),
             "largest_force_n": self.largest_n,
             "registrations": [
-                {"asked_s": one.asked_s, "usable": one.usable, "reason": one.reason} for one in attempts
+                {"asked_s": one.asked_s, "usable": one.usable, "reason": one.reason} for one in registrations
             ],
             "connections": loop.link.connections,
             "turned_away": loop.link.turned_away,

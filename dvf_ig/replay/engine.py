@@ -77,7 +77,7 @@ class Replay:
 
     @property
     def attempts(self) -> tuple[RegistrationRecord, ...]:
-        return tuple(self.history.attempts)
+        return self.history.registrations
 
     @property
     def poses(self) -> tuple[tuple[float, Rigid], ...]:

@@ -37,8 +37,8 @@ from dvf_ig.report.viewer import (
 )
 from dvf_ig.report.viewer.columns import FORCE_MR, SHAFT
 from dvf_ig.report.viewer.frames import SENT_COLUMNS
-from dvf_ig.session.pose.confirmation import MAX_AGE_S
-from dvf_ig.session.ultrasound.probe_motion import smoothed_poses
+from dvf_ig.session.gated_frames import smoothed_poses
+from dvf_ig.session.pose_states import MAX_AGE_S
 
 from .preconditions import tool_of
 from .run_folder import RunFolder

@@ -1,7 +1,7 @@
-"""What a session is told: samples, frames, poses and an operator's actions, each stamped by its source.
+"""Events of a session: samples, frames, poses and an operator's actions, each stamped by its source.
 
 Stamps of every kind are seconds on one clock, that of the tracker and of the ECG. A frame's stamp is the
-moment at which it was recorded, with its pose; what its image shows happened `lag_s` later on that clock
+time at which it was recorded, with its pose; what its image shows happened `lag_s` later on that clock
 (negative: earlier), which the session accounts for.
 """
 
@@ -22,7 +22,7 @@ class EcgSamples:
 
     Attributes:
         start_s: time of the first.
-        samples: (n, leads) in any unit; NaN where samples are missing.
+        samples: (n, leads) in any unit; NaN for missing samples.
     """
 
     start_s: float
@@ -37,7 +37,7 @@ class EcgSamples:
 
 @dataclass(frozen=True, slots=True)
 class Trigger:
-    """A pulse of a hardware trigger, where there is one in place of an ECG: it fired at `t_s`."""
+    """A pulse of a hardware trigger, which replaces the ECG; it fired at `t_s`."""
 
     t_s: float
 
@@ -52,8 +52,8 @@ class TrackedFrame:
 
     Attributes:
         t_s: when it was recorded.
-        image: (rows, columns) uint8; None where the frame has none, or the recorder marked it invalid.
-        tracker_from_probe: (4, 4); None where the tracker did not report OK.
+        image: (rows, columns) uint8; None if the frame has none, or the recorder marked it invalid.
+        tracker_from_probe: (4, 4); None if the tracker did not report OK.
     """
 
     t_s: float
@@ -78,7 +78,7 @@ class ToolPose:
 
     Attributes:
         t_s: when it was tracked.
-        tracker_from_tool: (4, 4); None where the tracker did not report OK.
+        tracker_from_tool: (4, 4); None if the tracker did not report OK.
     """
 
     t_s: float
@@ -133,7 +133,7 @@ def _require_time(t_s: float, what: str) -> None:
 
 
 def _pose(matrix: FloatArray, source: str) -> FloatArray:
-    """A session judges for itself what is finite and rigid."""
+    """Copy a pose; whether it is finite and rigid is for the session to judge."""
     pose = frozen_floats(matrix, f"tracker_from_{source}", (4, 4), finite=False)
     require_plausible(pose, LENGTH_MM, f"tracker_from_{source}, mm,")
     return pose

@@ -1,38 +1,14 @@
 """The heart's clock from a live ECG or trigger: R peaks in order of detection, the phase from now on."""
 
 from collections import deque
-from dataclasses import dataclass
 from math import inf
 
 from dvf_ig.cardiac import LeadChange, PhaseClock, RPeak, RPeakDetector, TriggerDetector
-from dvf_ig.core import InvalidInputError, PhaseForecast, Signal, TriggerTimes
+from dvf_ig.core import InvalidInputError, PhaseForecast
 
+from .clocks import StampOrder
 from .events import EcgSamples, Trigger
-from .stamp_order import StampOrder
-
-
-@dataclass(frozen=True, slots=True)
-class EcgSource:
-    """Beats come from an ECG sampled at `rate_hz`."""
-
-    rate_hz: float
-
-
-@dataclass(frozen=True, slots=True)
-class TriggerSource:
-    """Beats come from a hardware trigger that fires `delay_s` after the R peak."""
-
-    delay_s: float = 0.0
-
-
-BeatSource = EcgSource | TriggerSource
-
-
-def beat_source_of(recorded: Signal | TriggerTimes) -> BeatSource:
-    """What a session must know of a recording before it is pushed."""
-    if isinstance(recorded, TriggerTimes):
-        return TriggerSource(recorded.delay_s)
-    return EcgSource(recorded.rate_hz)
+from .setup import BeatSource, EcgSource, TriggerSource
 
 
 class HeartClock:
@@ -88,7 +64,7 @@ class HeartClock:
         return True
 
     def step(self) -> RPeak | None:
-        """What happens at `next_s`; the R peak if it is one."""
+        """Advance to `next_s`; return the R peak if it is one."""
         if self._peaks and self._peaks[0].detected_at_s <= self.next_s:
             peak = self._peaks.popleft()
             self._clock.add(peak)

@@ -1,7 +1,7 @@
 """Margins of a session's fixtures: σ of the distance at the tip from all that the session knows.
 
 What a session does not measure comes from constants: tip and tool as pivot calibrations and optical trackers
-have them, the pose's ageing as in `dvf_ig.session.pose.confirmation`. The pose's covariance
+have them, the pose's ageing as in `pose_states`. The pose's covariance
 holds probe calibration and lag as far as the registration states them (docs/theory/registration.md), so they
 are not added again.
 """
@@ -16,18 +16,18 @@ from dvf_ig.guidance.margins import DistanceSigma, distance_sigma, isotropic, ne
 from dvf_ig.guidance.servo import ServoTick
 from dvf_ig.guidance.supervision.supervisor import SLEW_SPEED_M_S
 
-from .pose.confirmation import AGEING_MM_PER_S
+from .pose_states import AGEING_MM_PER_S
 
 TIP_SIGMA_MM = 0.3
-"""Of the calibrated tip, a coordinate. By judgement, on no heart."""
+"""Standard deviation of the calibrated tip, a coordinate. By judgement, on no heart."""
 TOOL_SIGMA_MM = 0.25
-"""Of the tracked tool, a coordinate: volumetric accuracy that optical trackers state. By judgement."""
+"""Standard deviation of the tracked tool, a coordinate: accuracy that trackers state. By judgement."""
 SHAPE_SIGMA_MM = 0.8
-"""Of the surface by a change of shape, retiming and the model: what no rigid pose explains and a session
-cannot measure. In recordings of tuning hearts 1001–1003 and 1021 errors are 1.29 σ without
-it, 0.96 σ with it; at 0.95 the wall then stands inside the true surface at 5 % of the places."""
+"""Standard deviation of the surface by a change of shape, retiming and the model, which no rigid pose
+explains and a session cannot measure. In recordings of tuning hearts 1001–1003 and 1021 errors are 1.29 σ
+without it, 0.96 σ with it; at 0.95 the wall is then inside the true surface at 5 % of the points."""
 UPDATE_S = 1.0 / 30.0
-"""So often σ is computed and the margins move: as often as a servo is told."""
+"""Interval of updates of σ and of the margins: that of the inputs published to a servo."""
 SERVO_PERIOD_S = 1e-3
 """A margin changes the force in one update by no more than the slew limit allows one tick of this length."""
 
@@ -40,21 +40,21 @@ def sigma_at(
     rate_mm_per_cycle: FloatArray,
     pose_age_s: float,
 ) -> DistanceSigma:
-    """σ of the distance at n places.
+    """Compute σ of the distance at n points.
 
     Args:
         transform: of the session at that time.
-        xyz_tracker_mm: (n, 3) places, tracker frame; gradient_model: (n, 3) ∇d there, model frame.
+        xyz_tracker_mm: (n, 3) points, tracker frame; gradient_model: (n, 3) ∇d there, model frame.
         rate_mm_per_cycle: (n,) ∂d/∂φ; zero of a wall at its worst phase, whose phase adds no uncertainty.
         pose_age_s: since a beat confirmed the pose.
     """
-    place = transform.at(xyz_tracker_mm, t_s)
+    mapped = transform.at(xyz_tracker_mm, t_s)
     nothing = isotropic(0.0)
     return distance_sigma(
         gradient_model,
         rate_mm_per_cycle,
-        np.where(rate_mm_per_cycle == 0.0, 0.0, place.sigma_model_phase),
-        registration_mm2=place.covariance_mm2,
+        np.where(rate_mm_per_cycle == 0.0, 0.0, mapped.sigma_model_phase),
+        registration_mm2=mapped.covariance_mm2,
         shape_mm2=isotropic(SHAPE_SIGMA_MM),
         calibration_mm2=isotropic(TIP_SIGMA_MM),
         breathing_mm2=isotropic(AGEING_MM_PER_S * pose_age_s) if pose_age_s < inf else nothing * np.nan,
@@ -63,7 +63,7 @@ def sigma_at(
 
 
 class MarginTracker:
-    """The margins of fixtures over time: wanted by σ at the tip, reached within the slew rules.
+    """Margins of the fixtures over time: a target by σ at the tip, reached within the slew rules.
 
     Args:
         fixtures: with the choice of a margin; a path keeps its law.
@@ -77,7 +77,7 @@ class MarginTracker:
         self.margin_mm = np.array([0.0 if law is None else start for law in self._laws])
         self._step_n = device.stiffness_n_per_m * SLEW_SPEED_M_S * SERVO_PERIOD_S
         self._updated_s = -inf
-        self._wanted_mm = start
+        self._target_mm = start
 
     def due(self, now_s: float) -> bool:
         """Whether an adaptive margin is to be updated."""
@@ -91,7 +91,7 @@ class MarginTracker:
         tip_tracker_mm: FloatArray,
         pose_age_s: float,
     ) -> None:
-        """Move towards what σ at the tip asks for; without a force the last target stays.
+        """Move towards the target by σ at the tip; without a force the last target stays.
 
         Args:
             tick: of the servo now; without a rate, as for a path, σ counts as unknown.
@@ -101,11 +101,11 @@ class MarginTracker:
         if tick.status in (Status.OK, Status.NO_PHASE) and transform.pose is not None:
             gradient = transform.pose.at(now_s).rotation @ tick.gradient
             rate = np.array([tick.rate_mm_per_cycle])
-            found = sigma_at(transform, tip_tracker_mm[None], now_s, gradient[None], rate, pose_age_s)
-            self._wanted_mm = self._options.wanted_mm(float(found.total_mm[0]))
+            sigma = sigma_at(transform, tip_tracker_mm[None], now_s, gradient[None], rate, pose_age_s)
+            self._target_mm = self._options.wanted_mm(float(sigma.total_mm[0]))
         self.margin_mm = np.array(
             [
-                0.0 if law is None else next_margin_mm(now, self._wanted_mm, dt_s, law, self._step_n)
+                0.0 if law is None else next_margin_mm(now, self._target_mm, dt_s, law, self._step_n)
                 for now, law in zip(self.margin_mm.tolist(), self._laws, strict=True)
             ]
         )

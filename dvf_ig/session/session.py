@@ -1,9 +1,9 @@
-"""One engine for the operating room and the replay: events in, what the servo needs and its force out.
+"""One engine for the operating room and the replay: events in, inputs of the servo and its force out.
 
     ECG      R peaks ─► phase φ, its σ and state ─► T_d, retiming          heart_clock
-    frames   gate ─► register, compare every beat ─► pose and its age      pose_tracker, ultrasound_source
+    frames   gate ─► register, compare every beat ─► pose and its age      arrived_ultrasound, pose_tracker
     tool     newest pose ─► predicted tip                                  tool_tracker
-             tip where frames should show it ─► calibrations in doubt      tip_watch
+             tip where frames should show it ─► evidence on calibrations   tip_watch
     force    pose, phase, hazards, margins ─► the servo's tick             guidance.servo
 
 A session is pushed events and asked for its state at moments in order. It knows no file, no network and no
@@ -25,20 +25,18 @@ from dvf_ig.guidance import Fixtures, Hazard, PoseAndPhase, RearmAnswer, Status
 from dvf_ig.guidance.servo import TrackedServo
 from dvf_ig.registration import SliceThreads
 
+from .arrived_ultrasound import ArrivedUltrasound, FrameBuffer
+from .clocks import SourceClocks
 from .events import EcgSamples, Event, Landmark, Rearm, ToolPose, TrackedFrame, Trigger
-from .executor import Executor, InCaller
 from .heart_clock import HeartClock
+from .history import SessionHistory
 from .margins import MarginTracker
-from .pose.history import SessionHistory
-from .pose.pose_tracker import PoseTracker
-from .pose.registration_monitor import RegistrationMonitor
+from .pose_tracker import PoseTracker
 from .setup import SessionSetup
-from .source_clock import SourceClocks
 from .state import GuidanceState
+from .tip_watch import TipWatch
 from .tool_tracker import ToolTracker
-from .ultrasound.frame_buffer import FrameBuffer
-from .ultrasound.tip_watch import TipWatch
-from .ultrasound.ultrasound_source import ArrivedUltrasound, UltrasoundSource
+from .work import Executor, InlineExecutor, UltrasoundSource
 
 REMEMBERED = 200
 """Registrations, beats and updates that a session remembers unless it is given a history of its own."""
@@ -49,16 +47,16 @@ def _no_clock() -> float:
 
 
 class Session:
-    """Takes events and answers with the state of guidance; a context manager that owns its threads.
+    """Turns events into the state of guidance; a context manager that owns its threads.
 
     Args:
         setup: patient, calibrations and fixtures.
-        executor: who does the long work; by default the caller does, when its result is due.
+        executor: does the long work; by default the caller does, when its result is due.
         clock: seconds of computing time from any origin, for the record; no estimate depends on it.
-        history: is told of every registration, beat and update; by default the last REMEMBERED are kept.
-        latch_after_s: as of `TrackedServo`; a live session's is VALID_FOR_S.
-        ultrasound: what frames and beats say of the pose, made with the buffer of the frames that arrive; by
-            default they are registered and compared by their images.
+        history: log of registrations, beats and updates; by default of the last REMEMBERED.
+        latch_after_s: see `TrackedServo`; VALID_FOR_S in a live session.
+        ultrasound: makes the source of registrations and compared beats from the buffer of arriving frames;
+            by default their images are used.
     """
 
     def __init__(
@@ -76,12 +74,10 @@ class Session:
         self._threads = SliceThreads()
         self._frames = FrameBuffer()
         if ultrasound is None:
-            work = executor if executor is not None else InCaller()
-            source = self._arrived(clock, work)
+            source = self._arrived(clock, executor if executor is not None else InlineExecutor())
         else:
             source = ultrasound(self._frames)
-        monitor = RegistrationMonitor(setup.heart.center_mm, None)
-        self._pose = PoseTracker(source, monitor, setup.start, self.history, setup.calibrations.lag_s)
+        self._pose = PoseTracker(source, setup.start, self.history, setup.calibrations.lag_s)
         self._clock = HeartClock(setup.beat_source)
         self._sources = SourceClocks(setup.beat_source)
         self._tool = ToolTracker(setup.calibrations.tip)
@@ -106,16 +102,16 @@ class Session:
         self._threads.__exit__(kind, error, trace)
 
     def push(self, event: Event, arrived_s: float | None = None) -> bool:
-        """Take an event; those of one kind in the order in which they came.
+        """Add an event; those of one kind in the order of their arrival.
 
         Args:
-            arrived_s: when it came, by the clock that `state` is asked by; with it a source's clock that runs
-                away is found and put right (`source_clock`). None of a recording, which has no arrivals.
+            arrived_s: time of its arrival on the clock of `state`; with it a source's clock that runs away is
+                noticed and corrected (`clocks`). None for a recording, which has no arrivals.
         Returns:
-            whether it is used: False where its stamp is not later than those before, or its clock went back.
+            whether it is used: False if its stamp is not later than those before, or its clock went back.
         Raises:
-            InvalidInputError: it does not fit those before: another number of leads, another image size, or
-                of an ECG where there is a trigger.
+            InvalidInputError: it does not fit those before (another number of leads, another image size) or
+                the session's source of beats.
         """
         if arrived_s is not None:
             accepted = self._sources.on_local_clock(event, arrived_s)
@@ -136,11 +132,11 @@ class Session:
         return True
 
     def clock_correction_s(self, kind: type[Event]) -> float:
-        """What is added to the stamps of events of a kind that come with their arrivals."""
+        """Return the correction that is added to the stamps of a kind of event."""
         return self._sources.correction_s(kind)
 
     def state(self, now_s: float) -> GuidanceState:
-        """What is known at `now_s`, and the force to send then; the servo ticks until then.
+        """Return the state at `now_s`, with the force to send then; the servo ticks until then.
 
         Raises:
             InvalidInputError: `now_s` lies before an earlier one or is not finite.
@@ -157,7 +153,7 @@ class Session:
         self._clock.order.advance(now_s)
         self._update_transform(now_s)
         tool = self._tool.at(now_s)
-        # a tool that is not known has no place in a pose; without a pose that is said first
+        # an unknown tool has no position in a pose; a missing pose is reported first
         posed = self._transform.pose is not None and now_s < self._transform.pose_until_s
         tool_status = Status.STALE_TOOL if posed and tool.hazard else Status.OK
         hazards, margin_mm = self._hazards(now_s, tool.hazard), self._margins.margin_mm
@@ -170,12 +166,12 @@ class Session:
         return GuidanceState(
             now_s=now_s,
             transform=self._transform,
-            estimate=self._pose.monitor.estimate,
+            estimate=self._pose.estimate,
             pose_age_s=age_s,
             tre_bound_mm=nan if confirmation is None else confirmation.bound_mm(now_s),
-            doubt=self._pose.monitor.doubt,
+            doubt=self._pose.doubt,
             tip_seen=self._tip.seen,
-            registration=self.history.attempts[-1] if self.history.attempts else None,
+            registration=self.history.last_registration,
             model_phase=self._servo.model_phase,
             tool=tool,
             calibrations=self.setup.calibrations,
@@ -187,7 +183,7 @@ class Session:
         )
 
     def _advance(self, now_s: float, stepped_s: float) -> None:
-        """Everything that happens until now, in order of time; what is known at a moment counts in it."""
+        """Take everything that happens until now, in order of time."""
         while True:
             action_s = self._actions[0].t_s if self._actions else inf
             input_s, pose_s = min(self._clock.next_s, action_s), self._pose.next_s
@@ -207,25 +203,25 @@ class Session:
             self._rearmed = self._servo.rearm(max(action.t_s, stepped_s))
 
     def _take_peak(self, stepped_s: float) -> None:
-        """A peak whose samples came late is known from now on: nothing begins in the past."""
+        """Take the next R peak; one whose samples came late counts from now on, never in the past."""
         peak = self._clock.step()
         if peak is not None:
             peak = replace(peak, detected_at_s=max(peak.detected_at_s, stepped_s))
-            self.history.peaks.append(peak)
+            self.history.append(peak)
             self._pose.add_peak(peak)
             seen = self._tip.after_beat(peak.t_s, peak.detected_at_s)
             if seen is not None:
                 self._pose.add_tip(seen, peak.detected_at_s)
 
     def _update_transform(self, now_s: float) -> None:
-        """A new value where the pose, its confirmation or the phase's forecast has changed."""
+        """Publish a new value if the pose, its confirmation or the phase's forecast has changed."""
         phase, motion = self._clock.forecast(now_s), self._pose.motion
         confirmation = self._pose.confirmation
         phase_before, motion_before, confirmation_before = self._known
         if phase is phase_before and motion is motion_before and confirmation is confirmation_before:
             return
         self._known = (phase, motion, confirmation)
-        heart, estimate = self.setup.heart, self._pose.monitor.estimate
+        heart, estimate = self.setup.heart, self._pose.estimate
         model = heart.model
         self._transform = PoseAndPhase(
             pose=motion,
@@ -239,25 +235,25 @@ class Session:
         )
 
     def _hazards(self, now_s: float, tool: Hazard) -> Hazard:
-        """What is wrong with pose, phase, tracking and time at this moment."""
-        found, transform, monitor = tool, self._transform, self._pose.monitor
-        if monitor.estimate is None:
-            found |= Hazard.NO_POSE
+        """List the hazards of pose, phase, tracking and time at this moment."""
+        hazards, transform = tool, self._transform
+        if self._pose.estimate is None:
+            hazards |= Hazard.NO_POSE
         elif transform.pose is None:
-            found |= Hazard.POSE_CONTRADICTED
+            hazards |= Hazard.POSE_CONTRADICTED
         elif now_s >= transform.pose_until_s:
-            found |= Hazard.POSE_UNCONFIRMED
+            hazards |= Hazard.POSE_UNCONFIRMED
         elif now_s < transform.pose.end_s:
-            found |= Hazard.POSE_MOVING
+            hazards |= Hazard.POSE_MOVING
         if transform.phase.state is not PhaseState.LOCKED or now_s > transform.phase.until_s:
-            found |= Hazard.NO_PHASE
+            hazards |= Hazard.NO_PHASE
         if self._frames.order.restarted or self._clock.order.restarted or self._sources.behind:
-            found |= Hazard.CLOCK_BACKWARDS
+            hazards |= Hazard.CLOCK_BACKWARDS
         if any(one.order.disordered for one in (self._frames, self._tool, self._clock)):
-            found |= Hazard.REORDERED_STAMPS
+            hazards |= Hazard.REORDERED_STAMPS
         if self._sources.skewed:
-            found |= Hazard.CLOCK_SKEW
-        return found
+            hazards |= Hazard.CLOCK_SKEW
+        return hazards
 
     def _arrived(self, clock: Callable[[], float], executor: Executor) -> UltrasoundSource:
         setup = self.setup

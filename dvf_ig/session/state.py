@@ -1,4 +1,4 @@
-"""What a session knows at one moment, and the tick of the servo that follows from it."""
+"""State of guidance at one moment, with the tick of the servo that follows from it."""
 
 from dataclasses import dataclass
 
@@ -7,21 +7,21 @@ from dvf_ig.guidance import Hazard, PoseAndPhase, RearmAnswer, Status, Supervise
 from dvf_ig.guidance.servo import ServoInputs, ServoTick
 from dvf_ig.registration import PoseEstimate, TipSighting
 
-from .calibrations import CalibrationsInUse
-from .refusal import Doubt
+from .reasons import Doubt
+from .setup import CalibrationsInUse
 from .tool_tracker import ToolReading
-from .ultrasound.frame_registration import RegistrationRecord
+from .ultrasound_registration import RegistrationRecord
 
 OF_TRACKER = (
     Hazard.STALE_TOOL | Hazard.TOOL_LOST | Hazard.TOOL_FROZEN | Hazard.LATENCY_JUMP | Hazard.TOOL_CONTRADICTED
 )
-"""Hazards of a tool that a tracker sees; a haptic device's own encoders do not have them."""
+"""Hazards of a tracked tool; a haptic device's own encoders do not have them."""
 
 
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class GuidanceState:
-    """The state of guidance at `now_s`.
+    """State of guidance at `now_s`.
 
     Attributes:
         transform: (p_tracker, t) ↦ (p_mr, φ), from now on until something new is known.
@@ -29,12 +29,12 @@ class GuidanceState:
         pose_age_s: time since a heart beat confirmed the pose; infinite before the first.
         tre_bound_mm: 95 % bound on the error of the pose in use over the heart; NaN before the first.
         doubt: why the pose is suspended; None while it is not.
-        tip_seen: where ultrasound shows the tool's tip; None where it does not.
+        tip_seen: where ultrasound shows the tool's tip; None if it does not.
         registration: the last one that ended, with its evidence; None before the first.
-        model_phase: place in the model's cycle; NaN where the phase is not locked.
+        model_phase: in the model's cycle; NaN if the phase is not locked.
         tool: the tool's tip, or why it is not known.
-        calibrations: that are in use.
-        hazards, tool_status, margin_mm: that the session publishes to its servo now (`ServoInputs`).
+        calibrations: in use.
+        hazards, tool_status, margin_mm: published to the session's servo now (`ServoInputs`).
         tick: of the session's servo at this moment.
         rearmed: answer to the operator's last re-arm; None before any.
     """
@@ -62,7 +62,7 @@ class GuidanceState:
         return self.transform.phase.at(self.now_s)
 
     def inputs(self, tracker_from_device: Rigid) -> ServoInputs:
-        """What a servo of its own is published for a haptic device, whose encoders say where the tool is."""
+        """Inputs of a separate servo with a haptic device, whose encoders measure where the tool is."""
         own = self.hazards & ~OF_TRACKER
         return ServoInputs(
             self.transform, self.now_s, tracker_from_device, hazards=own, margin_mm=self.margin_mm
@@ -70,12 +70,12 @@ class GuidanceState:
 
     @property
     def status(self) -> Status:
-        """Of the fixtures; anything but OK goes with no wanted force, but for the walls of NO_PHASE."""
+        """Status of the fixtures; all but OK, and NO_PHASE with its walls, want no force."""
         return self.tick.status
 
     @property
     def wanted_n(self) -> FloatArray:
-        """(3,) N, frame "tracker": what fixtures and passivity controller ask for, before the supervisor."""
+        """(3,) N, frame "tracker": force by fixtures and passivity controller, before the supervisor."""
         return self.tick.wanted_n
 
     @property
@@ -105,7 +105,7 @@ class GuidanceState:
 
     @property
     def supervised(self) -> SupervisedForce:
-        """The force to send, and the supervisor's state with what it met."""
+        """The force to send, and the supervisor's state with its hazards."""
         return self.tick.supervised
 
     @property
@@ -119,12 +119,12 @@ class GuidanceState:
 
     @property
     def reasons(self) -> tuple[str, ...]:
-        """Why the force is not given in full, a sentence each; none where it is."""
-        found = self.supervised.sentences
+        """Why the force is not given in full, a sentence each; empty if it is."""
+        sentences = self.supervised.sentences
         if self.supervisor is SupervisorState.LATCHED and self.rearmed is not None:
-            found += (self.rearmed.value,)
+            sentences += (self.rearmed.value,)
         if self.doubt is not None:
-            found += (self.doubt.sentence,)
+            sentences += (self.doubt.sentence,)
         if self.registration is not None and not self.registration.usable:
-            found += (f"last registration: {self.registration.reason}",)
-        return found
+            sentences += (f"last registration: {self.registration.reason}",)
+        return sentences

@@ -13,29 +13,29 @@ from dvf_ig.core import FloatArray, Points, read_only_arrays
 from dvf_ig.core.space.rigid import is_rigid
 from dvf_ig.guidance import Hazard
 
+from .clocks import StampOrder
 from .events import ToolPose
-from .stamp_order import StampOrder
 
 MAX_AGE_S = 0.050
 MAX_AGE_FRAMES = 2.5
-"""A pose is too old at so many frames beyond its usual latency, and at MAX_AGE_S in any case: with the
+"""A pose is too old at this many frames beyond its usual latency, and at MAX_AGE_S in any case: with the
 latency counted in, a single lost frame of a tracker that is 5 ms late took the force away."""
 VELOCITY_SPAN_S = 0.030
 """Velocity is the tip's displacement over about this long: three frames at 100 Hz."""
 LATE_S = 0.015
 LATE_POSES, JUDGED_POSES = 3, 5
-"""The latency has jumped where LATE_POSES of the last JUDGED_POSES came LATE_S later than is usual."""
+"""The latency has jumped if LATE_POSES of the last JUDGED_POSES came LATE_S later than is usual."""
 LATE_MM = 0.3
-"""A jump of latency matters where the tip moves further than this in it: the prediction may err as much."""
+"""A jump of latency matters if the tip moves further than this in it: the prediction may err as much."""
 FROZEN_POSES = 5
-"""So many bit-identical poses in a row are one old pose, whatever their status says."""
+"""This many bit-identical poses in a row are one old pose, whatever their status."""
 TO_AND_FRO_MM, TO_AND_FRO_S = 3.0, 0.030
-"""A tip that goes so far, and back again so far, within this time each has been two tips: it would be 20 g at
+"""A tip that goes this far, and as far back, within this time each has been two tips: it would be 20 g at
 100 Hz. A tracker's noise at the end of a long tool stays below 2 mm."""
 CONTRADICTED_STEPS, JUDGED_STEPS = 4, 10
-"""So many of the last steps lead back, and the poses contradict each other."""
+"""Number of the last steps that lead back, from which on the poses contradict each other."""
 RATE_POSES = 32
-"""The tracker's rate is the median over so many poses."""
+"""Poses over which the tracker's rate is the median."""
 
 
 @read_only_arrays
@@ -44,7 +44,7 @@ class ToolReading:
     """The tool at one moment.
 
     Attributes:
-        hazard: why the tip is not known; NONE where it is.
+        hazard: why the tip is not known; NONE if it is.
         tip_tracker_mm: (3,) predicted tip; 0 unless known.
         velocity_mm_s: (3,) of the tip, by which it is predicted; 0 unless known.
         rotation: (3, 3) of tracker_from_tool, the newest; identity unless known.
@@ -69,7 +69,7 @@ class _Tracked:
 
 
 class _Step(NamedTuple):
-    """How far the tip went from one pose to the next, and in which time."""
+    """Displacement of the tip from one pose to the next, and its duration."""
 
     moved_mm: FloatArray
     seconds: float
@@ -96,7 +96,7 @@ class ToolTracker:
         self._tracked: deque[_Tracked] = deque(maxlen=RATE_POSES)
         self._stamps_s: deque[float] = deque(maxlen=RATE_POSES)
         self._newest = Hazard.TOOL_LOST
-        """Of the newest pose."""
+        """Hazard of the newest pose."""
         self._last_matrix: FloatArray | None = None
         self._repeats = 0
         self._velocity = _ZERO
@@ -106,17 +106,17 @@ class ToolTracker:
         self._delayed = False
         self._step = _Step(_ZERO, inf)
         self._back: deque[bool] = deque(maxlen=JUDGED_STEPS)
-        """Of the last steps of the tip, whether they led back."""
+        """Whether each of the last steps of the tip led back."""
 
     def push(self, pose: ToolPose) -> bool:
-        """Take one pose; False where it is not later than all before, and dropped."""
+        """Add one pose; False if it is not later than all before, and dropped."""
         accepted = self.order.accepts(pose.t_s)
         if accepted:
             self._waiting.append(pose)
         return accepted
 
     def at(self, now_s: float) -> ToolReading:
-        """The tool as known at `now_s`, from the poses stamped until then; times in order."""
+        """Return the tool as known at `now_s`, from the poses stamped until then; times in order."""
         self.order.advance(now_s)
         if self._waiting and self._waiting[0].t_s <= now_s:
             self._take_until(now_s)
@@ -150,7 +150,7 @@ class ToolTracker:
         self._delayed = self._come_late()
 
     def _come_late(self) -> bool:
-        """Whether poses now come so much later than is usual that the predicted tip may be far off."""
+        """Check whether poses come so late, against the usual, that the predicted tip may be far off."""
         if len(self._latencies) <= JUDGED_POSES:
             return False
         self._usual_late_s = usual_s = sorted(self._latencies)[len(self._latencies) // 2]
@@ -163,7 +163,7 @@ class ToolTracker:
         if len(self._stamps_s) > 1:
             self._frame_s = median(after - before for before, after in pairwise(self._stamps_s))
         matrix = pose.tracker_from_tool
-        self._newest = self._judged(matrix)
+        self._newest = self._hazard_of(matrix)
         if matrix is None or self._newest:
             return
         rotation = matrix[:3, :3]
@@ -174,12 +174,12 @@ class ToolTracker:
         self._update_velocity()
 
     def _take_step(self, step: "_Step") -> None:
-        """Whether the tip's newest step, and the one before, were large and led there and back."""
+        """Note whether the tip's newest step, and the one before, were large and led there and back."""
         before, self._step = self._step, step
         large = before.large and step.large
         self._back.append(large and float(before.moved_mm @ step.moved_mm) < 0.0)
 
-    def _judged(self, matrix: FloatArray | None) -> Hazard:
+    def _hazard_of(self, matrix: FloatArray | None) -> Hazard:
         if matrix is None:
             return Hazard.TOOL_LOST
         if not np.isfinite(matrix).all():
@@ -189,14 +189,14 @@ class ToolTracker:
         return Hazard.TOOL_FROZEN if self._repeated(matrix) else Hazard.NONE
 
     def _repeated(self, matrix: FloatArray) -> bool:
-        """Whether the pose has been the same, bit by bit, for FROZEN_POSES."""
+        """Check whether the pose has been the same, bit by bit, for FROZEN_POSES."""
         same = self._last_matrix is not None and np.array_equal(matrix, self._last_matrix)
         self._repeats = self._repeats + 1 if same else 1
         self._last_matrix = matrix
         return self._repeats >= FROZEN_POSES
 
     def _update_velocity(self) -> None:
-        """Backward difference over VELOCITY_SPAN_S or up to twice that; zero where no pose lies there."""
+        """Backward difference over VELOCITY_SPAN_S or up to twice that; zero if there is no such pose."""
         newest = self._tracked[-1]
         self._velocity = _ZERO
         for before in reversed(self._tracked):

@@ -282,7 +282,7 @@ def comparison(live: LiveRun, replay: Replay, truth: ScenarioTruth | None) -> di
 
 
 def _registrations(live: LiveRun, replay: Replay) -> list[dict[str, Any]]:
-    ours, theirs = list(live.history.attempts), list(replay.attempts)
+    ours, theirs = live.history.registrations, replay.attempts
     center = replay.heart.center_mm[None]
     rows = []
     for i in range(max(len(ours), len(theirs))):

@@ -14,7 +14,7 @@ from data_synth.scenario.presets import PRESETS, ScenarioSpec, preset_name
 from data_synth.scenario.recording import phantom_scenario
 from dvf_ig.intake.model_cache import cached_model
 from dvf_ig.replay import result_of, run_replay
-from dvf_ig.session.pose.registration_monitor import ELSEWHERE_BEATS
+from dvf_ig.session.pose_states import ELSEWHERE_BEATS
 from dvf_ig.study.driver import (
     Driver,
     Line,

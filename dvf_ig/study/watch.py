@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from data_synth import ScenarioSpec, child_rng, phantom_scenario
-from dvf_ig.core import FloatArray, Rigid, Scenario, mean_displacement_mm, read_only_arrays
+from dvf_ig.core import FloatArray, PoseMotion, Rigid, Scenario, mean_displacement_mm, read_only_arrays
 from dvf_ig.guidance import Hazard
 from dvf_ig.intake.calibrations import calibrate
 from dvf_ig.intake.model_cache import cached_model
@@ -23,16 +23,17 @@ from dvf_ig.registration import PoseEstimate, ShiftDetector
 from dvf_ig.replay import events_of
 from dvf_ig.session import (
     BeatEvaluation,
-    InCaller,
+    InlineExecutor,
     Job,
-    RegistrationMonitor,
     Session,
     SessionHistory,
     SessionSetup,
     beat_source_of,
     build_heart,
 )
-from dvf_ig.session.ultrasound.beat_evaluation import ComparableBeat, ComparedBeat, evaluation_of
+from dvf_ig.session.beat_evaluation import ComparableBeat, ComparedBeat, evaluation_of
+from dvf_ig.session.pose_states import Confirmation, InUse, Pose
+from dvf_ig.session.pose_transition import BeatCompared, next_pose
 from dvf_ig.study.driver import Driver, Line, Result, Rows, Settings, Study, Trials, option
 from dvf_ig.study.hearts.recordings import MOTION, VARIED, ListName, heart_list, hearts_option, list_option
 from dvf_ig.study.statistics import Estimate, estimate_text, number_text, poisson_rate, share_over_hearts
@@ -89,7 +90,7 @@ class WatchedRecording:
     unconfirmed_s: float
 
 
-class _KeepingExecutor(InCaller):
+class _KeepingExecutor(InlineExecutor):
     """Does the work when its result is due, and keeps the beats."""
 
     def __init__(self) -> None:
@@ -265,13 +266,13 @@ def statistics(beats: tuple[WatchedBeat, ...]) -> list[float]:
     return [0.0 if test is None else test.statistic for test in tests]
 
 
-def monitor_before(recording: WatchedRecording, first: int) -> RegistrationMonitor:
-    """The monitor as it was before a beat."""
-    return RegistrationMonitor(
-        recording.center_mm,
-        None,
-        estimate=recording.beats[first].estimate,
-        suspended=False,
+def pose_before(recording: WatchedRecording, first: int) -> Pose:
+    """Return the pose in use as it was before a beat."""
+    beat = recording.beats[first]
+    return InUse(
+        beat.estimate,
+        PoseMotion.still(beat.estimate.pose),
+        Confirmation(beat.evaluation.begin_s, beat.estimate.tre_bound_mm),
         shift=detectors(recording.beats[:first])[-1],
     )
 
@@ -282,10 +283,10 @@ def beats_until_found(recording: WatchedRecording, first: int, shift_mm: FloatAr
     None if FOLLOWED_BEATS do not. No registration takes part: it comes every 12 s, and would only find
     the shift sooner.
     """
-    monitor = monitor_before(recording, first)
+    pose = pose_before(recording, first)
     for count, beat in enumerate(recording.beats[first : first + FOLLOWED_BEATS], start=1):
-        monitor = _after(monitor, DisplacedBeat(beat.slices, shift_mm))
-        if monitor.in_use is None:
+        pose = _after(pose, DisplacedBeat(beat.slices, shift_mm))
+        if not isinstance(pose, InUse):
             return count
     return None
 
@@ -299,24 +300,24 @@ def followed_drift(recording: WatchedRecording, mm_per_s: FloatArray) -> Line | 
     beats = recording.beats[FIRST_ONSET:]
     if not beats:
         return None
-    monitor, lag_mm, found_s = monitor_before(recording, FIRST_ONSET), 0.0, None
+    pose, lag_mm, found_s = pose_before(recording, FIRST_ONSET), 0.0, None
     for beat in beats:
         since_s = beat.slices.end_s - beats[0].slices.begin_s
         gone_mm = mm_per_s * since_s
-        monitor = _after(monitor, DisplacedBeat(beat.slices, gone_mm))
-        if monitor.in_use is None:
+        pose = _after(pose, DisplacedBeat(beat.slices, gone_mm))
+        if not isinstance(pose, InUse):
             found_s = since_s
             break
         there = moved(beat.estimate.pose, gone_mm)
-        lag_mm = max(lag_mm, mean_displacement_mm(monitor.in_use.pose, there, recording.center_mm))
+        lag_mm = max(lag_mm, mean_displacement_mm(pose.estimate.pose, there, recording.center_mm))
     return {"lag_mm": round(lag_mm, 2), "found_s": found_s, "seconds": round(since_s, 1)}
 
 
-def _after(monitor: RegistrationMonitor, beat: DisplacedBeat) -> RegistrationMonitor:
-    if monitor.in_use is None:
-        return monitor
-    result = evaluation_of(beat, monitor.in_use, monitor.center_mm, in_use=True)
-    return monitor if result is None else monitor.after_beat(result)
+def _after(pose: Pose, beat: DisplacedBeat) -> Pose:
+    if not isinstance(pose, InUse):
+        return pose
+    result = evaluation_of(beat, pose.estimate, in_use=True)
+    return pose if result is None else next_pose(pose, BeatCompared(result.decided_s, result))[0]
 
 
 WITHIN_BEATS = (1, 2, 3, 5, 10)

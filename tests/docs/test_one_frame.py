@@ -5,10 +5,17 @@ import re
 from pathlib import Path
 
 from dvf_ig.core.space import pose_motion
+from dvf_ig.session import (
+    arrived_ultrasound,
+    beat_evaluation,
+    clocks,
+    gated_frames,
+    pose_states,
+    registration_plan,
+    tool_tracker,
+    work,
+)
 from dvf_ig.session import heart as session_heart
-from dvf_ig.session import stamp_order, tool_tracker
-from dvf_ig.session.pose import beat_jobs, confirmation, pose_tracker, registration_jobs
-from dvf_ig.session.ultrasound import beat_evaluation, frame_buffer, gated_frames
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "dvf_ig/docs/guide/one-frame.md").read_text(encoding="utf-8")
@@ -36,12 +43,9 @@ def test_every_module_has_the_function_that_the_page_names() -> None:
 def test_no_module_stands_there_twice_and_every_step_of_the_session_once() -> None:
     paths = [path for path, _ in ROWS]
     assert len(paths) == len(set(paths))
-    folders = (ROOT / "dvf_ig/session" / folder for folder in (".", "ultrasound", "pose"))
-    steps = {path.relative_to(ROOT).as_posix() for folder in folders for path in folder.glob("*.py")}
-    beside = {"__init__", "ultrasound/__init__", "pose/__init__", "calibrations", "heart", "setup"}
-    beside |= {"no_force", "refusal", "pose/history", "pose/touched_landmarks"}
-    beside |= {"volume_registration"}  # of gated 3-D images, not frames
-    assert steps - set(paths) == {f"dvf_ig/session/{name}.py" for name in beside}
+    steps = {path.relative_to(ROOT).as_posix() for path in (ROOT / "dvf_ig/session").glob("*.py")}
+    others = {"__init__", "heart", "history", "reasons", "setup"}
+    assert steps - set(paths) == {f"dvf_ig/session/{name}.py" for name in others}
 
 
 def test_the_modules_of_the_drawing_are_in_the_tables() -> None:
@@ -62,18 +66,19 @@ def test_every_term_is_in_the_glossary() -> None:
 def test_the_times_are_the_code_s() -> None:
     text = " ".join(PAGE.split())
     for stated in (
-        f"a beat are gathered {beat_jobs.BEAT_GATHER_S:g} s after $D$",
-        f"a registration {registration_jobs.GATHER_S:g} s after",
-        f"$A$ + {registration_jobs.COMPUTE_S:g} s",
+        f"a beat are gathered {work.BEAT_GATHER_S:g} s after $D$",
+        f"a registration {work.GATHER_S:g} s after",
+        f"$A$ + {work.COMPUTE_S:g} s",
         f"$D$ + {beat_evaluation.BEAT_COMPUTE_S:g} s",
-        f"for {frame_buffer.KEEP_S:g} s",
-        f"{gated_frames.MIN_FRAMES} to {gated_frames.MAX_FRAMES} slices of up to {pose_tracker.MEMORY_S:g} s",
+        f"for {arrived_ultrasound.KEEP_S:g} s",
+        f"{gated_frames.MIN_FRAMES} to {gated_frames.MAX_FRAMES} slices",
+        f"of up to {registration_plan.MEMORY_S:g} s, coarse and fine",
         f"{session_heart.FINE_PITCH_MM:g} or {session_heart.COARSE_PITCH_MM:g} mm a pixel",
-        f"more than {stamp_order.JITTER_S:g} s back",
-        f"{confirmation.MAX_AGE_S:g} s or three beats",
+        f"more than {clocks.JITTER_S:g} s back",
+        f"{pose_states.MAX_AGE_S:g} s or three beats",
         f"no more than {pose_motion.UPDATE_MM_PER_S:g} mm/s",
         f"the last {1000 * tool_tracker.VELOCITY_SPAN_S:g} ms",
         f"for {1000 * tool_tracker.MAX_AGE_S:g} ms at most",
     ):
         assert stated in text, stated
-    assert confirmation.MAX_MISSED_BEATS == 3
+    assert pose_states.MAX_MISSED_BEATS == 3

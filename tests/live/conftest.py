@@ -16,8 +16,8 @@ UNTIL_S = 14.5
 
 def know_images(patch: pytest.MonkeyPatch) -> None:
     """What is done with pixels is replaced by what the toy's pixels say."""
-    patch.setattr("dvf_ig.session.ultrasound.ultrasound_source.register_frames", register_known)
-    patch.setattr("dvf_ig.session.ultrasound.ultrasound_source.compare_beat", compare_known)
+    patch.setattr("dvf_ig.session.arrived_ultrasound.register_frames", register_known)
+    patch.setattr("dvf_ig.session.arrived_ultrasound.compare_beat", compare_known)
 
 
 @pytest.fixture

@@ -48,7 +48,7 @@ from dvf_ig.live.answers import state_messages
 from dvf_ig.live.igtl import Status
 from dvf_ig.live.record import LOG, PART, CountedWork, SessionRecord, session_record
 from dvf_ig.replay.repetition import AsRecorded, recorded_ticks, repeat
-from dvf_ig.session import Beside, GuidanceState, Session, ToolPose
+from dvf_ig.session import GuidanceState, Session, ThreadedExecutor, ToolPose
 
 pytest.importorskip("mcap", reason="session logs need mcap")
 pytest.importorskip("rosbags", reason="session logs need rosbags")
@@ -80,7 +80,7 @@ def recorded(folder: Path, told: list[str], until_s: float) -> list[GuidanceStat
     states: list[GuidanceState] = []
     with (
         session_record(folder, attach, told.append) as record,
-        Beside(waits=False) as beside,
+        ThreadedExecutor(waits=False) as beside,
         Session(toy_setup(), executor=CountedWork(beside, record)) as session,
     ):
         toy, kept = LiveToy(session), record.state
@@ -107,8 +107,8 @@ def told() -> list[str]:
 def run(tmp_path_factory: pytest.TempPathFactory, told: list[str]) -> tuple[Path, list[GuidanceState]]:
     folder = tmp_path_factory.mktemp("record")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("dvf_ig.session.ultrasound.ultrasound_source.register_frames", register_known)
-        patch.setattr("dvf_ig.session.ultrasound.ultrasound_source.compare_beat", compare_known)
+        patch.setattr("dvf_ig.session.arrived_ultrasound.register_frames", register_known)
+        patch.setattr("dvf_ig.session.arrived_ultrasound.compare_beat", compare_known)
         return folder, recorded(folder, told, UNTIL_S)
 
 

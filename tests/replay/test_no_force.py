@@ -12,7 +12,7 @@ from dvf_ig.cli.main import app
 from dvf_ig.guidance import Status
 from dvf_ig.intake.findings import Disagreement, finding
 from dvf_ig.replay import Replay, result_of
-from dvf_ig.session.no_force import NoForce
+from dvf_ig.session.reasons import NoForce
 
 
 def with_status(replay: Replay, *codes: Status) -> Replay:

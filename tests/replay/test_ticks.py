@@ -28,8 +28,8 @@ def said() -> tuple[list[GuidanceState], Ticks]:
     streams.tool = [ToolPose(p.t_s, None) if 12.8 <= p.t_s < 13.0 else p for p in streams.tool]
     streams.frames = [f for f in streams.frames if f.t_s < 14.0]
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("dvf_ig.session.ultrasound.ultrasound_source.register_frames", register_known)
-        patch.setattr("dvf_ig.session.ultrasound.ultrasound_source.compare_beat", compare_known)
+        patch.setattr("dvf_ig.session.arrived_ultrasound.register_frames", register_known)
+        patch.setattr("dvf_ig.session.arrived_ultrasound.compare_beat", compare_known)
         with Session(toy_setup()) as session:
             states = run(session, streams.merged(), TIMES)
     recorder = TickRecorder(np.array(TIMES))

@@ -10,7 +10,8 @@ from dvf_ig.session import SessionHistory
 
 def replay_of(*off_mm: float) -> Any:
     history = SessionHistory()
-    history.sightings.extend(TipSighting(off, 2.0, 90.0, 5.0, 8) for off in off_mm)
+    for off in off_mm:
+        history.append(TipSighting(off, 2.0, 90.0, 5.0, 8))
     return SimpleNamespace(history=history)
 
 

@@ -1,4 +1,4 @@
-"""What a session knows of a heart: from a model file alone, with MR, with or without chambers of blood."""
+"""The heart of a session: from a model file alone, with MR, with or without chambers of blood."""
 
 import logging
 from dataclasses import replace

@@ -13,7 +13,7 @@ from dvf_ig.guidance.margins import MarginOptions
 from dvf_ig.guidance.servo import ServoInputs
 from dvf_ig.session import GuidanceState, Session
 from dvf_ig.session.margins import SHAPE_SIGMA_MM, TIP_SIGMA_MM, TOOL_SIGMA_MM
-from dvf_ig.session.pose.confirmation import AGEING_MM_PER_S
+from dvf_ig.session.pose_states import AGEING_MM_PER_S
 
 pytestmark = pytest.mark.usefixtures("known_ultrasound")
 WALL_AND_GUIDE = (FixtureOptions(Sigmoid()), FixtureOptions(Gaussian(6.0, cap_n=0.3)))
@@ -55,7 +55,7 @@ def test_an_adaptive_margin_is_the_quantile_of_all_that_the_session_states() -> 
 
 
 def test_a_margin_widens_the_wall_that_a_session_renders() -> None:
-    """Off and fixed hold from the first moment on; a fixed margin is a wall that begins so much earlier."""
+    """Margins off and fixed hold from the first moment on; a fixed one widens the wall by its width."""
     off, fixed = states_with(MarginOptions()), states_with(MarginOptions("fixed", fixed_mm=1.5))
     assert not np.array([s.margin_mm for s in off]).any()
     assert (np.array([s.margin_mm for s in fixed]) == 1.5).all()

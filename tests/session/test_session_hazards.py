@@ -227,7 +227,7 @@ def test_a_lost_phase_leaves_the_wall(disturb: Disturbance, lasting_s: float, wi
 
 @pytest.mark.parametrize("blend", ["force", "periodic"])
 def test_a_lost_phase_takes_guidance_away(blend: Blend) -> None:
-    """Alone, by the supervisor's fade; beside a wall by the crossing to it, within 250 ms."""
+    """Alone, by the supervisor's fade; next to a wall by the crossing to it, within 250 ms."""
     guide = FixtureOptions(Gaussian(cap_n=0.3), blend)
     for others in ((), (FixtureOptions(Sigmoid(depth_mm=30.0, cap_n=0.3)),)):
         streams = toy_streams(END_S)

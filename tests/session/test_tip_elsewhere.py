@@ -1,4 +1,4 @@
-"""A session whose ultrasound shows the tool: in its place it guides, beside its place it does not."""
+"""A session whose ultrasound shows the tool: where its tip should be it guides, elsewhere it does not."""
 
 from dataclasses import replace
 
@@ -20,14 +20,14 @@ from toy_session import (
 from dvf_ig.core import FloatArray
 from dvf_ig.guidance import Hazard
 from dvf_ig.session import GuidanceState, Session, TrackedFrame
-from dvf_ig.session.refusal import DoubtCause, Refusal
+from dvf_ig.session.reasons import DoubtCause, Refusal
 
 pytestmark = pytest.mark.usefixtures("known_ultrasound")
 
 UNTIL_S = 40.0
 MM_PER_PX, OFF_PX = 4.0, 1.8
 PLACE_PX = np.array([11.5, 11.5])
-"""Of the tip in every image: column and row."""
+"""Column and row of the tip in every image."""
 
 
 def tip_mm(t_s: float) -> FloatArray:
@@ -42,7 +42,7 @@ def beside_mm(t_s: float) -> float:
 
 
 def shown(frame: TrackedFrame, off_px: float) -> TrackedFrame:
-    """The frame of a probe that holds the tip at one pixel; the tool is seen beside it by `off_px`."""
+    """The frame of a probe that holds the tip at one pixel; the tool is seen `off_px` from it."""
     pose = np.eye(4)
     pose[:3, 3] = tip_mm(frame.t_s) - np.array([*(MM_PER_PX * PLACE_PX), beside_mm(frame.t_s)])
     row, column = np.mgrid[:24, :24]
@@ -55,7 +55,7 @@ def shown(frame: TrackedFrame, off_px: float) -> TrackedFrame:
 
 
 def states(off_px: float) -> list[GuidanceState]:
-    """Seen beside its place by `off_px`."""
+    """Seen `off_px` from where the tip should be."""
     streams: Streams = toy_streams(UNTIL_S)
     streams.frames = [shown(frame, off_px) for frame in frame_events(UNTIL_S)]
     with Session(toy_setup()) as session:

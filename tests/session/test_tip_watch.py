@@ -5,8 +5,8 @@ import pytest
 
 from dvf_ig.core import Fan, ImageMap, Points, Rigid
 from dvf_ig.session import CalibrationsInUse, ToolPose, TrackedFrame
-from dvf_ig.session.ultrasound.frame_buffer import FrameBuffer
-from dvf_ig.session.ultrasound.tip_watch import TipWatch
+from dvf_ig.session.arrived_ultrasound import FrameBuffer
+from dvf_ig.session.tip_watch import TipWatch
 
 ROWS, COLUMNS, MM = 120, 120, 0.5
 TIP_MM = np.array([5.0, 0.0, 40.0])
@@ -22,12 +22,12 @@ def calibrations(off_mm: float = 0.0) -> CalibrationsInUse:
 
 
 def place_mm(t_s: float) -> np.ndarray:
-    """Of the tip beside a probe that stands still: through the image now and then, never at rest."""
+    """Path of the tip past a probe at rest: through the image now and then, never at rest."""
     return np.array([4.0 * np.sin(t_s), 30.0 + 3.0 * np.cos(1.3 * t_s), 7.5 * np.sin(0.9 * t_s)])
 
 
 def frame(t_s: float, rng: np.random.Generator, *, shown: bool) -> TrackedFrame:
-    """What is seen at t_s + LAG_S; the tool is as bright as it is near to the plane."""
+    """Image of the tip at t_s + LAG_S; the tool is as bright as it is near to the plane."""
     x, y, z = place_mm(t_s + LAG_S)
     row, column = np.mgrid[:ROWS, :COLUMNS] * MM
     near = np.exp(-0.5 * (z / 1.5) ** 2) if shown else 0.0

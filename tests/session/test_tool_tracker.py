@@ -132,7 +132,7 @@ def test_poses_that_suddenly_come_late_are_noticed_where_the_tool_moves() -> Non
 
 
 def between(apart_mm: float, noise_mm: float = 0.0, apart_s: float = 0.003) -> set[Hazard]:
-    """Hazards while two programs send the tool, each at 100 Hz, one `apart_mm` beside the other."""
+    """Hazards while two programs send the tool, each at 100 Hz, `apart_mm` from each other."""
     tracker, found, rng = ToolTracker(TIP), set(), np.random.default_rng(2)
     for i in range(300):
         for t_s, off_mm in ((0.01 * i, 0.0), (0.01 * i + apart_s, apart_mm)):

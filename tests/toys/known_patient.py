@@ -14,7 +14,7 @@ from dvf_ig.registration import (
     RegistrationOptions,
     RegistrationResult,
 )
-from dvf_ig.session.ultrasound.beat_evaluation import BEAT_COMPUTE_S, BeatEvaluation
+from dvf_ig.session.beat_evaluation import BEAT_COMPUTE_S, BeatEvaluation
 
 DETECTION_S, SIGMA_MM = 0.12, 0.8
 """An R peak is detected so long after it; a beat tells each coordinate of the pose so well."""

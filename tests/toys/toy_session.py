@@ -31,7 +31,7 @@ from dvf_ig.session import (
     TrackedFrame,
     UltrasoundRecording,
 )
-from dvf_ig.session.ultrasound.beat_evaluation import ComparedBeat
+from dvf_ig.session.beat_evaluation import ComparedBeat
 
 RR_S, ECG_HZ, FRAME_HZ, TOOL_HZ, TICK_S = 0.8, 250.0, 20.0, 100.0, 0.01
 LAG_S = -0.06

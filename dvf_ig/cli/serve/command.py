@@ -170,7 +170,8 @@ def _serve(
             result = _run_session(ready, live, page, seconds, summary, history, record)
         failure = record.failure
         result["record"] = {"folder": str(out), "lost": record.lost, "failure": failure}
-    reason = history.attempts[-1].reason if history.attempts else None
+    last = history.last_registration
+    reason = None if last is None else last.reason
     silent = no_force(summary.by_status, posed=bool(history.updates), reason=reason)
     emit(result, summary.table(result), as_json=as_json)
     if silent is not None:

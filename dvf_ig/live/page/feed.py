@@ -24,7 +24,7 @@ from dvf_ig.report.viewer import (
 from dvf_ig.report.viewer.frames import SENT_COLUMNS
 from dvf_ig.report.viewer.scene import image_payload
 from dvf_ig.session import EcgSamples, Event, GuidanceState, SessionHistory, SessionSetup, TrackedFrame
-from dvf_ig.session.pose.confirmation import MAX_AGE_S
+from dvf_ig.session.pose_states import MAX_AGE_S
 
 T = TypeVar("T")
 FRAMES_HZ = 10.0
@@ -70,7 +70,7 @@ class PageFeed:
         self._frame_s = self._told_s = float("-inf")
         self._peaks: deque[float] = deque(maxlen=KEPT)
         self._marks: deque[dict[str, Any]] = deque(maxlen=KEPT)
-        self._seen_peak_s = self._seen_attempt_s = float("-inf")
+        self._seen_peak_s = self._seen_registration_s = float("-inf")
 
     # ------------------------------------------------------------------ by the session's thread
 
@@ -97,12 +97,11 @@ class PageFeed:
         if fresh:
             self._seen_peak_s = fresh[0]
             self._peaks.extend(reversed(fresh))
-        attempts = self._history.attempts
-        if attempts and attempts[-1].asked_s > self._seen_attempt_s:
-            newest = attempts[-1]
+        newest = self._history.last_registration
+        if newest is not None and newest.asked_s > self._seen_registration_s:
             waited_s = now_s - newest.ready_s
             if newest.usable or waited_s > JUDGED_AFTER_S:
-                self._seen_attempt_s = newest.asked_s
+                self._seen_registration_s = newest.asked_s
                 kind = "registration" if newest.usable else "refused"
                 mark = {"t_s": newest.ready_s, "until_s": None, "kind": kind, "text": newest.reason}
                 self._marks.append(mark)

@@ -41,7 +41,7 @@ from dvf_ig.io.slicer.nodes import (
     write_node_transform,
     write_volume_sequence,
 )
-from dvf_ig.session.ultrasound.probe_motion import smoothed_poses
+from dvf_ig.session.gated_frames import smoothed_poses
 
 from .exported_run import ExportedRun
 from .slicer_readme import readme_text

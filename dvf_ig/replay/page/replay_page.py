@@ -23,8 +23,8 @@ from dvf_ig.report.replay import (
     replay_html,
 )
 from dvf_ig.report.style import ESTIMATE, FAINT, GUIDE, START, WRONG
-from dvf_ig.session.pose.confirmation import MAX_AGE_S
-from dvf_ig.session.pose.registration_monitor import SUSPEND_LOG_RATIO
+from dvf_ig.session.pose_states import MAX_AGE_S
+from dvf_ig.session.pose_transition import SUSPEND_LOG_RATIO
 
 from .planes import anatomy_of_heart, frame_overlays
 

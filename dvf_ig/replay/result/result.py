@@ -9,7 +9,7 @@ from dvf_ig.cardiac import frame_period_s
 from dvf_ig.guidance import Status, summarise_supervision
 from dvf_ig.intake.fixtures import DeviceConfig
 from dvf_ig.replay.engine import Replay
-from dvf_ig.session.no_force import no_force
+from dvf_ig.session.reasons import no_force
 
 from .errors import ERROR_FIELDS, error_fields, margin_fields
 from .evidence import attempt_fields

@@ -20,7 +20,7 @@ from dvf_ig.replay.events import ECG_CHUNK, Timed, events_of
 from dvf_ig.replay.operator import SimulatedOperator
 from dvf_ig.session import (
     EcgSamples,
-    InCaller,
+    InlineExecutor,
     Session,
     SessionSetup,
     ToolPose,
@@ -194,7 +194,7 @@ def run_session(
     spent_us = np.full(int(seconds) * STATES_PER_S, np.nan)  # held from the beginning on
     memory_mb, computing_s, served = np.full(int(seconds), np.nan), 0.0, 0
     upcoming = next(events)
-    with Session(setup, executor=InCaller(), clock=time.process_time) as session:
+    with Session(setup, executor=InlineExecutor(), clock=time.process_time) as session:
         for second in range(int(seconds)):
             last_s = recorded.begin_s + second + 1.0
             due = []
@@ -234,7 +234,7 @@ def run_session(
         resident_mb_start=_median(memory_mb[warm : warm + MEMORY_OVER_S]),
         resident_mb_end=_median(memory_mb[-MEMORY_OVER_S:]),
         served_share=served / len(spent_us),
-        registrations=len(history.attempts),
+        registrations=len(history.registrations),
         beats=len(history.beats),
     )
 

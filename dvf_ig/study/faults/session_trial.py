@@ -276,7 +276,7 @@ def run_session_fault(planned: SessionFault, seed: int) -> SessionRun:
         times = _times(when, until_s, WARM_UP_STEP_S if planned.from_start else planned.step_s)
         trace = _run(session, streams, patient, times, (when.begin_s, rearm_s))
     if planned.on_registration:
-        registered_s = [a.ready_s for a in history.attempts if when.begin_s <= a.asked_s < when.end_s]
+        registered_s = [a.ready_s for a in history.registrations if when.begin_s <= a.asked_s < when.end_s]
         if not registered_s:
             raise InvalidInputError("no registration was asked for while the fault lasted; give it longer")
         when = replace(when, begin_s=registered_s[0])

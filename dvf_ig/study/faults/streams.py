@@ -55,10 +55,10 @@ from dvf_ig.session import (
     ToolPose,
     TrackedFrame,
 )
-from dvf_ig.session.executor import Job, answered
-from dvf_ig.session.ultrasound.beat_evaluation import BEAT_COMPUTE_S, ComparedBeat
-from dvf_ig.session.ultrasound.frame_buffer import FrameBuffer
-from dvf_ig.session.ultrasound.gated_frames import MIN_FRAMES
+from dvf_ig.session.arrived_ultrasound import FrameBuffer
+from dvf_ig.session.beat_evaluation import BEAT_COMPUTE_S, ComparedBeat
+from dvf_ig.session.gated_frames import MIN_FRAMES
+from dvf_ig.session.work import Job, answered
 from dvf_ig.study.passivity import wall_model
 
 AMPLITUDE_MM = 5.0

@@ -166,8 +166,8 @@ def test_a_smaller_image_shows_the_same_place() -> None:
 
 
 def test_an_event_says_what_the_state_says(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("dvf_ig.session.ultrasound.ultrasound_source.register_frames", register_known)
-    monkeypatch.setattr("dvf_ig.session.ultrasound.ultrasound_source.compare_beat", compare_known)
+    monkeypatch.setattr("dvf_ig.session.arrived_ultrasound.register_frames", register_known)
+    monkeypatch.setattr("dvf_ig.session.arrived_ultrasound.compare_beat", compare_known)
     with Session(toy_setup()) as session:
         states = run(session, toy_streams(13.0).merged(), [5.0, *ticks(12.6, 12.7)])
     early, state = state_event(states[0]), state_event(states[-1])

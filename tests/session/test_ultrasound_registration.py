@@ -96,7 +96,7 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[SimpleNamespace]:
         ended = replace(any_result(), target_from_source=start, stop=Stop.CONVERGED)
         return against_touched(ended, landmarks, None)
 
-    monkeypatch.setattr("dvf_ig.session.volume_registration.register", register)
+    monkeypatch.setattr("dvf_ig.session.ultrasound_registration.register", register)
     return calls
 
 

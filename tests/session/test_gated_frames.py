@@ -1,11 +1,11 @@
-"""The probe's pose between noisy samples: nearer to a smooth motion, and left alone where it was jerky."""
+"""The probe's pose between noisy samples: nearer to a smooth motion, and left alone if it was jerky."""
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from dvf_ig.core import FloatArray, PoseStream
-from dvf_ig.session.ultrasound.probe_motion import POSES, REACH_MM, smoothed_poses
+from dvf_ig.session.gated_frames import POSES, REACH_MM, smoothed_poses
 
 RATE_HZ = 12.0
 
@@ -87,7 +87,7 @@ def test_too_few_samples_are_taken_as_they_are(count: int) -> None:
 
 
 def test_a_pose_does_not_depend_on_samples_outside_its_window() -> None:
-    """The same in a long recording as in the part that a beat asks for."""
+    """A long recording gives the same as the part for one beat."""
     stamps = np.arange(0.0, 12.0, 1 / RATE_HZ)
     stream = noisy(stamps, mm=0.6, rad=0.007)
     part = slice(60, 80)

@@ -1,26 +1,32 @@
-"""Clocks of the sources against the local one: a running minimum of arrival less stamp, and what it says.
+"""Time stamps of the streams: their order within a stream, and the clocks of sources against the local one.
 
-The latency of a link is never below its least; what the least seems to do over minutes, the source's clock
-does. With L the least of arrival − stamp over the last blocks, and L₀ that of the first REFERENCE_S,
+Repeated and reordered samples are dropped, a restarted clock is refused (`StampOrder`). The latency of a link
+is never below its least; what the least seems to do over minutes, the source's clock does (`SourceClock`).
+With L the least of arrival − stamp over the last blocks, and L₀ that of the first REFERENCE_S,
 
     stamp on the local clock = stamp + (L − L₀)
 
 follows a clock that is fast or slow by up to LARGEST_RATE. A sudden rise of L may be a link that has become
-slow: it is followed at that rate too, and until then the samples are what they seem, late. Where stamps go
-back the clock did: samples are refused until they are no later than usual again, or until the clock has run
-steadily for STEADY_S from where it went to (a source that restarted): then L is what it is now. So it is with
-a clock that went ahead, whose samples are stamped with their arrival meanwhile.
+slow: it is followed at the same rate, and until then the samples are what they seem, late. If stamps go back
+the clock did: samples are refused until they are no later than usual again, or until the clock has run
+steadily for STEADY_S from where it went to (a source that restarted): then L is what it is now. The same
+holds for a clock that went ahead, whose samples are stamped with their arrival meanwhile.
 Source: clock filter of NTP (Mills, RFC 5905): the sample of least delay is the best one.
 """
 
 from collections import deque
 from dataclasses import dataclass, replace
 from math import inf
+from typing import NamedTuple
 
 from .events import EcgSamples, Event, ToolPose, TrackedFrame, Trigger
-from .heart_clock import BeatSource, EcgSource
-from .stamp_order import JITTER_S
+from .setup import BeatSource, EcgSource
 
+JITTER_S = 0.1
+"""A stamp may lie this far before the newest: samples overtook each other. Beyond it the clock restarted."""
+WINDOW = 100
+DEGRADED_SHARE = 0.1
+"""More than this share of the last WINDOW samples dropped degrades (docs/theory/safety.md)."""
 REFERENCE_S = 5.0
 BLOCK_S = 2.0
 """Least latencies are kept for blocks of this length."""
@@ -32,8 +38,58 @@ FUTURE_S = 0.005
 LARGEST_RATE = 500e-6
 """No crystal is off by more; a faster change is followed so fast and no faster."""
 STEADY_S, STEADY_SAMPLES = 2.0, 3
-"""A clock that jumped is followed when so many samples over this time are stamped alike: longer than the
+"""A clock that jumped is followed once this many samples over this time agree on its stamps: longer than the
 second after which the force latches (`CLOCK_BACKWARDS`), so that an operator has to let it back."""
+
+
+class StampOrder:
+    """Watches the stamps of one stream, in the order in which its samples arrive.
+
+    A stream may be handed over ahead of time: what is wrong with a sample counts from the newest stamp that
+    came before it.
+    """
+
+    def __init__(self) -> None:
+        self.newest_s = float("-inf")
+        self.restarted = False
+        """Whether the clock has gone back and no later sample has come since."""
+        self._waiting: deque[_Arrival] = deque()
+        self._dropped: deque[bool] = deque(maxlen=WINDOW)
+        self._dropped_in_a_row = 0
+
+    def accepts(self, t_s: float, last_s: float | None = None) -> bool:
+        """Whether a sample stamped `t_s` is later than all before it.
+
+        Args:
+            last_s: stamp of the last of several samples that came together; None for a single sample.
+        """
+        later, back = t_s > self.newest_s, t_s < self.newest_s - JITTER_S
+        if later:
+            self.newest_s = t_s if last_s is None else last_s
+        self._dropped_in_a_row = 0 if later else self._dropped_in_a_row + 1
+        if self._dropped_in_a_row <= WINDOW:
+            self._waiting.append(_Arrival(self.newest_s, later, back))
+        return later
+
+    def advance(self, now_s: float) -> None:
+        """Count samples that arrived behind stamps until now; times in order."""
+        while self._waiting and self._waiting[0].from_s <= now_s:
+            arrival = self._waiting.popleft()
+            self._dropped.append(not arrival.later)
+            self.restarted = arrival.back or (self.restarted and not arrival.later)
+
+    @property
+    def disordered(self) -> bool:
+        """Whether too many of the recent samples came late or twice."""
+        return sum(self._dropped) > DEGRADED_SHARE * WINDOW
+
+
+class _Arrival(NamedTuple):
+    """A sample that arrived: from when it counts, and how its stamp compares with those before."""
+
+    from_s: float
+    later: bool
+    back: bool
 
 
 @dataclass(slots=True)
@@ -59,7 +115,7 @@ class SourceClock:
 
     def __init__(self) -> None:
         self.correction_s = 0.0
-        """What is added to stamps now."""
+        """Correction that is added to stamps now."""
         self._reference_s = inf
         self._first_s: float | None = None
         self._last_s = self._block_s = 0.0
@@ -70,10 +126,10 @@ class SourceClock:
         self.skewed = False
         """Whether the clock runs away: stamps from the future, or a drift beyond SKEW."""
         self.behind = False
-        """Whether the clock went back, and is neither back nor known to be another one."""
+        """Whether the clock went back, and has neither recovered nor run steadily since."""
 
     def local_s(self, t_s: float, arrived_s: float) -> float | None:
-        """A stamp on the local clock; None where the sample is to be refused.
+        """Return a stamp on the local clock; None if the sample is to be refused.
 
         Args:
             t_s: as the source stamped it, of the newest that came together.
@@ -84,11 +140,11 @@ class SourceClock:
         latency_s = arrived_s - t_s
         ahead_s = self.correction_s - latency_s
         if ahead_s > FUTURE_S or self._went_back(t_s, latency_s):
-            found = self._since_jump(t_s, arrived_s, latency_s)
-            if FUTURE_S < ahead_s <= JITTER_S or not found.steady(arrived_s):
+            jumped = self._since_jump(t_s, arrived_s, latency_s)
+            if FUTURE_S < ahead_s <= JITTER_S or not jumped.steady(arrived_s):
                 self.skewed |= ahead_s > FUTURE_S
                 return arrived_s if ahead_s > FUTURE_S else None
-            self._follow_jump(found)
+            self._follow_jump(jumped)
         self._jumped = None
         if arrived_s - self._block_s >= BLOCK_S:
             self._blocks.append(self._block_min_s)
@@ -111,7 +167,7 @@ class SourceClock:
         return self.behind
 
     def _since_jump(self, t_s: float, arrived_s: float, latency_s: float) -> _Jumped:
-        """What the clock has done since it jumped, or since it did so last."""
+        """Describe the clock since it jumped, or since it did so last."""
         jumped = self._jumped
         if jumped is None or not jumped.goes_on(t_s, latency_s):
             jumped = self._jumped = _Jumped(arrived_s, t_s, latency_s, latency_s)
@@ -121,7 +177,7 @@ class SourceClock:
         return jumped
 
     def _follow_jump(self, jumped: _Jumped) -> None:
-        """The least latency since the jump is what the least before was; none, where no sample was used."""
+        """Take the least latency since the jump for the least before; zero if no sample was used before."""
         if self._reference_s == inf:
             self._reference_s = 0.0
         self._first_s = -inf
@@ -163,11 +219,11 @@ class SourceClocks:
         return any(clock.behind for clock in self._clocks.values())
 
     def correction_s(self, kind: type) -> float:
-        """What is added to the stamps of a kind of event now."""
+        """Return the correction that is added to the stamps of a kind of event now."""
         return self._clocks[kind].correction_s if kind in self._clocks else 0.0
 
     def on_local_clock(self, event: Event, arrived_s: float) -> Event | None:
-        """The event, its stamp put right; None where it is to be refused."""
+        """Return the event with its stamp corrected; None if it is to be refused."""
         if isinstance(event, EcgSamples):
             length_s = (len(event.samples) - 1) * self._ecg_step_s
             last_s = event.start_s + length_s

@@ -1,4 +1,4 @@
-"""Landmarks touched one by one: a fit from three on, a prior from five on, a fresh start after a doubt."""
+"""Landmarks touched one by one: a fit from three on, a prior from five on, none of before a suspension."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ from toy_session import HOME
 from dvf_ig.core import FloatArray
 from dvf_ig.registration.start import LEAST_SIGMA_MM, MIN_FOR_PRIOR
 from dvf_ig.session import Landmark
-from dvf_ig.session.pose.touched_landmarks import TouchedLandmarks
+from dvf_ig.session.registration_plan import TouchedLandmarks
 
 POINTS = np.array(
     [[40.0, 0.0, 0.0], [0.0, 35.0, 5.0], [0.0, -10.0, 50.0], [-30.0, 5.0, 8.0], [5.0, -40.0, 9.0]]
@@ -24,7 +24,7 @@ def test_three_points_give_a_fit_and_five_a_prior() -> None:
     for k in range(5):
         assert (landmarks.fit is None) == (k < 3)
         assert landmarks.prior is None
-        landmarks.add(touched(k))
+        landmarks = landmarks.touched(touched(k))
     assert landmarks.fit is not None
     np.testing.assert_allclose(landmarks.fit.matrix, HOME.matrix, atol=1e-9)
     assert MIN_FOR_PRIOR == 5
@@ -34,9 +34,9 @@ def test_three_points_give_a_fit_and_five_a_prior() -> None:
 
 def test_a_point_that_is_touched_again_replaces_the_older() -> None:
     landmarks = TouchedLandmarks()
-    landmarks.add(touched(0, np.array([9.0, 0.0, 0.0])))
+    landmarks = landmarks.touched(touched(0, np.array([9.0, 0.0, 0.0])))
     for k in (1, 2, 0):
-        landmarks.add(touched(k))
+        landmarks = landmarks.touched(touched(k))
     assert landmarks.fit is not None
     np.testing.assert_allclose(landmarks.fit.matrix, HOME.matrix, atol=1e-9)
 
@@ -45,22 +45,24 @@ def test_points_on_one_line_are_no_fit_yet() -> None:
     landmarks = TouchedLandmarks()
     for k in range(3):
         on_line = np.array([10.0 * k, 5.0 * k, 0.0])
-        landmarks.add(Landmark(0.0, f"point {k}", on_line, on_line))
+        landmarks = landmarks.touched(Landmark(0.0, f"point {k}", on_line, on_line))
     assert landmarks.fit is None
     assert landmarks.prior is None
-    landmarks.add(Landmark(0.0, "beside", np.array([0.0, 30.0, 5.0]), np.array([0.0, 30.0, 5.0])))
+    landmarks = landmarks.touched(
+        Landmark(0.0, "off the line", np.array([0.0, 30.0, 5.0]), np.array([0.0, 30.0, 5.0]))
+    )
     assert landmarks.fit is not None
     np.testing.assert_allclose(landmarks.fit.matrix, np.eye(4), atol=1e-9)
 
 
-def test_after_a_doubt_only_points_touched_since_count() -> None:
+def test_after_a_suspension_only_points_touched_since_count() -> None:
     landmarks = TouchedLandmarks()
     for k in range(5):
-        landmarks.add(touched(k, np.array([5.0, 0.0, 0.0])))
-    landmarks.forget()
+        landmarks = landmarks.touched(touched(k, np.array([5.0, 0.0, 0.0])))
+    landmarks = landmarks.since(np.inf)
     assert landmarks.fit is None
     assert landmarks.prior is None
     for k in range(3):
-        landmarks.add(touched(k))
+        landmarks = landmarks.touched(touched(k))
     assert landmarks.fit is not None
     assert landmarks.fit.apply_array(touched(4).tracker_mm[None])[0] == pytest.approx(POINTS[4], abs=1e-9)

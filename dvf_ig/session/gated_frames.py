@@ -1,10 +1,18 @@
-"""Ultrasound frames that can be compared with the model: tracked, gated, and placed in its cycle."""
+"""Ultrasound frames that can be compared with the model: tracked, gated, and placed in its cycle.
+
+The probe's pose at the moment of an image comes from the poses tracked around it (`smoothed_poses`). A hand
+moves smoothly over half a second, a tracker's noise is new in every sample. So the pose is that of a
+quadratic in time, fitted to POSES neighbouring samples (local regression, Cleveland 1979; rotations as
+rotation vectors about the interpolated pose). If the hand was quicker than that, which shows as a misfit
+beyond the noise, the interpolated pose is used.
+"""
 
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from dvf_ig.cardiac import RetimeMode, RPeak, beat_phase, retime
 from dvf_ig.core import (
@@ -14,9 +22,11 @@ from dvf_ig.core import (
     FloatArray,
     IntArray,
     InvalidInputError,
+    PoseStream,
     TrackedSequence,
     read_only_arrays,
 )
+from dvf_ig.core.recordings.stream import MAX_GAP_S
 from dvf_ig.registration import (
     PHASE_WINDOW,
     Gated,
@@ -28,18 +38,27 @@ from dvf_ig.registration import (
     prepare_slices,
     subsample,
 )
-from dvf_ig.session.calibrations import UltrasoundCalibration
-from dvf_ig.session.heart import Heart
 
-from .probe_motion import smoothed_poses
+from .heart import Heart
+from .setup import UltrasoundCalibration
 
 MAX_FRAMES, MIN_FRAMES = 48, 16
 """Most and fewest frames of one registration."""
+POSES = 13
+"""One second at 12 Hz: a noise of 1 mm falls to 0.4 mm in the middle, a sweep of 40° in 9 s is bent by less
+than 0.05 mm."""
+DEGREE = 2
+REACH_MM = 100.0
+"""Converts rotation to mm: distance from the probe to the heart."""
+MISFIT = 2.0
+"""Residual variance over that of the noise, from third differences, above which the fit is not used."""
+MEDIAN_OF_SQUARES = 0.455
+"""Median over mean of the squares of Gaussian numbers."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UltrasoundRecording:
-    """Tracked ultrasound, and what places it in space and in the cardiac cycle.
+    """Tracked ultrasound, and the values that place it in space and in the cardiac cycle.
 
     Attributes:
         ultrasound: frames with tracker_from_probe.
@@ -83,7 +102,7 @@ class GatedFrames:
         gated: which of the n frames were kept, and why others were not.
         used: (k,) the kept frames that are compared.
         event_s: (n,) event times on the tracker clock.
-        model_phase: (n,) places in the model's cycle.
+        model_phase: (n,) phases in the model's cycle.
         rotations, translations_mm: (n, 3, 3), (n, 3) tracker_from_probe at the event times.
     """
 
@@ -98,12 +117,12 @@ class GatedFrames:
 
     @property
     def enough(self) -> bool:
-        """Whether a registration can be made from them."""
+        """Whether there are enough for a registration."""
         return len(self.used) >= MIN_FRAMES
 
     @property
     def shortage(self) -> str:
-        """The sentence a user reads if they are not enough."""
+        """Sentence that a user reads if they are not enough."""
         reasons = ", ".join(f"{count} {reason}" for reason, count in self.gated.rejected.items() if count)
         return (
             f"{len(self.used)} ultrasound frames can be compared with the model ({reasons}); "
@@ -138,8 +157,8 @@ def gate_recording(
         (float(mm[1]), float(mm[0])),
         before=images[first - 1] if first else None,
     )
-    known = np.array([p.t_s for p in recording.peaks if p.detected_at_s <= by_s])
-    beat = beat_phase(known, event_s[here])
+    peaks_s = np.array([p.t_s for p in recording.peaks if p.detected_at_s <= by_s])
+    beat = beat_phase(peaks_s, event_s[here])
     model_phase = retimed(recording.heart.model, beat.phi, beat.rr_s, recording.retiming)
     gated = gate_frames(
         model_phase,
@@ -156,13 +175,13 @@ def gate_recording(
 
 
 def retimed(model: DvfModel, phi: FloatArray, rr_s: FloatArray, mode: RetimeMode) -> FloatArray:
-    """(n,) place in the model's cycle; moments without a known RR are placed as at the model's own rate."""
-    known = np.where(np.isfinite(rr_s), rr_s, model.timing.rr_s)
-    return retime(phi, known, model.timing.rr_s, model.es_fraction, mode=mode)
+    """Convert (n,) phases of the beat to the model's cycle, without a known RR as at the model's own rate."""
+    finite_rr_s = np.where(np.isfinite(rr_s), rr_s, model.timing.rr_s)
+    return retime(phi, finite_rr_s, model.timing.rr_s, model.es_fraction, mode=mode)
 
 
 def ultrasound_mask(recording: UltrasoundRecording, frames: GatedFrames) -> BoolArray:
-    """(rows, columns) sector, from the scanner's geometry, else from what the used frames show.
+    """Find the (rows, columns) sector by the scanner's geometry, else by the used frames.
 
     Raises:
         InvalidInputError: the recording has no images.
@@ -171,7 +190,7 @@ def ultrasound_mask(recording: UltrasoundRecording, frames: GatedFrames) -> Bool
 
 
 def sector_of(fan: Fan | None, images: NDArray[np.uint8]) -> BoolArray:
-    """(rows, columns) sector, from the scanner's geometry, else from what these images show."""
+    """Find the (rows, columns) sector by the scanner's geometry, else by these images."""
     if fan is not None:
         return fan_mask(fan, *images.shape[1:])
     return fan_mask_from_images(images)
@@ -179,7 +198,7 @@ def sector_of(fan: Fan | None, images: NDArray[np.uint8]) -> BoolArray:
 
 @lru_cache(maxsize=4)
 def fan_mask(fan: Fan, rows: int, columns: int) -> BoolArray:
-    """Mask of a fan, kept because every beat asks for it."""
+    """Compute the mask of a fan, cached because every beat needs it."""
     mask = fan.mask(rows, columns)
     mask.setflags(write=False)
     return mask
@@ -188,7 +207,7 @@ def fan_mask(fan: Fan, rows: int, columns: int) -> BoolArray:
 def slices_of(
     recording: UltrasoundRecording, frames: GatedFrames, mask: BoolArray, *, pitch_mm: float
 ) -> SliceSet:
-    """The used frames in the tracker's frame."""
+    """Prepare the used frames as slices in the tracker's frame."""
     used = frames.used
     tracked = TrackedImages(
         recording.images[frames.first + used],
@@ -203,3 +222,60 @@ def slices_of(
         recording.calibrations.probe_from_image,
         pitch_mm=pitch_mm,
     )
+
+
+# ------------------------------------------------------------------ probe motion
+
+
+def smoothed_poses(stream: PoseStream, t_s: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Estimate rotations (k, 3, 3), translations (k, 3) and validity (k,) at the given times.
+
+    Validity is that of `PoseStream.at_many`, and so is the pose where fewer than POSES valid samples lie
+    around it without a gap.
+    """
+    rotations, translations, valid = stream.at_many(t_s)
+    tracked = np.flatnonzero(stream.valid)
+    chosen, window = _windows(stream.t_s[tracked], t_s)
+    chosen &= valid
+    if not chosen.any():
+        return rotations, translations, valid
+    near = tracked[window[chosen]]
+    base = Rotation.from_matrix(np.repeat(rotations[chosen], POSES, axis=0))
+    turns = (base.inv() * Rotation.from_matrix(stream.rotations[near].reshape(-1, 3, 3))).as_rotvec()
+    shifts = stream.translations_mm[near] - translations[chosen, None]
+    moved = np.concatenate([REACH_MM * turns.reshape(shifts.shape), shifts], axis=2)
+    at_once, fits = _local_fits(stream.t_s[near] - t_s[chosen, None], moved)
+    fitted = np.flatnonzero(chosen)[fits]
+    step = at_once[fits]
+    turned = Rotation.from_matrix(rotations[fitted]) * Rotation.from_rotvec(step[:, :3] / REACH_MM)
+    rotations[fitted] = turned.as_matrix()
+    translations[fitted] += step[:, 3:]
+    return rotations, translations, valid
+
+
+def _windows(known_s: FloatArray, t_s: FloatArray) -> tuple[BoolArray, FloatArray]:
+    """Find times with POSES samples around them without a gap, and (k, POSES) their indices."""
+    count = len(known_s)
+    if count < POSES:
+        return np.zeros(len(t_s), dtype=np.bool_), np.zeros((len(t_s), POSES), dtype=np.int64)
+    stretch = np.concatenate([[0], np.cumsum(np.diff(known_s) > MAX_GAP_S)])
+    right = np.clip(np.searchsorted(known_s, t_s), 0, count - 1)
+    first = np.searchsorted(stretch, stretch[right])
+    last = np.searchsorted(stretch, stretch[right], side="right")
+    begin = np.clip(right - POSES // 2, first, np.maximum(last - POSES, first))
+    enough = last - first >= POSES
+    return enough, np.where(enough, begin, 0)[:, None] + np.arange(POSES)
+
+
+def _local_fits(x: FloatArray, y: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """Fit polynomials to (k, n, 6) values at (k, n); return (k, 6) values at 0, and whether they fit."""
+    reach = 1.1 * np.abs(x).max(axis=1, keepdims=True)
+    powers = (x / reach)[:, :, None] ** np.arange(DEGREE + 1)
+    near = ((1.0 - np.abs(x / reach) ** 3) ** 3)[:, :, None]
+    weighted, plain = (np.swapaxes(powers, 1, 2) @ (w * powers) for w in (near, 1.0))
+    at_once = np.linalg.solve(weighted, np.swapaxes(powers, 1, 2) @ (near * y))[:, 0]
+    left = y - powers @ np.linalg.solve(plain, np.swapaxes(powers, 1, 2) @ y)
+    residual = np.square(left).sum(axis=(1, 2)) / (6 * (POSES - DEGREE - 1))
+    # the variance of white noise is 1/20 of that of its third differences; their median passes over a jump
+    noise = np.median(np.square(np.diff(y, 3, axis=1)), axis=1).mean(axis=1) / 20.0 / MEDIAN_OF_SQUARES
+    return at_once, residual <= MISFIT * noise

@@ -33,11 +33,11 @@ BEAT_COMPUTE_S = 0.15
 BEAT_WINDOW = 0.025
 """Half the distance between twenty phases of a model: every frame is compared with the nearest."""
 MIN_SLICES = 4
-"""Fewer of them say nothing of the pose."""
+"""Fewest slices that are evidence of the pose."""
 MIN_OVERLAP = 0.35
 """Least share of the slices inside the model's volume."""
 GATING_PEAKS = 12
-"""R peaks that place a beat and tell whether it is regular."""
+"""R peaks that place a beat and decide whether it is regular."""
 
 
 @read_only_arrays
@@ -113,26 +113,24 @@ class BeatSlices:
         )
 
 
-def evaluation_of(
-    beat: "ComparableBeat", tested: PoseEstimate, center_mm: FloatArray, *, in_use: bool
-) -> BeatEvaluation | None:
-    """Compare a beat with an estimate: where its images should match, told of its pose."""
-    evaluation = beat.evaluate_beat(tested.matched_pose, center_mm, in_use=in_use)
-    return None if evaluation is None else as_of(evaluation, tested)
+def evaluation_of(beat: "ComparableBeat", tested: PoseEstimate, *, in_use: bool) -> BeatEvaluation | None:
+    """Compare a beat with an estimate, at the pose where its images should match."""
+    evaluation = beat.evaluate_beat(tested.matched_pose, tested.center_mm, in_use=in_use)
+    return None if evaluation is None else at_pose(evaluation, tested)
 
 
-def as_of(evaluation: BeatEvaluation, tested: PoseEstimate) -> BeatEvaluation:
-    """An evaluation at the matched pose of an estimate, as one of its pose."""
+def at_pose(evaluation: BeatEvaluation, tested: PoseEstimate) -> BeatEvaluation:
+    """Convert an evaluation at the matched pose of an estimate to its pose."""
     return replace(evaluation, measurement=evaluation.measurement.of(tested))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ComparedBeat:
-    """A finished beat, compared or not.
+    """Outcome of a finished beat.
 
     Attributes:
         slices: None if the beat cannot be compared with the model.
-        evaluation: of the pose it was compared with; None without one, or where they hardly overlap.
+        evaluation: of the pose it was compared with; None without one, or if they hardly overlap.
         irregular: the beat came early or late, so that its phase is not known.
     """
 
@@ -163,7 +161,7 @@ def compare_beat(
     *,
     in_use: bool,
 ) -> ComparedBeat:
-    """The beat that the last R peak ended, compared with a pose unless that is None."""
+    """Compare the beat that the last R peak ended with a pose, unless that is None."""
     began, (begin, end) = clock(), recording.peaks[-2:]
     frames = gate_recording(
         replace(recording, peaks=recording.peaks[-GATING_PEAKS:]),
@@ -201,13 +199,13 @@ def compare_beat(
 
 
 def _view_mm(slices: SliceSet) -> FloatArray:
-    """(3, 3) two points half-way down the mean plane and one near its lower edge."""
+    """Return (3, 3) two points half-way down the mean plane and one near its lower edge."""
     rows, columns = slices.images.shape[1:]
-    places = np.array(
+    pixels = np.array(
         [
             [0.25 * columns, 0.5 * rows, 1.0],
             [0.75 * columns, 0.5 * rows, 1.0],
             [0.5 * columns, 0.9 * rows, 1.0],
         ]
     )
-    return np.asarray(places @ slices.frame_from_pixel.mean(axis=0).T)
+    return np.asarray(pixels @ slices.frame_from_pixel.mean(axis=0).T)

@@ -1,1 +1,0 @@
-"""The pose in use: when it is registered, compared with beats, confirmed, suspended and withheld."""
