@@ -46,7 +46,7 @@ def read_ecg(spec: str, rate_hz: float | None = None) -> Signal:
     Raises:
         InvalidInputError: `spec` names no known format, or a rate is given for a file that states its own.
         UnreadableFileError: absent, damaged, or unevenly sampled.
-        MissingDependencyError: WFDB or EDF without `pip install "dvf-ig[ecg]"`.
+        MissingDependencyError: WFDB or EDF without `pip install '.[ecg]'`.
     """
     kind, path = split_spec(spec)
     if rate_hz is not None and kind != "csv":
