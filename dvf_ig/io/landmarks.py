@@ -22,6 +22,7 @@ _SCHEMA = (
 )
 _TO_LPS = {"LPS": (1.0, 1.0, 1.0), "1": (1.0, 1.0, 1.0), "RAS": (-1.0, -1.0, 1.0), "0": (-1.0, -1.0, 1.0)}
 LANDMARK_ENDINGS = (".json", ".fcsv", ".tag")
+_MODALITY = re.compile(r"(?<![A-Z])(?:(?P<MR>MRI?|CT)|(?P<US>US|(?i:ultrasound)))(?![A-Za-z])")
 _TAG_ROW = re.compile(r'((?:[-+\d.eE]+\s+)*[-+\d.eE]+)\s*(?:"([^"]*)")?')
 
 
@@ -80,6 +81,13 @@ def read_tag_pair(path: Path | str, frame_first: str, frame_second: str) -> tupl
         first, second = sides
         limits.require_lengths(np.concatenate(sides), "a point")
         return _landmarks(path, names, first, frame_first), _landmarks(path, names, second, frame_second)
+
+
+def modalities_of_tag(path: Path | str) -> tuple[str, ...]:
+    """Modalities as the comments of an MNI `.tag` name them, in order: "US", and "MR" for MR or CT."""
+    comments = re.findall(r"^%.*$", read_text(Path(path), "an MNI tag file"), re.MULTILINE)
+    named = [match.lastgroup or "" for line in comments for match in _MODALITY.finditer(line)]
+    return tuple(dict.fromkeys(named))
 
 
 def write_landmarks(landmarks: Landmarks, path: Path | str) -> None:
