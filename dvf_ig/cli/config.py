@@ -120,6 +120,7 @@ def _begin(given: Mapping[str, Any], output: Path, *, as_json: bool) -> None:
     if not given["ultrasound.file"] and not given["ultrasound.volumes"]:
         raise typer.BadParameter("give --us SWEEP, or --us-volume FILE@PHASE")
     config, verdict = begin_session(given, output)
+    verdict = _tried(verdict)
     described, options = descriptions(verdict.files), option_names()
     wrong = [p for p in (*verdict.unreadable, *verdict.misfits) if p.concerns("register")]
     if not wrong:
@@ -171,6 +172,8 @@ def validate(
         described = descriptions(verdict.files)
         if not _wrong(verdict, purpose) and verdict.files.recorded_calibrations:
             verdict = _calibrated(verdict)
+        if not _wrong(verdict, purpose):
+            verdict = _tried(verdict)
         emit(_payload(session, verdict, described), _rows(session, verdict, described), as_json=as_json)
         wrong = _wrong(verdict, purpose)
         _warn_of(verdict)
@@ -203,6 +206,20 @@ def _calibrated(verdict: "Verdict") -> "Verdict":
         image, lag_s = made.ultrasound.probe_from_image, made.ultrasound.lag_s
         fit = fit_of(files.with_calibrations(image, lag_s, made.tip))
         return replace(verdict, misfits=fit.misfits, warnings=fit.warnings, seen=fit.seen)
+    return replace(verdict, misfits=(*verdict.misfits, *problems.found))
+
+
+def _tried(verdict: "Verdict") -> "Verdict":
+    """The verdict after all that `register` does before it searches the pose, if a file holds the model."""
+    from dvf_ig.intake.problems import ProblemList
+    from dvf_ig.replay.registration import prepare_registration
+
+    files = verdict.files
+    if verdict.hindrances("register") or files.sweep is None or files.model is None:
+        return verdict
+    problems = ProblemList()
+    with problems.about("ultrasound"):
+        prepare_registration(files.scenario, model=files.model)
     return replace(verdict, misfits=(*verdict.misfits, *problems.found))
 
 

@@ -130,10 +130,10 @@ def ecg_delay(images: ImageChange, lag_s: float, peaks_s: FloatArray, heart: Cyc
     if np.count_nonzero(inside) < LEAST_PAIRS or not heart.speed.max() > 0:
         return UNKNOWN
     phase, rr_s = beats.phi[inside], float(np.median(beats.rr_s[inside]))
-    change, plain = np.log(images.change[inside]), _without_heart(images, inside)
-    none = _residual(plain, change)[0]
+    change, plain = np.log(images.change[inside]), without_heart(images, inside)
+    none = residual_of_fit(plain, change)[0]
     step = images.step_s / rr_s
-    speeds = (_speed(heart, phase + k / SHIFTS, step) for k in range(SHIFTS))
+    speeds = (root_speed(heart, phase + k / SHIFTS, step) for k in range(SHIFTS))
     left = np.array([_left(plain, change, speed, none) for speed in speeds])
     t_s = images.t_s[inside]
     beats_seen = np.count_nonzero((peaks_s >= t_s[0] + lag_s) & (peaks_s <= t_s[-1] + lag_s))
@@ -149,19 +149,19 @@ def delay_drift_s(images: ImageChange, lag_s: float, peaks_s: FloatArray, heart:
     return found[1].delay_s - found[0].delay_s if all(one.known for one in found) else None
 
 
-def _without_heart(images: ImageChange, inside: BoolArray) -> FloatArray:
+def without_heart(images: ImageChange, inside: BoolArray) -> FloatArray:
     """(n, 6) what else makes images change: the probe's motion, and what changes slowly."""
     moved = images.moved_mm[inside]
     trend = np.linspace(-1.0, 1.0, len(moved))
     return np.column_stack([np.ones_like(moved), np.sqrt(moved), moved, moved**2, trend, trend**2])
 
 
-def _speed(heart: CycleSpeed, phase: FloatArray, step: float) -> FloatArray:
+def root_speed(heart: CycleSpeed, phase: FloatArray, step: float) -> FloatArray:
     """(n,) √ of the mean speed over a step of the cycle about each phase."""
     return np.asarray(np.sqrt(np.mean([heart.at(phase + part * step) for part in SMEAR], axis=0)))
 
 
-def _residual(columns: FloatArray, change: FloatArray) -> tuple[float, FloatArray]:
+def residual_of_fit(columns: FloatArray, change: FloatArray) -> tuple[float, FloatArray]:
     """Squared residual of a linear fit, and its coefficients."""
     fit = np.asarray(np.linalg.lstsq(columns, change, rcond=None)[0], dtype=np.float64)
     left = change - columns @ fit
@@ -170,7 +170,7 @@ def _residual(columns: FloatArray, change: FloatArray) -> tuple[float, FloatArra
 
 def _left(plain: FloatArray, change: FloatArray, speed: FloatArray, none: float) -> float:
     """Squared residual with the heart's speed; without it where images would change less in fast motion."""
-    left, fit = _residual(np.column_stack([plain, speed]), change)
+    left, fit = residual_of_fit(np.column_stack([plain, speed]), change)
     return left if fit[-1] > 0 else none
 
 

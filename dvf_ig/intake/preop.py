@@ -37,11 +37,13 @@ class PreopFiles:
     Attributes:
         model: if a file holds it.
         named_patient: whose surfaces they are by the names of their files; None if these do not say.
+        patient_stated: whether the session says whose heart it is, and not the files alone.
     """
 
     preop: Preop
     model: DvfModel | None
     named_patient: str | None = None
+    patient_stated: bool = True
 
 
 def read_preop(config: PreopConfig, folder: Path, patient_id: str | None) -> PreopFiles:
@@ -93,7 +95,8 @@ def read_preop(config: PreopConfig, folder: Path, patient_id: str | None) -> Pre
         surfaces=surfaces,
         surface=config.surface,
     )
-    return PreopFiles(preop, model, None if patient_id is None and model is None else named)
+    named = None if patient_id is None and model is None else named
+    return PreopFiles(preop, model, named, patient_id is not None)
 
 
 def _with_times(mr: VolumeSeries, model: DvfModel, name: str) -> VolumeSeries:
