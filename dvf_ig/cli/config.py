@@ -129,6 +129,9 @@ def _begin(given: Mapping[str, Any], output: Path, *, as_json: bool) -> None:
     if wrong:
         _refuse([f"{p.key}: {p.error.sentence(options)}" for p in wrong])
     wrote(output)
+    heart = verdict.files.preop
+    if heart is not None and heart.of_anybody:
+        warn("nothing shows whose heart the model is; give its cine (--mr), or say whose it is (--patient)")
     for problem in verdict.misfits:
         warn(f"a replay cannot use {problem.key}: {problem.error.sentence(options)}")
     _warn_of(verdict)

@@ -174,11 +174,9 @@ def name_findings(files: SessionFiles) -> Iterator[Finding]:
 def _whose_model(heart: PreopFiles) -> Iterator[Finding]:
     """Find a model of another cine, unless the session says that both are of one patient."""
     mr, model = heart.preop.mr, heart.model
-    if model is None or heart.patient_stated:
+    if model is None or mr is None or heart.patient_stated or model.cine_fingerprint is None:
         return
-    if mr is None:
-        yield finding(Disagreement.MODEL_OF_ANYBODY, "preop.model")
-    elif model.cine_fingerprint is not None and mr.fingerprint() != model.cine_fingerprint:
+    if mr.fingerprint() != model.cine_fingerprint:
         yield finding(Disagreement.MODEL_OF_OTHER_CINE, "preop.model")
 
 

@@ -62,8 +62,8 @@ class Disagreement(Enum):
     )
     PROBE_AND_TOOL_EXCHANGED = Rule(
         True,
-        "at this start {share:.0%} of the images reach the heart; with the poses of the tool {other:.0%} "
-        "would: probe and tool look exchanged; exchange their names, here or in the recording itself",
+        "at this start {share:.0%} of the images' area is at the heart, by the tool's poses {other:.0%}: "
+        "probe and tool look exchanged; exchange their names, here or in the recording itself",
         ("ultrasound.probe_name", "tool.name"),
     )
     TOOL_IS_PIVOT = Rule(
@@ -112,11 +112,6 @@ class Disagreement(Enum):
         "the landmarks fit the marked ones to {given:.0f} mm RMS as they are named, and to {mm:.1f} mm with "
         "{names} exchanged: the names are on each other's points in one of the two files; correct them",
     )
-    LANDMARKS_OFF_MODEL = Rule(
-        False,
-        "the landmarks marked on the model lie {mm:.0f} mm from its surfaces at the median; check that they "
-        "were marked on this patient's images, in mm and LPS",
-    )
     LANDMARKS_OFF_HEART = Rule(
         True,
         "the landmarks marked on the model lie {mm:.0f} mm from the heart, all of them; mark them on this "
@@ -124,29 +119,24 @@ class Disagreement(Enum):
     )
     INVERSE_START = Rule(
         True,
-        "at this start {share:.0%} of the images reach the heart, with its inverse {other:.0%}: it is "
+        "at this start {share:.0%} of the images' area is at the heart, with its inverse {other:.0%}: it is "
         "tracker_from_mr; give mr_from_tracker",
     )
     INVERSE_POSES = Rule(
         True,
-        "by the poses as recorded {share:.0%} of the images reach the heart at this start, by their "
+        "by the poses as recorded {share:.0%} of the images' area is at the heart at this start, by their "
         "inverses {other:.0%}: the sequence holds probe_from_tracker under the name tracker_from_probe; "
         "export them again",
     )
     INVERSE_PROBE = Rule(
         True,
-        "with this calibration {share:.0%} of the images reach the heart at this start, with its inverse "
-        "{other:.0%}: it is image_from_probe; give probe_from_image",
+        "with this calibration {share:.0%} of the images' area is at the heart at this start, with its "
+        "inverse {other:.0%}: it is image_from_probe; give probe_from_image",
     )
     START_FLIPPED = Rule(
         True,
-        "at this start {share:.0%} of the images reach the heart, with x and y reversed {other:.0%}: the "
-        "start is in RAS where it says LPS, or the reverse; write it again",
-    )
-    FEW_IMAGES_AT_HEART = Rule(
-        False,
-        "at this start {share:.0%} of the images reach the heart, the nearest to {mm:.0f} mm: check the "
-        "start and the probe's calibration, which may be of another day",
+        "at this start {share:.0%} of the images' area is at the heart, with x and y reversed {other:.0%}: "
+        "the start is in RAS where it says LPS, or the reverse; write it again",
     )
     IMAGES_OFF_HEART = Rule(
         True,
@@ -175,10 +165,17 @@ class Disagreement(Enum):
         "motion it beats about {bpm:.0f} times a minute, at other times than the R peaks; the ECG is of "
         "another recording: give the one that was recorded with these images",
     )
+    ECG_CLOCK_WRONG = Rule(
+        True,
+        "by the images' own cyclic motion the times of the ECG are {share:.0%} too {which}; check its "
+        "sampling rate",
+        ("ecg.rate_hz",),
+    )
     LATENCY_SIGN = Rule(
         True,
-        "by the images' own cyclic motion they are {ms:.0f} ms off, twice this latency, whose sign is wrong; "
-        "time of tracker = time of video + latency, negative if the tracker leads",
+        "by the images' own cyclic motion they are {ms:.0f} ms off, twice this latency: its sign is wrong "
+        "(time of tracker = time of video + latency, negative if the tracker leads), or the ECG is off by as "
+        "much",
     )
     CINE_ORDER = Rule(
         True,
@@ -200,11 +197,6 @@ class Disagreement(Enum):
         "the model was built from another cine than these grey levels (mr), so that it may be another "
         "patient's; give the model of this cine, or say that both are of one patient",
         ("patient_id",),
-    )
-    MODEL_OF_ANYBODY = Rule(
-        False,
-        "nothing shows whose heart this model is: give the cine that it was built from (preop.mr), or say "
-        "whose it is (patient_id)",
     )
     ECG_LATE = Rule(
         True,

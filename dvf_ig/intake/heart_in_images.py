@@ -1,7 +1,7 @@
 """Whether ECG and images agree on when the heart moves, as far as the images show it."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -22,7 +22,7 @@ from .ecg_delay import (
     speed_between,
 )
 from .findings import Disagreement, Finding, finding
-from .own_rhythm import OwnRhythm, own_rhythm
+from .own_rhythm import OwnRhythm, best_stretch, own_rhythm
 from .parts import SessionFiles
 from .preop import PreopFiles
 
@@ -52,16 +52,23 @@ class HeartInImages:
         delay: of the ECG.
         drift_s: by which it grows within the recording; None if it is not known.
         own: rhythm of the images alone; None if there are too few.
+        stretch: factor on the ECG's times that makes them agree, where its beats contradict the images.
     """
 
     delay: EcgDelay
     drift_s: float | None
     own: OwnRhythm | None = None
+    stretch: float | None = None
+
+    @property
+    def contradicted(self) -> bool:
+        """Whether the images beat at other times than the ECG says, at any delay."""
+        return self.own is not None and self.own.contradicts(self.delay)
 
     @property
     def sentence(self) -> str:
         """Delay in words."""
-        if self.own is not None and self.own.contradicts(self.delay):
+        if self.own is not None and self.contradicted:
             return f"the images beat about {60.0 / self.own.rr_s:.0f} times a minute, not as this ECG"
         if not self.delay.known:
             return "not known: the images hardly change with the heart (small motion, or a probe that moves)"
@@ -93,11 +100,14 @@ def heart_in_images(files: SessionFiles, peaks_s: FloatArray) -> HeartInImages |
     fan = files.fan
     shown = fan_mask_from_images(images) if fan is None else fan.mask(*images.shape[1:])
     change = image_change(sweep.recorded, sweep.probe, files.probe, shown)
-    return HeartInImages(
+    seen = HeartInImages(
         ecg_delay(change, files.latency, peaks_s, heart),
         delay_drift_s(change, files.latency, peaks_s, heart),
         own_rhythm(change, files.latency, peaks_s, heart),
     )
+    if seen.own is None or not seen.contradicted:
+        return seen
+    return replace(seen, stretch=best_stretch(change, files.latency, peaks_s, heart, seen.own))
 
 
 def heart_speed(heart: PreopFiles) -> CycleSpeed | None:
@@ -149,8 +159,12 @@ def cycle_findings(seen: HeartInImages | None, files: SessionFiles) -> Iterator[
     delay = seen.delay
     which = "late" if delay.delay_s > 0 else "early"
     ms = 1e3 * abs(delay.delay_s)
-    if seen.own is not None and seen.own.contradicts(delay):
-        yield finding(Disagreement.ECG_OF_ANOTHER_RECORDING, "ecg", bpm=60.0 / seen.own.rr_s)
+    if seen.own is not None and seen.contradicted:
+        if seen.stretch is not None:
+            wrong = "short" if seen.stretch > 1.0 else "long"
+            yield finding(Disagreement.ECG_CLOCK_WRONG, "ecg", share=abs(seen.stretch - 1.0), which=wrong)
+        else:
+            yield finding(Disagreement.ECG_OF_ANOTHER_RECORDING, "ecg", bpm=60.0 / seen.own.rr_s)
         return
     if delay.suspicious and order is not None:
         yield finding(Disagreement.CINE_ORDER, _key_of_heart(files), order=order, ms=ms, which=which)

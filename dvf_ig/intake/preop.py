@@ -45,6 +45,11 @@ class PreopFiles:
     named_patient: str | None = None
     patient_stated: bool = True
 
+    @property
+    def of_anybody(self) -> bool:
+        """Whether nothing but the name of its file says whose the model is."""
+        return self.model is not None and not self.patient_stated and self.preop.mr is None
+
 
 def read_preop(config: PreopConfig, folder: Path, patient_id: str | None) -> PreopFiles:
     """Read what the configuration names.

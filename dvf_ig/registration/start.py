@@ -119,18 +119,15 @@ def landmarks_disagree(apart_mm: float | None) -> bool:
     return apart_mm is not None and apart_mm > LANDMARKS_MM
 
 
-def off_model_mm(marked: Landmarks, model: DvfModel) -> float:
-    """Median distance of marked landmarks from the model's surfaces at end-diastole."""
-    return _off_mm(marked.points.xyz_mm, _surfaces(model))
-
-
 def require_on_model(marked: Landmarks, model: DvfModel) -> None:
     """Raise InvalidInputError where flipped landmarks lie much nearer the model's surfaces than as given.
 
     Args:
         marked: on the model at end-diastole, its frame.
     """
-    surface = _surfaces(model)
+    ed = model.ed_phase
+    meshes = [model.reference[ed], *(chamber.surfaces[ed] for chamber in model.chambers)]
+    surface = np.concatenate([mesh.vertices_mm for mesh in meshes])
     given_mm = _off_mm(marked.points.xyz_mm, surface)
     if given_mm <= POINT_MM:
         return
@@ -140,13 +137,6 @@ def require_on_model(marked: Landmarks, model: DvfModel) -> None:
             f"the landmarks marked on the model lie {given_mm:.0f} mm from it, and {flipped_mm:.0f} mm with "
             f"x and y reversed: {_REPAIR}"
         )
-
-
-def _surfaces(model: DvfModel) -> FloatArray:
-    """(n, 3) vertices of the outer surface and the chambers at end-diastole."""
-    ed = model.ed_phase
-    meshes = [model.reference[ed], *(chamber.surfaces[ed] for chamber in model.chambers)]
-    return np.concatenate([mesh.vertices_mm for mesh in meshes])
 
 
 def require_unflipped(pose: Rigid, marked: Landmarks, touched: Landmarks) -> None:
