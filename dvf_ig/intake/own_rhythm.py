@@ -33,7 +33,7 @@ WANDER = 0.04
 STARTS, ROUNDS = 3, 5
 STRETCHES = 1.0 + np.linspace(-0.05, 0.05, 21)
 """Factors of a wrong sampling rate, such as 256 Hz for 250, tried before an ECG is called foreign."""
-FOREIGN_LOG_RATIO = 12.0
+AGREES_LOG_RATIO, FOREIGN_LOG_RATIO = 6.0, 12.0
 """Between the images' own rhythm and the ECG: -2 to -5 for the true ECG of two hearts (calm, ectopy), above
 12 in 126 of 132 ECGs of other people (MIT-BIH) set to the same mean rate; the other 6 are called late."""
 
@@ -58,13 +58,14 @@ class OwnRhythm:
 def best_stretch(
     images: ImageChange, lag_s: float, peaks_s: FloatArray, heart: CycleSpeed, own: OwnRhythm
 ) -> float | None:
-    """Factor on the ECG's times with which the images' own rhythm contradicts it no more; None without one."""
+    """Factor on the ECG's times with which it agrees with the images' own rhythm; None without one."""
     middle_s = 0.5 * (peaks_s[0] + peaks_s[-1])
     delays = [
         ecg_delay(images, lag_s, middle_s + factor * (peaks_s - middle_s), heart) for factor in STRETCHES
     ]
-    best = int(np.argmax([_log_ratio(one) for one in delays]))
-    return None if own.contradicts(delays[best]) else float(STRETCHES[best])
+    ratios = [_log_ratio(one) for one in delays]
+    best = int(np.argmax(ratios))
+    return float(STRETCHES[best]) if own.log_ratio - ratios[best] < AGREES_LOG_RATIO else None
 
 
 def _log_ratio(ecg: EcgDelay) -> float:
