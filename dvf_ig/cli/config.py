@@ -205,11 +205,11 @@ def _calibrated(verdict: "Verdict") -> "Verdict":
 
     problems, files = ProblemList(), verdict.files
     with problems.about("calibration"):
-        made = calibrate(files.calibrations, seed=0)
-        image, lag_s = made.ultrasound.probe_from_image, made.ultrasound.lag_s
-        fit = fit_of(files.with_calibrations(image, lag_s, made.tip))
+        calibrations = calibrate(files.calibrations, seed=0)
+        image, lag_s = calibrations.ultrasound.probe_from_image, calibrations.ultrasound.lag_s
+        fit = fit_of(files.with_calibrations(image, lag_s, calibrations.tip))
         return replace(verdict, misfits=fit.misfits, warnings=fit.warnings, seen=fit.seen)
-    return replace(verdict, misfits=(*verdict.misfits, *problems.found))
+    return replace(verdict, misfits=(*verdict.misfits, *problems.items))
 
 
 def _tried(verdict: "Verdict") -> "Verdict":
@@ -223,7 +223,7 @@ def _tried(verdict: "Verdict") -> "Verdict":
     problems = ProblemList()
     with problems.about("ultrasound"):
         prepare_registration(files.scenario, model=files.model)
-    return replace(verdict, misfits=(*verdict.misfits, *problems.found))
+    return replace(verdict, misfits=(*verdict.misfits, *problems.items))
 
 
 def _warn_of(verdict: "Verdict") -> None:

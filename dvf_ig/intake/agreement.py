@@ -50,11 +50,11 @@ def disagreements(
         peaks_s: (k,) R peaks of the ECG.
         seen: of the heart in the images.
     """
-    found: list[Finding] = []
+    findings: list[Finding] = []
     for one in _all(files, peaks_s, seen):
-        if not any(other.refused and other.key == one.key for other in found):
-            found.append(one)
-    return tuple(found)
+        if not any(other.refused and other.key == one.key for other in findings):
+            findings.append(one)
+    return tuple(findings)
 
 
 def _all(files: SessionFiles, peaks_s: FloatArray, seen: HeartInImages | None) -> Iterator[Finding]:
@@ -86,7 +86,7 @@ def unit_findings(files: SessionFiles) -> Iterator[Finding]:
 def _heart(heart: PreopFiles) -> Iterator[Finding]:
     for key, xyz_mm in heart_surfaces(heart):
         if not len(xyz_mm):
-            continue  # told of the labels themselves
+            continue  # reported of the labels themselves
         longest_mm = float(np.ptp(xyz_mm, axis=0).max())
         least, most = POSSIBLE_HEART_MM
         if not least <= longest_mm <= most:

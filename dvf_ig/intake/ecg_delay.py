@@ -145,8 +145,8 @@ def delay_drift_s(images: ImageChange, lag_s: float, peaks_s: FloatArray, heart:
     """Growth of the delay from the first half of the pairs to the second; None if not known."""
     half = len(images.t_s) // 2
     parts = (_part(images, part) for part in (slice(0, half), slice(half, None)))
-    found = [ecg_delay(part, lag_s, peaks_s, heart) for part in parts]
-    return found[1].delay_s - found[0].delay_s if all(one.known for one in found) else None
+    delays = [ecg_delay(part, lag_s, peaks_s, heart) for part in parts]
+    return delays[1].delay_s - delays[0].delay_s if all(one.known for one in delays) else None
 
 
 def without_heart(images: ImageChange, inside: BoolArray) -> FloatArray:
@@ -200,13 +200,13 @@ def image_change(
         image: probe_from_image.
         shown: (rows, columns) the insonified sector.
     """
-    kept = _blocks(shown[None].astype(np.float64))[0] > 0.99
+    blocks = _blocks(shown[None].astype(np.float64))[0] > 0.99
     count, images = len(recorded), recorded.images
     begins = [0] if count <= MOST_FRAMES else [0, count - MOST_FRAMES // 2]
     length = min(count, MOST_FRAMES // len(begins))
     pairs, change = np.empty(0, dtype=np.int64), np.empty(0)
-    if images is not None and kept.any():
-        parts = [_differences(images[begin : begin + length], kept) for begin in begins]
+    if images is not None and blocks.any():
+        parts = [_differences(images[begin : begin + length], blocks) for begin in begins]
         pairs = np.concatenate([b + np.arange(len(part)) for b, part in zip(begins, parts, strict=True)])
         change = np.concatenate(parts)
     good = recorded.image_valid & probe.valid
@@ -229,11 +229,11 @@ def _blocks(images: NDArray[np.float64]) -> FloatArray:
     return np.asarray(cut.reshape(len(images), rows, BLOCK_PX, columns, BLOCK_PX).mean(axis=(2, 4)))
 
 
-def _differences(images: NDArray[np.uint8], kept: BoolArray) -> FloatArray:
+def _differences(images: NDArray[np.uint8], blocks: BoolArray) -> FloatArray:
     """(n − 1,) mean absolute difference of each frame and the next, one frame in memory at a time."""
     out, before = np.empty(max(len(images) - 1, 0)), np.empty(0)
     for i, frame in enumerate(images):
-        now = _blocks(frame[None].astype(np.float64))[0][kept]
+        now = _blocks(frame[None].astype(np.float64))[0][blocks]
         if i:
             out[i - 1] = np.abs(now - before).mean()
         before = now

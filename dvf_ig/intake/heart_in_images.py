@@ -77,11 +77,11 @@ class HeartInImages:
 
     def values(self) -> dict[str, float | bool | None]:
         """The numbers, as JSON; a delay that is not known is None."""
-        known = self.delay.known
+        is_known = self.delay.known
         return {
-            "delay_s": self.delay.delay_s if known else None,
+            "delay_s": self.delay.delay_s if is_known else None,
             "drift_s": self.drift_s,
-            "log_likelihood_ratio": self.delay.cyclic_log_ratio if known else None,
+            "log_likelihood_ratio": self.delay.cyclic_log_ratio if is_known else None,
         }
 
 

@@ -76,12 +76,12 @@ def _orders(count: int) -> IntArray:
     """(k, count) orders to try, the given one first."""
     if count <= ALL_ORDERS:
         return np.array(list(permutations(range(count))))
-    given = np.arange(count)
-    orders = [given]
+    as_given = np.arange(count)
+    orders = [as_given]
     for size in (2, 3):
         for chosen in combinations(range(count), size):
             for shift in range(1, size):
-                order = given.copy()
+                order = as_given.copy()
                 order[list(chosen)] = np.roll(chosen, shift)
                 orders.append(order)
     return np.array(orders)

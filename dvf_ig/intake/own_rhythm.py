@@ -84,13 +84,13 @@ def own_rhythm(images: ImageChange, lag_s: float, peaks_s: FloatArray, heart: Cy
     if np.count_nonzero(inside) < LEAST_PAIRS or not heart.speed.max() > 0:
         return None
     t_s, change, plain = t_s[inside], np.log(images.change[inside]), without_heart(images, inside)
-    found = []
+    rhythms = []
     for rr_s in RATES_RR_S:
         cycles = (t_s - t_s[0]) / rr_s
         step = images.step_s / rr_s
         speeds = np.array([root_speed(heart, cycles + k / SHIFTS, step) for k in range(SHIFTS)])
-        found.append(OwnRhythm(float(rr_s), _followed(plain, change, speeds, np.floor(cycles).astype(int))))
-    return max(found, key=lambda one: one.log_ratio)
+        rhythms.append(OwnRhythm(float(rr_s), _followed(plain, change, speeds, np.floor(cycles).astype(int))))
+    return max(rhythms, key=lambda one: one.log_ratio)
 
 
 def _followed(plain: FloatArray, change: FloatArray, speeds: FloatArray, beat: IntArray) -> float:

@@ -44,16 +44,16 @@ def place_findings(files: SessionFiles) -> Iterator[Finding]:
     heart = _heart_box(files)
     if heart is None:
         return
-    found = [*_landmark_findings(files, heart)]
-    yield from found
-    if any(one.refused for one in found):
+    findings = [*_landmark_findings(files, heart)]
+    yield from findings
+    if any(one.refused for one in findings):
         return
     start = _start(files.start)
     if start is None:
         return
-    found = [*_image_findings(files, start, heart)]
-    yield from found
-    if any(one.refused for one in found):
+    findings = [*_image_findings(files, start, heart)]
+    yield from findings
+    if any(one.refused for one in findings):
         return
     if files.tool is not None and isinstance(files.tip, Points):
         tips = _moved(files.tool, files.tip.xyz_mm)
@@ -159,7 +159,7 @@ def _start(start: StartFiles) -> Rigid | None:
     try:
         return start_from_landmarks(start.landmarks_mr, start.landmarks_tracker).mr_from_tracker
     except InvalidInputError:
-        return None  # told of the landmarks themselves
+        return None  # reported of the landmarks themselves
 
 
 def _image_points(probe: ImageMap, shape: tuple[int, ...]) -> FloatArray:

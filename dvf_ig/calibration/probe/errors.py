@@ -55,7 +55,7 @@ def known_points_refusals(
     """Refuse a calibration by its errors at points it was not fitted to; () if it may be used.
 
     Args:
-        own: errors on the frames it was fitted to, which tell a moved marker from a poor calibration.
+        own: errors on the frames it was fitted to, which distinguish a moved marker from a poor calibration.
         turned_deg: largest rotation of the probe in the calibration's sweep.
         limit_mm: the gate, on the mean of the lowest 95 %.
     """
