@@ -40,20 +40,20 @@ class WallLines:
     Attributes:
         column_px: the column at which rows are given: the image's centre.
         row_px, slope: (n,) NaN if no line was found.
-        found: (n,).
+        is_found: (n,).
     """
 
     column_px: float
     row_px: FloatArray
     slope: FloatArray
-    found: BoolArray
+    is_found: BoolArray
 
     def end_points_px(self, valid: BoolArray) -> FloatArray:
         """(n, 2, 2) column, row of two points of each line, half a half-width from the centre; else NaN."""
         step = 0.25 * (2 * self.column_px + 1) * np.array([-1.0, 1.0])
         columns = np.broadcast_to(self.column_px + step, (len(self.row_px), 2))
         points = np.stack([columns, self.row_px[:, None] + self.slope[:, None] * step], axis=2)
-        return np.where((self.found & valid)[:, None, None], points, np.nan)
+        return np.where((self.is_found & valid)[:, None, None], points, np.nan)
 
 
 def find_wall_lines(
@@ -93,12 +93,12 @@ def wall_trace(
     if len(usable) == 0:
         raise InvalidInputError(f"none of {len(valid)} video frames is valid; record the video again")
     lines = find_wall_lines(images[usable], rng=rng, options=options)
-    if lines.found.sum() < max(2, len(usable) / 2):
+    if lines.is_found.sum() < max(2, len(usable) / 2):
         raise QualityGateError(
-            f"the tank's floor shows as a straight line in {int(lines.found.sum())} of {len(usable)} frames, "
+            f"the tank's floor shows as a straight line in {int(lines.is_found.sum())} of {len(usable)} frames, "
             "needed half; image a flat bare floor, or give the lines with --line-table"
         )
-    return Trace(t_s[usable][lines.found], lines.row_px[lines.found])
+    return Trace(t_s[usable][lines.is_found], lines.row_px[lines.is_found])
 
 
 def _line(

@@ -120,6 +120,7 @@ def _begin(given: Mapping[str, Any], output: Path, *, as_json: bool) -> None:
     if not given["ultrasound.file"] and not given["ultrasound.volumes"]:
         raise typer.BadParameter("give --us SWEEP, or --us-volume FILE@PHASE")
     config, verdict = begin_session(given, output)
+    verdict = _tried(verdict)
     described, options = descriptions(verdict.files), option_names()
     wrong = [p for p in (*verdict.unreadable, *verdict.misfits) if p.concerns("register")]
     if not wrong:
@@ -128,6 +129,9 @@ def _begin(given: Mapping[str, Any], output: Path, *, as_json: bool) -> None:
     if wrong:
         _refuse([f"{p.key}: {p.error.sentence(options)}" for p in wrong])
     wrote(output)
+    heart = verdict.files.preop
+    if heart is not None and heart.of_anybody:
+        warn("nothing shows whose heart the model is; give its cine (--mr), or say whose it is (--patient)")
     for problem in verdict.misfits:
         warn(f"a replay cannot use {problem.key}: {problem.error.sentence(options)}")
     _warn_of(verdict)
@@ -171,6 +175,8 @@ def validate(
         described = descriptions(verdict.files)
         if not _wrong(verdict, purpose) and verdict.files.recorded_calibrations:
             verdict = _calibrated(verdict)
+        if not _wrong(verdict, purpose):
+            verdict = _tried(verdict)
         emit(_payload(session, verdict, described), _rows(session, verdict, described), as_json=as_json)
         wrong = _wrong(verdict, purpose)
         _warn_of(verdict)
@@ -199,11 +205,25 @@ def _calibrated(verdict: "Verdict") -> "Verdict":
 
     problems, files = ProblemList(), verdict.files
     with problems.about("calibration"):
-        made = calibrate(files.calibrations, seed=0)
-        image, lag_s = made.ultrasound.probe_from_image, made.ultrasound.lag_s
-        fit = fit_of(files.with_calibrations(image, lag_s, made.tip))
+        calibrations = calibrate(files.calibrations, seed=0)
+        image, lag_s = calibrations.ultrasound.probe_from_image, calibrations.ultrasound.lag_s
+        fit = fit_of(files.with_calibrations(image, lag_s, calibrations.tip))
         return replace(verdict, misfits=fit.misfits, warnings=fit.warnings, seen=fit.seen)
-    return replace(verdict, misfits=(*verdict.misfits, *problems.found))
+    return replace(verdict, misfits=(*verdict.misfits, *problems.items))
+
+
+def _tried(verdict: "Verdict") -> "Verdict":
+    """The verdict after all that `register` does before it searches the pose, if a file holds the model."""
+    from dvf_ig.intake.problems import ProblemList
+    from dvf_ig.replay.registration import prepare_registration
+
+    files = verdict.files
+    if verdict.hindrances("register") or files.sweep is None or files.model is None:
+        return verdict
+    problems = ProblemList()
+    with problems.about("ultrasound"):
+        prepare_registration(files.scenario, model=files.model)
+    return replace(verdict, misfits=(*verdict.misfits, *problems.items))
 
 
 def _warn_of(verdict: "Verdict") -> None:

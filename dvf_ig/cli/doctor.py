@@ -49,6 +49,8 @@ class Check:
 
 def checks() -> list[Check]:
     """Run all checks, in the order in which a user would fix them."""
+    from dvf_ig.core.errors import install_extra
+
     python = platform.python_version()
     out = [Check("Python >= 3.11", python if sys.version_info >= (3, 11) else None, "install Python 3.11")]
     with_open3d = _version("open3d") is not None
@@ -57,10 +59,10 @@ def checks() -> list[Check]:
             path = ctypes.util.find_library(library)
             remedy = f"sudo apt-get install {package}"
             out.append(Check(f"system library {package}", path, remedy, needed=with_open3d))
-    remedy = "run scripts/setup, or pip install dvf-ig"
+    remedy = "run scripts/setup, or pip install . in the folder of the sources"
     out += [Check(f"package {name}", _version(name), remedy) for name in REQUIRED]
     out += [
-        Check(f"{name} for {use}", _version(name), f'pip install "dvf-ig[{extra}]"', needed=False)
+        Check(f"{name} for {use}", _version(name), install_extra(extra), needed=False)
         for name, (extra, use) in EXTRAS.items()
     ]
     if all(check.found for check in out if check.needed):

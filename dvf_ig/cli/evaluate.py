@@ -79,6 +79,8 @@ def _result(
     elif theirs is not None:
         points, targets = _pairs(fixed, theirs)
         targets_mm = targets.xyz_mm
+        _require_one_unit(points.xyz_mm, targets_mm)
+        _suspect_exchanged_names(fixed, theirs)
         _suspect_swapped_sides(estimate, points.xyz_mm, targets_mm)
     else:
         raise InvalidInputError("one landmark file is not enough; add the moving side, or --truth FILE")
@@ -130,6 +132,32 @@ def _suspect_swapped_sides(estimate: "Rigid", fixed_mm: "FloatArray", moving_mm:
         )
 
 
+def _require_one_unit(fixed_mm: "FloatArray", moving_mm: "FloatArray") -> None:
+    """Refuse landmarks of which one side, or both, are in another unit than mm."""
+    from dvf_ig.core import InvalidInputError
+    from dvf_ig.intake.landmark_pairs import unit_of
+
+    for side, xyz_mm, others_mm in (("fixed", fixed_mm, moving_mm), ("moving", moving_mm, fixed_mm)):
+        unit = unit_of(xyz_mm, others_mm)
+        if unit is not None:
+            raise InvalidInputError(
+                f"the {side} landmarks are in {unit}, not mm, by how far they are apart; export them in mm"
+            )
+
+
+def _suspect_exchanged_names(fixed: "Landmarks", moving: "Landmarks") -> None:
+    """Warn if two or three names are on each other's points."""
+    from dvf_ig.intake.landmark_pairs import exchanged_names
+
+    exchanged = exchanged_names(fixed, moving)
+    if exchanged is not None:
+        warn(
+            f"the names {exchanged.listed} are exchanged on one side: corrected, both sides fit each other "
+            f"to {exchanged.exchanged_mm:.1f} mm RMS instead of {exchanged.given_mm:.1f} mm; correct "
+            "the names and evaluate again"
+        )
+
+
 def _sides(
     landmarks: Path, moving: Path | None, estimate: "Rigid", moving_first: bool
 ) -> tuple["Landmarks", "Landmarks | None"]:
@@ -140,13 +168,28 @@ def _sides(
     pair = landmarks.suffix.lower() == ".tag" and moving is None
     if moving_first and not pair:
         raise InvalidInputError("--moving-first applies to one .tag file of two volumes; leave it out here")
-    if pair and moving_first:
+    if pair and (moving_first or _states_moving_first(landmarks)):
         theirs, fixed = read_tag_pair(landmarks, estimate.target, estimate.source)
         return fixed, theirs
     if pair:
         return read_tag_pair(landmarks, estimate.source, estimate.target)
     fixed = read_landmarks(landmarks, estimate.source)
     return fixed, read_landmarks(moving, estimate.target) if moving is not None else None
+
+
+def _states_moving_first(tag: Path) -> bool:
+    """Whether the comments of a `.tag` pair name the MR, the moving side, before the ultrasound."""
+    from dvf_ig.io import modalities_of_tag
+
+    order = modalities_of_tag(tag)
+    if order == ("MR", "US"):
+        warn(f"{tag} says that its first side is the MR, which is taken as the moving side")
+    elif order != ("US", "MR"):
+        warn(
+            f"{tag} does not say which side comes first; the first is taken as the fixed one, the "
+            "ultrasound: give --moving-first if it is the MR"
+        )
+    return order == ("MR", "US")
 
 
 def _pairs(fixed: "Landmarks", moving: "Landmarks") -> tuple["Points", "Points"]:

@@ -35,7 +35,9 @@ def _answer(option: str, command: str) -> None:
     from dvf_ig.intake.schema import KEYS
 
     if option == "--config":
-        raise typer.BadParameter(f"--config is the argument SESSION: {command} session.yaml")
+        raise typer.BadParameter(
+            f"there is no option --config; give the file as the argument: {command} session.yaml"
+        )
     for name, key in KEYS.items():
         if option in key.options:
             raise typer.BadParameter(

@@ -80,6 +80,11 @@ class MissingDependencyError(DvfIgError):
     """Missing optional package or system library that a call needs."""
 
 
+def install_extra(extra: str) -> str:
+    """Say how to install an optional part of this project, which no package index holds."""
+    return f"install it with pip install '.[{extra}]' in the folder of dvf_ig's sources"
+
+
 class OutputError(DvfIgError):
     """Result that could not be written."""
 

@@ -54,6 +54,7 @@ class DvfModel:
         reference: one mesh a phase, the surface the model was fitted to.
         reference_caps: per phase, True for triangles that close an opening and were never measured.
         sources: data it was built from, for the record.
+        cine_fingerprint: of the grey levels it was built from (`VolumeSeries.fingerprint`); None without any.
         chambers: the blood within the organ, which ultrasound shows; none if it is not known.
     """
 
@@ -70,6 +71,7 @@ class DvfModel:
     reference_caps: tuple[BoolArray, ...]
     sources: tuple[str, ...] = ()
     chambers: tuple[Chamber, ...] = ()
+    cine_fingerprint: str | None = None
 
     def __post_init__(self) -> None:
         check_frame(self.frame)

@@ -11,7 +11,7 @@ from dvf_ig.core.space.image_map import ImageMap
 from dvf_ig.core.space.points import Landmarks, Points
 
 from .findings import Disagreement, Finding, finding
-from .heart_in_images import HeartInImages, cycle_findings
+from .heart_in_images import HeartInImages, cycle_findings, mr_order_finding
 from .parts import SessionFiles
 from .places import place_findings
 from .preop import PreopFiles, heart_surfaces
@@ -30,7 +30,7 @@ PERIOD_S = (1e-4, 1.0)
 STILL_MM = 1.0
 """A tracker's noise over a recording (0.25 mm RMS) moves a tool that lies still by less."""
 LONGEST_TOOL_MM = 1000.0
-SHORTEST_TOOL_MM = 2.0
+TIP_IN_M_MM, SHORTEST_TOOL_MM = 0.6, 2.0
 """Tips calibrated in m lie 0.05 to 0.5 from the marker; a tip that is the marker's origin lies at 0."""
 PROBE_MM = 300.0
 """Transthoracic probes hold their marker 50 to 150 mm from the middle of the image."""
@@ -53,19 +53,20 @@ def disagreements(
         peaks_s: (k,) R peaks of the ECG.
         seen: of the heart in the images.
     """
-    found: list[Finding] = []
+    findings: list[Finding] = []
     for one in _all(files, peaks_s, seen):
-        if not any(other.refused and other.key == one.key for other in found):
-            found.append(one)
-    return tuple(found)
+        if not any(other.refused and other.key == one.key for other in findings):
+            findings.append(one)
+    return tuple(findings)
 
 
 def _all(files: SessionFiles, peaks_s: FloatArray, seen: HeartInImages | None) -> Iterator[Finding]:
     yield from unit_findings(files)
     yield from name_findings(files)
     yield from clock_findings(files, peaks_s)
-    yield from cycle_findings(seen)
-    yield from place_findings(files)
+    yield from cycle_findings(seen, files)
+    if not any(one.refused for one in unit_findings(files)):
+        yield from place_findings(files)
 
 
 def unit_findings(files: SessionFiles) -> Iterator[Finding]:
@@ -89,7 +90,7 @@ def unit_findings(files: SessionFiles) -> Iterator[Finding]:
 def _heart(heart: PreopFiles) -> Iterator[Finding]:
     for key, xyz_mm in heart_surfaces(heart):
         if not len(xyz_mm):
-            continue  # told of the labels themselves
+            continue  # reported of the labels themselves
         longest_mm = float(np.ptp(xyz_mm, axis=0).max())
         least, most = POSSIBLE_HEART_MM
         if not least <= longest_mm <= most:
@@ -131,6 +132,8 @@ def _tip(tip: Points) -> Iterator[Finding]:
     key = "calibration.tip"
     if length_mm > LONGEST_TOOL_MM:
         yield finding(Disagreement.TIP_OUT_OF_REACH, key, "replay", mm=length_mm, most=LONGEST_TOOL_MM)
+    elif 0.0 < length_mm < TIP_IN_M_MM:
+        yield finding(Disagreement.TIP_NOT_IN_MM, key, "replay", mm=length_mm)
     elif 0.0 < length_mm < SHORTEST_TOOL_MM:
         yield finding(Disagreement.TIP_NEAR_MARKER, key, "replay", mm=length_mm)
 
@@ -173,11 +176,25 @@ def name_findings(files: SessionFiles) -> Iterator[Finding]:
             named=str(heart.named_patient),
             patient=heart.preop.patient_id,
         )
+    if heart is not None:
+        yield from _whose_model(heart)
     if files.preop is not None and _mr_is_labels(files.preop.preop):
         yield finding(Disagreement.MR_IS_LABELS, "preop.mr")
+    order = None if heart is None else mr_order_finding(heart)
+    if order is not None:
+        yield order
     marked, touched = start.landmarks_mr, start.landmarks_tracker
     if marked is not None and touched is not None and _same_points(marked, touched):
         yield finding(Disagreement.LANDMARKS_ARE_THE_SAME, "start.landmarks_tracker")
+
+
+def _whose_model(heart: PreopFiles) -> Iterator[Finding]:
+    """Find a model of another cine, unless the session says that both are of one patient."""
+    mr, model = heart.preop.mr, heart.model
+    if model is None or mr is None or heart.patient_stated or model.cine_fingerprint is None:
+        return
+    if mr.fingerprint() != model.cine_fingerprint:
+        yield finding(Disagreement.MODEL_OF_OTHER_CINE, "preop.model")
 
 
 def _same_poses(first: PoseStream, second: PoseStream) -> bool:

@@ -130,10 +130,10 @@ def ecg_delay(images: ImageChange, lag_s: float, peaks_s: FloatArray, heart: Cyc
     if np.count_nonzero(inside) < LEAST_PAIRS or not heart.speed.max() > 0:
         return UNKNOWN
     phase, rr_s = beats.phi[inside], float(np.median(beats.rr_s[inside]))
-    change, plain = np.log(images.change[inside]), _without_heart(images, inside)
-    none = _residual(plain, change)[0]
+    change, plain = np.log(images.change[inside]), without_heart(images, inside)
+    none = residual_of_fit(plain, change)[0]
     step = images.step_s / rr_s
-    speeds = (_speed(heart, phase + k / SHIFTS, step) for k in range(SHIFTS))
+    speeds = (root_speed(heart, phase + k / SHIFTS, step) for k in range(SHIFTS))
     left = np.array([_left(plain, change, speed, none) for speed in speeds])
     t_s = images.t_s[inside]
     beats_seen = np.count_nonzero((peaks_s >= t_s[0] + lag_s) & (peaks_s <= t_s[-1] + lag_s))
@@ -145,23 +145,23 @@ def delay_drift_s(images: ImageChange, lag_s: float, peaks_s: FloatArray, heart:
     """Growth of the delay from the first half of the pairs to the second; None if not known."""
     half = len(images.t_s) // 2
     parts = (_part(images, part) for part in (slice(0, half), slice(half, None)))
-    found = [ecg_delay(part, lag_s, peaks_s, heart) for part in parts]
-    return found[1].delay_s - found[0].delay_s if all(one.known for one in found) else None
+    delays = [ecg_delay(part, lag_s, peaks_s, heart) for part in parts]
+    return delays[1].delay_s - delays[0].delay_s if all(one.known for one in delays) else None
 
 
-def _without_heart(images: ImageChange, inside: BoolArray) -> FloatArray:
+def without_heart(images: ImageChange, inside: BoolArray) -> FloatArray:
     """(n, 6) what else makes images change: the probe's motion, and what changes slowly."""
     moved = images.moved_mm[inside]
     trend = np.linspace(-1.0, 1.0, len(moved))
     return np.column_stack([np.ones_like(moved), np.sqrt(moved), moved, moved**2, trend, trend**2])
 
 
-def _speed(heart: CycleSpeed, phase: FloatArray, step: float) -> FloatArray:
+def root_speed(heart: CycleSpeed, phase: FloatArray, step: float) -> FloatArray:
     """(n,) √ of the mean speed over a step of the cycle about each phase."""
     return np.asarray(np.sqrt(np.mean([heart.at(phase + part * step) for part in SMEAR], axis=0)))
 
 
-def _residual(columns: FloatArray, change: FloatArray) -> tuple[float, FloatArray]:
+def residual_of_fit(columns: FloatArray, change: FloatArray) -> tuple[float, FloatArray]:
     """Squared residual of a linear fit, and its coefficients."""
     fit = np.asarray(np.linalg.lstsq(columns, change, rcond=None)[0], dtype=np.float64)
     left = change - columns @ fit
@@ -170,7 +170,7 @@ def _residual(columns: FloatArray, change: FloatArray) -> tuple[float, FloatArra
 
 def _left(plain: FloatArray, change: FloatArray, speed: FloatArray, none: float) -> float:
     """Squared residual with the heart's speed; without it where images would change less in fast motion."""
-    left, fit = _residual(np.column_stack([plain, speed]), change)
+    left, fit = residual_of_fit(np.column_stack([plain, speed]), change)
     return left if fit[-1] > 0 else none
 
 
@@ -200,13 +200,13 @@ def image_change(
         image: probe_from_image.
         shown: (rows, columns) the insonified sector.
     """
-    kept = _blocks(shown[None].astype(np.float64))[0] > 0.99
+    blocks = _blocks(shown[None].astype(np.float64))[0] > 0.99
     count, images = len(recorded), recorded.images
     begins = [0] if count <= MOST_FRAMES else [0, count - MOST_FRAMES // 2]
     length = min(count, MOST_FRAMES // len(begins))
     pairs, change = np.empty(0, dtype=np.int64), np.empty(0)
-    if images is not None and kept.any():
-        parts = [_differences(images[begin : begin + length], kept) for begin in begins]
+    if images is not None and blocks.any():
+        parts = [_differences(images[begin : begin + length], blocks) for begin in begins]
         pairs = np.concatenate([b + np.arange(len(part)) for b, part in zip(begins, parts, strict=True)])
         change = np.concatenate(parts)
     good = recorded.image_valid & probe.valid
@@ -229,11 +229,11 @@ def _blocks(images: NDArray[np.float64]) -> FloatArray:
     return np.asarray(cut.reshape(len(images), rows, BLOCK_PX, columns, BLOCK_PX).mean(axis=(2, 4)))
 
 
-def _differences(images: NDArray[np.uint8], kept: BoolArray) -> FloatArray:
+def _differences(images: NDArray[np.uint8], blocks: BoolArray) -> FloatArray:
     """(n − 1,) mean absolute difference of each frame and the next, one frame in memory at a time."""
     out, before = np.empty(max(len(images) - 1, 0)), np.empty(0)
     for i, frame in enumerate(images):
-        now = _blocks(frame[None].astype(np.float64))[0][kept]
+        now = _blocks(frame[None].astype(np.float64))[0][blocks]
         if i:
             out[i - 1] = np.abs(now - before).mean()
         before = now

@@ -62,8 +62,8 @@ class Disagreement(Enum):
     )
     PROBE_AND_TOOL_EXCHANGED = Rule(
         True,
-        "at this start {share:.0%} of the images reach the heart; with the poses of the tool {other:.0%} "
-        "would: probe and tool look exchanged; exchange their names, here or in the recording itself",
+        "at this start {share:.0%} of the images' area is at the heart, by the tool's poses {other:.0%}: "
+        "probe and tool look exchanged; exchange their names, here or in the recording itself",
         ("ultrasound.probe_name", "tool.name"),
     )
     TOOL_IS_PIVOT = Rule(
@@ -74,6 +74,11 @@ class Disagreement(Enum):
         True,
         "the tip lies {mm:.3g} mm from the tool's marker; no tool is longer than {most:g} mm: it is in "
         "another unit than mm; calibrate it again (dvf-ig calibrate pivot)",
+    )
+    TIP_NOT_IN_MM = Rule(
+        True,
+        "the tip lies {mm:.2g} mm from the tool's marker, where no tool ends: it is in m, not mm; calibrate "
+        "it again (dvf-ig calibrate pivot)",
     )
     TIP_NEAR_MARKER = Rule(
         False,
@@ -103,10 +108,40 @@ class Disagreement(Enum):
         "the points touched on the patient have the very coordinates of those on the model: both names lead "
         "to one set; give the points as the tracker measured them",
     )
+    LANDMARKS_NOT_IN_MM = Rule(
+        True,
+        "by how far these landmarks are apart they are in {unit}, not mm; export them again in mm",
+    )
+    NAMES_EXCHANGED = Rule(
+        True,
+        "the landmarks fit the marked ones to {given:.0f} mm RMS as they are named, and to {mm:.1f} mm with "
+        "{names} exchanged: the names are on each other's points in one of the two files; correct them",
+    )
     LANDMARKS_OFF_HEART = Rule(
         True,
         "the landmarks marked on the model lie {mm:.0f} mm from the heart, all of them; mark them on this "
         "heart, in mm and LPS",
+    )
+    INVERSE_START = Rule(
+        True,
+        "at this start {share:.0%} of the images' area is at the heart, with its inverse {other:.0%}: it is "
+        "tracker_from_mr; give mr_from_tracker",
+    )
+    INVERSE_POSES = Rule(
+        True,
+        "by the poses as recorded {share:.0%} of the images' area is at the heart at this start, by their "
+        "inverses {other:.0%}: the sequence holds probe_from_tracker under the name tracker_from_probe; "
+        "export them again",
+    )
+    INVERSE_PROBE = Rule(
+        True,
+        "with this calibration {share:.0%} of the images' area is at the heart at this start, with its "
+        "inverse {other:.0%}: it is image_from_probe; give probe_from_image",
+    )
+    START_FLIPPED = Rule(
+        True,
+        "at this start {share:.0%} of the images' area is at the heart, with x and y reversed {other:.0%}: "
+        "the start is in RAS where it says LPS, or the reverse; write it again",
     )
     IMAGES_OFF_HEART = Rule(
         True,
@@ -129,10 +164,49 @@ class Disagreement(Enum):
         "the heart beats {bpm:.0f} times a minute by the ECG, {model_bpm:.0f} times by the model; check the "
         "ECG's sampling rate, and that both are of one patient",
     )
+    ECG_OF_ANOTHER_RECORDING = Rule(
+        True,
+        "the heart in the images does not beat as this ECG says, at any delay: by the images' own cyclic "
+        "motion it beats about {bpm:.0f} times a minute, at other times than the R peaks; the ECG is of "
+        "another recording: give the one that was recorded with these images",
+    )
+    ECG_CLOCK_WRONG = Rule(
+        True,
+        "by the images' own cyclic motion the times of the ECG are {share:.0%} too {which}; check its "
+        "sampling rate",
+        ("ecg.rate_hz",),
+    )
+    LATENCY_SIGN = Rule(
+        True,
+        "by the images' own cyclic motion they are {ms:.0f} ms off, twice this latency: its sign is wrong "
+        "(time of tracker = time of video + latency, negative if the tracker leads), or the ECG is off by as "
+        "much",
+    )
+    CINE_ORDER = Rule(
+        True,
+        "{order}, and by the images' own cyclic motion the ECG is {ms:.0f} ms {which}: the phases "
+        "are not in the order from one R peak to the next; put the cine in that order and build the model "
+        "again",
+    )
+    CINE_ORDER_UNUSUAL = Rule(
+        False,
+        "{order}; check that the cine's phases are in the order from one R peak to the next",
+    )
+    MR_OF_OTHER_ORDER = Rule(
+        True,
+        "the grey levels (mr) change most {share:.0%} of a cycle {which} than the model moves most: their "
+        "phases are in another order than the model's; give the cine that the model was built from",
+    )
+    MODEL_OF_OTHER_CINE = Rule(
+        True,
+        "the model was built from another cine than these grey levels (mr), so that it may be another "
+        "patient's; give the model of this cine, or say that both are of one patient",
+        ("patient_id",),
+    )
     ECG_LATE = Rule(
         True,
         "by the images' own cyclic motion the ECG is {ms:.0f} ms {which}; check the latency of the images, "
-        "or correct the ECG's times",
+        "that the ECG is of this recording, and correct its times if it is",
         ("ecg.start_s",),
     )
     ECG_PERHAPS_LATE = Rule(

@@ -177,7 +177,7 @@ def _misfits(files: SessionFiles) -> tuple[list[Problem], tuple[RPeak, ...]]:
         with problems.about("calibration.probe"):
             _require_depth(files, sweep)
     if files.volumes:
-        problems.found += _volume_misfits(files)
+        problems.items += _volume_misfits(files)
     if ecg is not None:
         with problems.about("ecg"):
             peaks, _ = stream_recording(ecg)
@@ -185,7 +185,7 @@ def _misfits(files: SessionFiles) -> tuple[list[Problem], tuple[RPeak, ...]]:
     if tool is not None:
         with problems.about("tool", "replay"):
             require_tracked(tool, "tool")
-    problems.found += _clock_misfits(files)
+    problems.items += _clock_misfits(files)
     if isinstance(files.latency, float):
         with problems.about("calibration.latency"):
             require_lag(files.latency)
@@ -196,8 +196,8 @@ def _misfits(files: SessionFiles) -> tuple[list[Problem], tuple[RPeak, ...]]:
         if start.touched is not None:
             require_spread(TouchedPoints(start.touched, np.zeros(len(start.touched))))
     if files.preop is not None:
-        problems.found += _heart_misfits(files.preop)
-    return problems.found, peaks
+        problems.items += _heart_misfits(files.preop)
+    return problems.items, peaks
 
 
 def _volume_misfits(files: SessionFiles) -> list[Problem]:
@@ -217,7 +217,7 @@ def _volume_misfits(files: SessionFiles) -> list[Problem]:
     with problems.about("start.touched"):
         if files.start.touched is not None:
             raise InvalidInputError("points are touched for a tracked sweep; volumes start from landmarks")
-    return problems.found
+    return problems.items
 
 
 def _heart_misfits(heart: PreopFiles) -> list[Problem]:
@@ -244,7 +244,7 @@ def _heart_misfits(heart: PreopFiles) -> list[Problem]:
     if preop.mr is not None and model is not None:
         with problems.about("preop.mr"):
             _require_inside(model.reference[model.ed_phase].vertices_mm, preop.mr.grid)
-    return problems.found
+    return problems.items
 
 
 def _require_labels(preop: Preop) -> None:
@@ -282,10 +282,10 @@ def _clock_misfits(files: SessionFiles) -> list[Problem]:
                 raise NoOverlapError(
                     f"{exc.message}; say when on it the ECG began", settings=("ecg.start_s",)
                 ) from exc
-    if files.tool is not None and not problems.found:
+    if files.tool is not None and not problems.items:
         with problems.about("tool", "replay"):
             require_common_time(files.ecg, files.tool.t_s, "tool")
-    return problems.found
+    return problems.items
 
 
 def _require_images(sweep: Sweep) -> None:

@@ -188,8 +188,8 @@ class SessionFiles:
 
     def with_model(self, model: DvfModel) -> "SessionFiles":
         """Add the patient's model."""
-        named = None if self.preop is None else self.preop.named_patient
-        return replace(self, preop=PreopFiles(self.heart, model, named))
+        read = PreopFiles(self.heart, model) if self.preop is None else replace(self.preop, model=model)
+        return replace(self, preop=read)
 
     @property
     def scenario(self) -> Scenario:

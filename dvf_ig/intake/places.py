@@ -1,18 +1,21 @@
 """Whether images, tool and landmarks lie where the heart is, at the start that the files give."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
 from dvf_ig.core.arrays import FloatArray
 from dvf_ig.core.errors import InvalidInputError
 from dvf_ig.core.recordings.stream import PoseStream
+from dvf_ig.core.space.frames import RAS_FROM_LPS
 from dvf_ig.core.space.image_map import ImageMap
 from dvf_ig.core.space.points import Points
 from dvf_ig.core.space.rigid import Rigid
 from dvf_ig.registration import start_from_landmarks
 
 from .findings import Disagreement, Finding, finding
+from .landmark_pairs import exchanged_names, unit_of
 from .parts import SessionFiles
 from .preop import heart_surfaces
 from .readers import StartFiles
@@ -27,9 +30,13 @@ FAR_MM = 500.0
 MOST_POSES = 200
 GRID = 5
 """Points along each side of an image."""
-MISSES, REACHES = 0.1, 0.5
-"""Shares of images that reach the box about the heart: no probe that images it reaches it in so few, and none
-elsewhere in so many. In a synthetic recording all do; with the tool's poses in place of the probe's, none."""
+CLEARLY, LEAST_AREA = 4.0, 0.1
+"""Another reading of the transforms explains images that miss the heart if this multiple of their area, and
+at least this share, then lies in the box about it. In a synthetic recording it is 0.45; 0.05 with an inverse
+calibration, 0 with inverse or exchanged poses."""
+FLIP = np.diag(np.diag(RAS_FROM_LPS)[:3])
+Box = tuple[FloatArray, FloatArray]
+"""Lower and upper corner (3,)."""
 
 
 def place_findings(files: SessionFiles) -> Iterator[Finding]:
@@ -37,25 +44,17 @@ def place_findings(files: SessionFiles) -> Iterator[Finding]:
     heart = _heart_box(files)
     if heart is None:
         return
-    marked = files.start.landmarks_mr
-    if marked is not None:
-        off_mm = float(_outside_mm(marked.points.xyz_mm, heart).min())
-        if off_mm > OFF_MM:
-            yield finding(Disagreement.LANDMARKS_OFF_HEART, "start.landmarks_mr", mm=off_mm)
-            return
+    findings = [*_landmark_findings(files, heart)]
+    yield from findings
+    if any(one.refused for one in findings):
+        return
     start = _start(files.start)
     if start is None:
         return
-    images_off_mm = _images_off_mm(files, start, heart)
-    if images_off_mm is not None:
-        exchanged = _exchanged(files, start, heart, images_off_mm)
-        if exchanged is not None:
-            yield exchanged
-            return
-        if (off_mm := float(images_off_mm.min())) > OFF_MM:
-            key = "start.transform" if files.start.start is not None else "start.landmarks_tracker"
-            yield finding(Disagreement.IMAGES_OFF_HEART, key, mm=off_mm)
-            return
+    findings = [*_image_findings(files, start, heart)]
+    yield from findings
+    if any(one.refused for one in findings):
+        return
     if files.tool is not None and isinstance(files.tip, Points):
         tips = _moved(files.tool, files.tip.xyz_mm)
         off_mm = float(_outside_mm(start.apply_array(tips), heart).min()) if len(tips) else 0.0
@@ -65,15 +64,86 @@ def place_findings(files: SessionFiles) -> Iterator[Finding]:
             yield finding(Disagreement.TOOL_FAR_FROM_HEART, "tool", "replay", mm=off_mm)
 
 
-def _heart_box(files: SessionFiles) -> tuple[FloatArray, FloatArray] | None:
-    """Lower and upper corner (3,) of the box about the heart, frame "mr"."""
+def _landmark_findings(files: SessionFiles, heart: Box) -> Iterator[Finding]:
+    """Find landmarks in another unit, off the heart, or under each other's names."""
+    marked, touched = files.start.landmarks_mr, files.start.landmarks_tracker
+    if marked is None:
+        return
+    if touched is not None:
+        _, there, here = marked.paired_with(touched)
+        sides = (
+            ("start.landmarks_mr", there.xyz_mm, here.xyz_mm),
+            ("start.landmarks_tracker", here.xyz_mm, there.xyz_mm),
+        )
+        for key, xyz_mm, others_mm in sides if len(here) else ():
+            unit = unit_of(xyz_mm, others_mm)
+            if unit is not None:
+                yield finding(Disagreement.LANDMARKS_NOT_IN_MM, key, unit=unit)
+                return
+        exchanged = exchanged_names(marked, touched)
+        if exchanged is not None:
+            yield finding(
+                Disagreement.NAMES_EXCHANGED,
+                "start.landmarks_tracker",
+                given=exchanged.given_mm,
+                mm=exchanged.exchanged_mm,
+                names=exchanged.listed,
+            )
+    off_mm = float(_outside_mm(marked.points.xyz_mm, heart).min())
+    if off_mm > OFF_MM:
+        yield finding(Disagreement.LANDMARKS_OFF_HEART, "start.landmarks_mr", mm=off_mm)
+
+
+def _image_findings(files: SessionFiles, start: Rigid, heart: Box) -> Iterator[Finding]:
+    """Find why images miss the heart: a transform that is inverse, flipped, exchanged or of another day."""
+    sweep, probe = files.sweep, files.probe
+    if sweep is None or sweep.recorded.images is None or not isinstance(probe, ImageMap):
+        return
+    points_mm = _image_points(probe, sweep.recorded.images.shape[1:])
+
+    def off_mm(
+        start: Rigid = start, poses: PoseStream = sweep.probe, at: FloatArray = points_mm
+    ) -> FloatArray:
+        return _outside_mm(start.apply_array(_moved(poses, at)), heart)
+
+    given_mm = off_mm()
+    if not len(given_mm):
+        return
+    share = _share(given_mm)
+    key = "start.transform" if files.start.start is not None else "start.landmarks_tracker"
+    flipped = (Rigid(start.target, start.source, FLIP @ start.rotation, FLIP @ start.translation_mm),
+               Rigid(start.target, start.source, start.rotation @ FLIP, start.translation_mm))  # fmt: skip
+    inverse_start = _as_named(start.inverse(), start)
+    inverse_image = ImageMap(_as_named(probe.rigid.inverse(), probe.rigid), probe.scale_mm_per_px)
+    inverse_points = _image_points(inverse_image, sweep.recorded.images.shape[1:])
+    others = [
+        (Disagreement.INVERSE_START, key, [off_mm(start=inverse_start)]),
+        (Disagreement.START_FLIPPED, key, [off_mm(start=one) for one in flipped]),
+        (Disagreement.INVERSE_POSES, "ultrasound", [off_mm(poses=_inverse(sweep.probe))]),
+        (Disagreement.INVERSE_PROBE, "calibration.probe", [off_mm(at=inverse_points)]),
+    ]
+    if files.tool is not None:
+        exchanged = off_mm(poses=files.tool)
+        others.insert(0, (Disagreement.PROBE_AND_TOOL_EXCHANGED, "ultrasound.probe_name", [exchanged]))
+    for cause, concerned, distances in others:
+        other = max(_share(one) for one in distances)
+        if other >= max(LEAST_AREA, CLEARLY * share):
+            yield finding(cause, concerned, share=share, other=other)
+            return
+    nearest_mm = float(given_mm.min())
+    if nearest_mm > OFF_MM:
+        yield finding(Disagreement.IMAGES_OFF_HEART, key, mm=nearest_mm)
+
+
+def _heart_box(files: SessionFiles) -> Box | None:
+    """The box about the heart, frame "mr"."""
     if files.preop is None:
         return None
     there = [xyz_mm for _, xyz_mm in heart_surfaces(files.preop) if len(xyz_mm)]
     return None if not there else (there[0].min(axis=0), there[0].max(axis=0))
 
 
-def _outside_mm(xyz_mm: FloatArray, box: tuple[FloatArray, FloatArray]) -> FloatArray:
+def _outside_mm(xyz_mm: FloatArray, box: Box) -> FloatArray:
     """(n,) distance from a box, 0 inside."""
     low, high = box
     beyond = np.maximum(np.maximum(low - xyz_mm, xyz_mm - high), 0.0)
@@ -89,39 +159,30 @@ def _start(start: StartFiles) -> Rigid | None:
     try:
         return start_from_landmarks(start.landmarks_mr, start.landmarks_tracker).mr_from_tracker
     except InvalidInputError:
-        return None  # told of the landmarks themselves
+        return None  # reported of the landmarks themselves
 
 
-def _images_off_mm(
-    files: SessionFiles, start: Rigid, heart: tuple[FloatArray, FloatArray], probe: PoseStream | None = None
-) -> FloatArray | None:
-    """(p,) distance of each image from the box about the heart; None if no pose or calibration is known.
-
-    Args:
-        probe: poses of the images, if not those of the sweep.
-    """
-    if files.sweep is None or files.sweep.recorded.images is None or not isinstance(files.probe, ImageMap):
-        return None
-    rows, columns = files.sweep.recorded.images.shape[1:]
+def _image_points(probe: ImageMap, shape: tuple[int, ...]) -> FloatArray:
+    """(n, 3) points all over an image of (rows, columns), frame "probe"."""
+    rows, columns = shape
     sides = np.meshgrid(np.linspace(0, columns, GRID), np.linspace(0, rows, GRID))
-    points = files.probe.apply_pixels(np.stack(sides, axis=-1).reshape(-1, 2)).xyz_mm
-    at = _moved(files.sweep.probe if probe is None else probe, points)
-    if not len(at):
-        return None
-    return np.asarray(_outside_mm(start.apply_array(at), heart).reshape(-1, len(points)).min(axis=1))
+    return probe.apply_pixels(np.stack(sides, axis=-1).reshape(-1, 2)).xyz_mm
 
 
-def _exchanged(
-    files: SessionFiles, start: Rigid, heart: tuple[FloatArray, FloatArray], images_off_mm: FloatArray
-) -> Finding | None:
-    """Find probe and tool exchanged: images miss the heart by the probe's poses, not by the tool's."""
-    share = float((images_off_mm == 0.0).mean())
-    if files.tool is None or share > MISSES:
-        return None
-    others_off_mm = _images_off_mm(files, start, heart, files.tool)
-    if others_off_mm is None or (other := float((others_off_mm == 0.0).mean())) < REACHES:
-        return None
-    return finding(Disagreement.PROBE_AND_TOOL_EXCHANGED, "ultrasound.probe_name", share=share, other=other)
+def _share(off_mm: FloatArray) -> float:
+    """Share of the images' area that lies at the heart."""
+    return float((off_mm == 0.0).mean()) if len(off_mm) else 0.0
+
+
+def _inverse(stream: PoseStream) -> PoseStream:
+    """Poses read the wrong way round."""
+    turned = np.swapaxes(stream.rotations, 1, 2)
+    shifted = -np.einsum("nij,nj->ni", turned, stream.translations_mm)
+    return replace(stream, rotations=turned, translations_mm=shifted)
+
+
+def _as_named(pose: Rigid, names: Rigid) -> Rigid:
+    return Rigid(names.target, names.source, pose.rotation, pose.translation_mm)
 
 
 def _moved(stream: PoseStream, xyz_mm: FloatArray) -> FloatArray:

@@ -37,11 +37,18 @@ class PreopFiles:
     Attributes:
         model: if a file holds it.
         named_patient: whose surfaces they are by the names of their files; None if these do not say.
+        patient_stated: whether the session says whose heart it is, and not the files alone.
     """
 
     preop: Preop
     model: DvfModel | None
     named_patient: str | None = None
+    patient_stated: bool = True
+
+    @property
+    def of_anybody(self) -> bool:
+        """Whether nothing but the name of its file says whose the model is."""
+        return self.model is not None and not self.patient_stated and self.preop.mr is None
 
 
 def read_preop(config: PreopConfig, folder: Path, patient_id: str | None) -> PreopFiles:
@@ -93,7 +100,8 @@ def read_preop(config: PreopConfig, folder: Path, patient_id: str | None) -> Pre
         surfaces=surfaces,
         surface=config.surface,
     )
-    return PreopFiles(preop, model, None if patient_id is None and model is None else named)
+    named = None if patient_id is None and model is None else named
+    return PreopFiles(preop, model, named, patient_id is not None)
 
 
 def _with_times(mr: VolumeSeries, model: DvfModel, name: str) -> VolumeSeries:

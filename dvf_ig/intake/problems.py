@@ -48,7 +48,7 @@ class Problem:
 class ProblemList:
     """Problems, collected where single reads and checks raise them."""
 
-    found: list[Problem] = field(default_factory=list)
+    items: list[Problem] = field(default_factory=list)
 
     @contextmanager
     def about(self, key: str, hinders: Use = "register") -> Iterator[None]:
@@ -57,8 +57,8 @@ class ProblemList:
             with concerning(key):
                 yield
         except DvfIgError as error:
-            self.found.append(Problem(error.key or key, error, hinders))
+            self.items.append(Problem(error.key or key, error, hinders))
 
     def within(self, key: str) -> bool:
         """Whether something is wrong with a key, or with one in its section."""
-        return any(problem.key == key or problem.key.startswith(f"{key}.") for problem in self.found)
+        return any(problem.key == key or problem.key.startswith(f"{key}.") for problem in self.items)

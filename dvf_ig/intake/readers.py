@@ -73,7 +73,7 @@ def read_tool(config: ToolConfig | None, folder: Path, sweep: Sweep | None) -> P
 
     Without a name the only other tool in the ultrasound sequence is taken.
     """
-    held = None if sweep is None else sweep.probe.target
+    reference = None if sweep is None else sweep.probe.target
     if config is None:
         others = () if sweep is None else sweep.other_tools
         if len(others) > 1:
@@ -81,13 +81,15 @@ def read_tool(config: ToolConfig | None, folder: Path, sweep: Sweep | None) -> P
                 "the ultrasound tracks %s beside the probe; say which is the tool (tool.file, tool.name)",
                 " and ".join(others),
             )
-        if sweep is None or held is None or len(others) != 1:
+        if sweep is None or reference is None or len(others) != 1:
             return None
-        return sweep.recorded.stream(held, others[0])
+        return sweep.recorded.stream(reference, others[0])
     path = folder / config.file
     with concerning("tool.file", path):
         try:
-            poses = recorded_poses(path, held, None if config.name is None else frame_from_plus(config.name))
+            poses = recorded_poses(
+                path, reference, None if config.name is None else frame_from_plus(config.name)
+            )
         except UnreadableFileError as exc:
             if isinstance(exc.__cause__, InvalidInputError):  # the poses that are asked for are not in it
                 exc.settings = exc.settings or ("tool.name", "ultrasound.reference_name")
@@ -164,10 +166,10 @@ def read_probe_source(
         turned_from: orientation in which the sweep's images are stored, if they were turned.
     """
     if isinstance(source, str):
-        found = read_probe(folder / source, names.probe, turned_from=turned_from)
-        rigid = found.rigid
+        calibration = read_probe(folder / source, names.probe, turned_from=turned_from)
+        rigid = calibration.rigid
         placed = Rigid("probe", rigid.source, rigid.rotation, rigid.translation_mm)
-        return ImageMap(placed, found.scale_mm_per_px, found.shear_deg)
+        return ImageMap(placed, calibration.scale_mm_per_px, calibration.shear_deg)
     file = folder / source.file
     if isinstance(source, NWireConfig):
         return read_nwire_recording(
@@ -222,7 +224,7 @@ def _pivoting(path: Path, tool: str) -> PoseStream:
     name = None
     if tool != "tool" and path.suffix.lower() in SEQUENCE_SUFFIXES:
         tracked = {stream.source for stream in read_sequence(path).poses.values()}
-        name = next((known for known in (tool, "tool") if known in tracked), None)
+        name = next((usual for usual in (tool, "tool") if usual in tracked), None)
         if name is None:
             listed = ", ".join(sorted(tracked)) or "nothing"
             raise UnreadableFileError(

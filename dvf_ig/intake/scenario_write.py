@@ -182,10 +182,10 @@ def write_preop(preop: Preop, folder: Path, config: ScenarioPreop) -> None:
 def _write_nwire(recording: NWireRecording, folder: Path, files: FilesConfig) -> None:
     """The phantom is its own reference: poses are written as ProbeToReference, Phantom to Reference is 1."""
     probe = recording.phantom_from_probe
-    held = PoseStream(
+    phantom_poses = PoseStream(
         "reference", probe.source, probe.t_s, probe.rotations, probe.translations_mm, probe.valid
     )
-    write_poses(held, folder / files.nwire)
+    write_poses(phantom_poses, folder / files.nwire)
     placed = Rigid.identity("reference", "phantom")
     write_nwire_phantom(folder / files.nwire_device_set, recording.phantom, placed)
     write_wire_points(folder / files.nwire_points, "CalibrationData", recording.phantom, recording.points_px)
@@ -231,8 +231,8 @@ def readme_text(scenario: Scenario, notes: ScenarioNotes) -> str:
 def _beat_source_row(source: Signal | TriggerTimes) -> tuple[str, str, str, str]:
     if isinstance(source, TriggerTimes):
         return (f"`{TRIGGER}`", f"{len(source)} pulses of a trigger in place of an ECG", "", "tracker")
-    told = f"{len(source) / source.rate_hz:.1f} s, {', '.join(source.leads)}, {source.unit}"
-    return ("`ecg.csv`", told, "", "tracker")
+    contents = f"{len(source) / source.rate_hz:.1f} s, {', '.join(source.leads)}, {source.unit}"
+    return ("`ecg.csv`", contents, "", "tracker")
 
 
 def _rows(scenario: Scenario) -> list[tuple[str, str, str, str]]:

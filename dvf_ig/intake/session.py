@@ -87,8 +87,8 @@ def open_session(path: Path | str, *, truth: bool = True) -> tuple[SessionConfig
         got = document.get("schema") if isinstance(document, dict) else None
         hint = "give its folder" if got == "dvf_ig.scenario/1" else "begin one with: dvf-ig config init"
         raise UnreadableFileError(f"{path} has schema '{got}'; needed '{SCHEMA}': {hint}")
-    given = {key: value for key, value in document.items() if value is not None}  # the rest is commented out
-    return validated(SessionConfig, given, path), path.parent
+    stated = {key: value for key, value in document.items() if value is not None}  # the rest is commented out
+    return validated(SessionConfig, stated, path), path.parent
 
 
 def examine(
@@ -154,7 +154,7 @@ def _read_all(
     ]
     if lacking and purpose == "recording":
         raise UnreadableFileError(f"{named_by} lacks {'; '.join(lacking)}")
-    for problem in problems.found:
+    for problem in problems.items:
         raise problem.error
     return files
 
@@ -207,7 +207,7 @@ def session_fixtures(
             which states them itself.
     """
     margin = config.margin
-    if all(given is None for given in (config.fixtures, config.cap_n, config.device, margin)):
+    if all(stated is None for stated in (config.fixtures, config.cap_n, config.device, margin)):
         return None, config.retiming
     if isinstance(config.fixtures, str):
         beside = [key for key in ("cap_n", "device") if getattr(config, key) is not None]

@@ -61,9 +61,9 @@ def start_pose(scenario: Startable, heart: Heart, seed: int) -> Rigid:
         require_on_model(marked, heart.model)
     if scenario.start is not None and marked is not None and at is not None:
         require_unflipped(scenario.start, marked, at)
-    given = scenario.start if scenario.start is not None else landmark_pose(scenario)
-    if given is not None:
-        return given
+    stated = scenario.start if scenario.start is not None else landmark_pose(scenario)
+    if stated is not None:
+        return stated
     touched = touched_surface(scenario, heart.model)
     if touched is None:
         raise InvalidInputError(NO_START)

@@ -71,9 +71,9 @@ def begin_session(given: Mapping[str, Any], output: Path) -> tuple[SessionConfig
 
 def _verdict(config: SessionConfig, files: SessionFiles, problems: ProblemList) -> Verdict:
     """An ECG that is neither named nor in the ultrasound is missing, not unreadable."""
-    absent = tuple(p for p in problems.found if p.key == "ecg" and config.ecg is None)
+    absent = tuple(p for p in problems.items if p.key == "ecg" and config.ecg is None)
     fit = fit_of(files)
-    wrong = ProblemList([*problems.found, *fit.misfits])
+    wrong = ProblemList([*problems.items, *fit.misfits])
     missing = missing_parts(files, wrong)
-    unreadable = tuple(p for p in problems.found if p not in absent)
+    unreadable = tuple(p for p in problems.items if p not in absent)
     return Verdict(files, unreadable, fit.misfits, (*absent, *missing), fit.warnings, fit.seen)

@@ -23,16 +23,16 @@ def session_text(config: SessionConfig, described: Mapping[str, str | None]) -> 
     Args:
         described: what the files of each part hold, by its key.
     """
-    given = config.model_dump(exclude_defaults=True)
+    stated = config.model_dump(exclude_defaults=True)
     blocks = ["\n".join(HEAD)]
     sections: dict[str, list[str]] = {}
     for name, key in KEYS.items():
         section, _, entry = name.rpartition(".")
-        value = given.get(section, {}).get(entry) if section else given.get(entry)
+        value = stated.get(section, {}).get(entry) if section else stated.get(entry)
         if key.example or value is not None:
             sections.setdefault(section or entry, []).append(_line(entry, value, key))
     for name, lines in sections.items():
-        blocks.append("\n".join(_block(name, lines, given, described)))
+        blocks.append("\n".join(_block(name, lines, stated, described)))
     return "\n\n".join(blocks) + "\n"
 
 
@@ -54,7 +54,7 @@ def _line(entry: str, value: Any, key: Key) -> str:
 
 
 def _block(
-    name: str, lines: list[str], given: Mapping[str, Any], described: Mapping[str, str | None]
+    name: str, lines: list[str], stated: Mapping[str, Any], described: Mapping[str, str | None]
 ) -> list[str]:
     """A section with its comments; its own line is commented out if nothing in it is given."""
     if name in KEYS:
@@ -63,11 +63,11 @@ def _block(
     kind = next(iter(one for one in getattr(annotation, "__args__", (annotation,)) if one is not type(None)))
     comments = [f"# {(kind.__doc__ or '').splitlines()[0]}"]
     for part in PARTS:
-        held = described.get(part.key)
-        if part.key.partition(".")[0] == name and held is not None:
-            inside = "in the ultrasound's file: " if name in ("ecg", "tool") and name not in given else ""
+        contents = described.get(part.key)
+        if part.key.partition(".")[0] == name and contents is not None:
+            inside = "in the ultrasound's file: " if name in ("ecg", "tool") and name not in stated else ""
             label = "" if part.key == name else f"{part.label}, "
-            comments.append(f"# Found: {label}{inside}{held}.")
-    if name in given:
+            comments.append(f"# Found: {label}{inside}{contents}.")
+    if name in stated:
         return [*comments, f"{name}:", *(f"  {line}" for line in lines)]
     return [*comments, f"# {name}:", *(f"#   {line.removeprefix('# ')}" for line in lines)]

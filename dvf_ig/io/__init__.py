@@ -32,6 +32,7 @@ from .image.volume import write_volume_series as write_volume_series
 from .json_file import plain as plain
 from .json_file import read_json as read_json
 from .json_file import write_json as write_json
+from .landmarks import modalities_of_tag as modalities_of_tag
 from .landmarks import read_landmarks as read_landmarks
 from .landmarks import read_tag_pair as read_tag_pair
 from .landmarks import write_landmarks as write_landmarks

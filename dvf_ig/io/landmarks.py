@@ -49,6 +49,7 @@ _OF_A_MARKUP = {
 }
 """Fields of Slicer's schema that are read, or do not move a point."""
 LANDMARK_ENDINGS = (".json", ".fcsv", ".tag")
+_MODALITY = re.compile(r"(?<![A-Z])(?:(?P<MR>MRI?|CT)|(?P<US>US|(?i:ultrasound)))(?![A-Za-z])")
 _TAG_ROW = re.compile(r'((?:[-+\d.eE]+\s+)*[-+\d.eE]+)\s*(?:"([^"]*)")?')
 
 
@@ -118,6 +119,13 @@ def read_tag_pair(path: Path | str, frame_first: str, frame_second: str) -> tupl
         for side in sides:
             _require_mm(side)
         return _landmarks(path, names, first, frame_first), _landmarks(path, names, second, frame_second)
+
+
+def modalities_of_tag(path: Path | str) -> tuple[str, ...]:
+    """Modalities as the comments of an MNI `.tag` name them, in order: "US", and "MR" for MR or CT."""
+    comments = re.findall(r"^%.*$", read_text(Path(path), "an MNI tag file"), re.MULTILINE)
+    named = [match.lastgroup or "" for line in comments for match in _MODALITY.finditer(line)]
+    return tuple(dict.fromkeys(named))
 
 
 def write_landmarks(landmarks: Landmarks, path: Path | str) -> None:

@@ -1,7 +1,7 @@
 """From a 4-D image and the labels of its end-diastole to the fixture model: Section III, end to end."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -142,6 +142,7 @@ def model_from_cine(
             for value, mask in zip(options.cavity_labels, cavities, strict=True)
         ],
     )
+    model = replace(model, cine_fingerprint=image.fingerprint())
     budget = surface_budget(image.grid.spacing_mm, surface.volume_mm3())
     return CineModel(model, surfaces, motion, quality, budget, volumes, ends)
 

@@ -1,13 +1,15 @@
 """One registration on the whole of a recording, offline: every R peak and every gated frame at once."""
 
-from dataclasses import replace
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from time import perf_counter
 
 import numpy as np
 
 from dvf_ig.cardiac import stream_recording
-from dvf_ig.core import DvfModel, Progress, Rigid, Scenario, untold
+from dvf_ig.core import DvfModel, NoOverlapError, Progress, Rigid, Scenario, untold
 from dvf_ig.intake.calibrations import calibrate
+from dvf_ig.intake.problems import concerning
 from dvf_ig.intake.start import landmark_pose, landmark_prior, require_start, start_pose, touched_surface
 from dvf_ig.registration import RegistrationResult
 from dvf_ig.session import (
@@ -21,6 +23,104 @@ from dvf_ig.session import (
 
 from .engine import Clock
 from .preconditions import require_heart_beats, require_tracked_probe
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PreparedRegistration:
+    """A registration of a recording that can begin: calibrated, gated, with enough frames and a start."""
+
+    scenario: Scenario
+    recording: UltrasoundRecording
+    frames: GatedFrames
+    start: Rigid
+
+    def register(
+        self,
+        *,
+        seed: int = 0,
+        warm: bool = False,
+        clock: Clock = perf_counter,
+        progress: Progress | None = None,
+    ) -> RegistrationResult:
+        """Register the frames, against all that was touched on the patient.
+
+        Args:
+            warm: rely on the start and skip displaced starts.
+        Raises:
+            NoOverlapError: too few frames can be compared with the model.
+        """
+        scenario = self.scenario
+        return register_frames(
+            self.recording,
+            self.frames,
+            self.start,
+            seed=seed,
+            clock=clock,
+            warm=warm,
+            prior=landmark_prior(scenario),
+            landmarks=landmark_pose(scenario),
+            touched=touched_surface(scenario, self.recording.heart.model),
+            progress=progress,
+        )
+
+
+def prepare_registration(
+    scenario: Scenario,
+    *,
+    model: DvfModel | None = None,
+    heart: Heart | None = None,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> PreparedRegistration:
+    """Do all that comes before the search for the pose, so that what prevents it is known.
+
+    Raises:
+        NoOverlapError: too few frames can be compared with the model.
+        InvalidInputError, QualityGateError: as `run_replay`; or the start cannot be used.
+    """
+    recording = recorded_ultrasound(scenario, model=model, heart=heart, seed=seed, progress=progress)
+    with concerning("start"):
+        start = start_pose(scenario, recording.heart, seed)
+    frames = every_frame(recording)
+    if not frames.enough:
+        raise NoOverlapError(frames.shortage, key="ultrasound")
+    return PreparedRegistration(scenario, recording, frames, start)
+
+
+def explain_refusal(prepared: PreparedRegistration, *, seed: int = 0) -> str | None:
+    """Say which single mistake in preparing the recording would explain a refused registration.
+
+    Each is undone, and the registration tried again without displaced starts; None if none then passes its
+    checks.
+    """
+    for sentence, undone in _undone(prepared):
+        try:
+            result = undone.register(seed=seed, warm=True)
+        except NoOverlapError:
+            continue
+        if result.stop.usable:
+            return sentence
+    return None
+
+
+def _undone(prepared: PreparedRegistration) -> Iterator[tuple[str, PreparedRegistration]]:
+    recording, start = prepared.recording, prepared.start
+    for axis, side in ((2, "left to right"), (1, "top to bottom")):
+        images = np.ascontiguousarray(np.flip(recording.images, axis=axis))
+        seen = replace(recording.ultrasound, images=images)
+        mirrored = replace(recording, ultrasound=seen, fan=None)  # the sector is found in the images
+        yield (
+            f"with its images mirrored {side} the registration passes its checks: they are stored in another "
+            "orientation than the probe was calibrated with (UltrasoundImageOrientation)",
+            replace(prepared, recording=mirrored),
+        )
+    flip = np.diag([-1.0, -1.0, 1.0])
+    flipped = Rigid(start.target, start.source, flip @ start.rotation, flip @ start.translation_mm)
+    yield (
+        "with x and y of the start reversed the registration passes its checks: the start is in RAS where it "
+        "says LPS, or the reverse",
+        replace(prepared, start=flipped),
+    )
 
 
 def register_scenario(
@@ -44,17 +144,10 @@ def register_scenario(
     """
     report = progress or untold
     recorded = scenario if start is None else replace(scenario, start=start)
-    recording = recorded_ultrasound(
+    prepared = prepare_registration(
         recorded, model=model, heart=heart, seed=seed, progress=lambda f: report(0.6 * f)
     )
-    return register_recording(
-        recorded,
-        recording,
-        every_frame(recording),
-        seed=seed,
-        clock=clock,
-        progress=lambda f: report(0.6 + 0.4 * f),
-    )
+    return prepared.register(seed=seed, clock=clock, progress=lambda f: report(0.6 + 0.4 * f))
 
 
 def recorded_ultrasound(
@@ -85,32 +178,3 @@ def recorded_ultrasound(
 def every_frame(recording: UltrasoundRecording) -> GatedFrames:
     """Gate all frames of a recording."""
     return gate_recording(recording, from_s=-np.inf, until_s=np.inf)
-
-
-def register_recording(
-    scenario: Scenario,
-    recording: UltrasoundRecording,
-    frames: GatedFrames,
-    *,
-    seed: int = 0,
-    progress: Progress | None = None,
-    clock: Clock = perf_counter,
-) -> RegistrationResult:
-    """Register gated frames from the scenario's start, against all that was touched on the patient.
-
-    Raises:
-        NoOverlapError: too few frames can be compared with the model.
-        InvalidInputError, QualityGateError: the start cannot be used.
-    """
-    heart = recording.heart
-    return register_frames(
-        recording,
-        frames,
-        start_pose(scenario, heart, seed),
-        seed=seed,
-        clock=clock,
-        prior=landmark_prior(scenario),
-        landmarks=landmark_pose(scenario),
-        touched=touched_surface(scenario, heart.model),
-        progress=progress,
-    )

@@ -14,7 +14,7 @@ from types import ModuleType
 from typing import Any
 
 import dvf_ig
-from dvf_ig.core.errors import DvfIgError, InvalidInputError, MissingDependencyError
+from dvf_ig.core.errors import DvfIgError, InvalidInputError, MissingDependencyError, install_extra
 
 Lines = list[dict[str, Any]]
 
@@ -108,7 +108,7 @@ def _package() -> ModuleType:
         import distributed
     except ImportError as exc:
         raise MissingDependencyError(
-            "trials on a cluster need dask.distributed; install it with: pip install 'dvf-ig[cluster]'"
+            f"trials on a cluster need dask.distributed; {install_extra('cluster')}"
         ) from exc
     module: ModuleType = distributed
     return module

@@ -21,7 +21,7 @@ def tank(rows: FloatArray, slope: float, seed: int = 0) -> np.ndarray[tuple[int,
 def test_floor_is_found_to_a_fraction_of_a_pixel() -> None:
     rows = 100 + 40 * np.sin(np.arange(24) * 0.7)
     lines = find_wall_lines(tank(rows, 0.2), rng=np.random.default_rng(0))
-    assert lines.found.all()
+    assert lines.is_found.all()
     # some 140 columns, each within half a pixel
     assert np.abs(lines.row_px - rows).max() < 0.5
     assert np.abs(lines.slope - 0.2).max() < 0.01

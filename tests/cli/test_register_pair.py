@@ -264,6 +264,40 @@ def test_a_tag_pair_in_either_order(truth: Path, tmp_path: Path) -> None:
         assert json.loads(done.stdout)["tre_mm"]["max"] == pytest.approx(5.0, abs=1e-6)
 
 
+def test_a_tag_pair_that_states_its_order_needs_no_option(truth: Path, tmp_path: Path) -> None:
+    """RESECT's own files say MRI first, and mean it."""
+    pair = tag(tmp_path / "pair.tag", moving_of(POINTS), POINTS)
+    silent = invoke("evaluate", "--transform", truth, "--landmarks", pair)
+    assert "does not say which side comes first" in silent.output
+    pair.write_text(pair.read_text().replace("\n\n", "\n% Case 2: MRI-beforeUS landmarks\n\n", 1))
+    stated = invoke("evaluate", "--transform", truth, "--landmarks", pair)
+    assert "its first side is the MR" in stated.output
+    assert "5.00 mm mean" in stated.output
+
+
+def test_exchanged_names_and_metres_are_named(truth: Path, tmp_path: Path) -> None:
+    names = [f"p{i}" for i in range(len(POINTS))]
+    fixed = markups(tmp_path / "fixed.fcsv", POINTS, names)
+    other = markups(tmp_path / "other.fcsv", moving_of(POINTS), ["p0", "p3", "p2", "p1", "p4"])
+    swapped = invoke("evaluate", "--transform", truth, "--landmarks", fixed, other)
+    assert "the names p1 and p3 are exchanged on one side" in swapped.output
+    for marked, moving, side in (
+        (fixed, moving_of(POINTS) / 1000, "moving"),
+        (None, moving_of(POINTS), "fixed"),
+    ):
+        first = marked or markups(tmp_path / "small.fcsv", POINTS / 1000, names)
+        refused = invoke(
+            "evaluate",
+            "--transform",
+            truth,
+            "--landmarks",
+            first,
+            markups(tmp_path / "m.fcsv", moving, names),
+        )
+        assert refused.exit_code == 3
+        assert f"the {side} landmarks are in m, not mm" in refused.output
+
+
 def test_landmarks_that_do_not_pair_up_get_one_sentence(truth: Path, tmp_path: Path) -> None:
     names = [f"p{i}" for i in range(len(POINTS))]
     fixed = markups(tmp_path / "fixed.fcsv", POINTS, names)

@@ -11,6 +11,8 @@ import pytest
 from config_runs import errors, run, write
 from toy_lab import SECONDS, SESSION, poses
 from toy_sphere import sphere
+from wrongly_prepared import CASES as WRONGLY_PREPARED
+from wrongly_prepared import blood, in_sequence
 
 from dvf_ig.core import (
     CycleTiming,
@@ -176,8 +178,12 @@ def short_ecg(parts: SessionFiles) -> SessionFiles:
     return replace(parts, ecg=replace(parts.ecg, samples=parts.ecg.samples[:1100]))  # type: ignore[union-attr,type-var]
 
 
-def beating(late_s: float = 0.0, drift: float = 0.0, noise: float = 0.0) -> Change:
-    """Images that change as fast as the model moves, by an ECG that is late, or whose clock runs too fast."""
+def beating(late_s: float = 0.0, drift: float = 0.0, noise: float = 0.0, beats: int | None = None) -> Change:
+    """Images that change as fast as the model moves, by an ECG that is late, or whose clock runs too fast.
+
+    Args:
+        beats: seed of beats of their own, 0.8 s long on average, in place of the ECG's.
+    """
     sizes = np.array([1.0, 0.8, 0.85, 0.95])
 
     def change(parts: SessionFiles) -> SessionFiles:
@@ -189,6 +195,9 @@ def beating(late_s: float = 0.0, drift: float = 0.0, noise: float = 0.0) -> Chan
         moving = replace(model, reference=meshes)
         amounts = np.abs(np.roll(sizes, -1) - sizes)
         at = (parts.sweep.recorded.t_s - 0.065 - late_s) * (1.0 + drift) / 0.8
+        if beats is not None:
+            lengths = np.random.default_rng(beats).normal(1.0, 0.08, 30)
+            at = np.interp(at, np.cumsum(lengths) - lengths[0], np.arange(30.0))
         way = np.interp(at - 0.05, *unrolled(amounts, model.timing.fractions - 0.05))
         return replace(
             parts,
@@ -245,7 +254,8 @@ CASES: dict[str, tuple[Change, Disagreement, str]] = {
     "a tool's stamps in ms": (milliseconds, Disagreement.STAMPS_NOT_IN_S, "tool"),
     "a probe in m": (probe(1e-3), Disagreement.POSES_NOT_IN_MM, "ultrasound"),
     "a tip in µm": (tip(0.0, 0.0, 1.5e5), Disagreement.TIP_OUT_OF_REACH, "calibration.tip"),
-    "a tip in m": (tip(0.0, 0.0, 0.15), Disagreement.TIP_NEAR_MARKER, "calibration.tip"),
+    "a tip in m": (tip(0.0, 0.0, 0.15), Disagreement.TIP_NOT_IN_MM, "calibration.tip"),
+    "a tip near its marker": (tip(0.0, 0.0, 1.5), Disagreement.TIP_NEAR_MARKER, "calibration.tip"),
     "an image far from its probe": (image_moved, Disagreement.IMAGE_FAR_FROM_PROBE, "calibration.probe"),
     "another calibration in the recording": (
         recorded_map,
@@ -262,7 +272,24 @@ CASES: dict[str, tuple[Change, Disagreement, str]] = {
     "a rate three times too high": (slow_heart, Disagreement.ECG_OF_ANOTHER_RATE, "ecg"),
     "an ECG that is late": (beating(-0.3), Disagreement.ECG_LATE, "ecg"),
     "an ECG that may be late": (beating(-0.3, noise=0.7), Disagreement.ECG_PERHAPS_LATE, "ecg"),
-    "an ECG whose clock drifts": (beating(-0.154, drift=-0.025), Disagreement.ECG_DRIFTS, "ecg"),
+    "an ECG whose clock drifts": (beating(-0.154, drift=-0.02, noise=0.45), Disagreement.ECG_DRIFTS, "ecg"),
+    "an ECG of another sampling rate": (
+        beating(-0.154, drift=-0.025),
+        Disagreement.ECG_CLOCK_WRONG,
+        "ecg",
+    ),
+    "an ECG of another recording": (beating(beats=1), Disagreement.ECG_OF_ANOTHER_RECORDING, "ecg"),
+    "a latency of the wrong sign": (
+        lambda parts: replace(beating()(parts), latency=0.065),
+        Disagreement.LATENCY_SIGN,
+        "calibration.latency",
+    ),
+    "a cine that begins late": (
+        in_sequence(blood(20.0, 26.0, 25.0, 22.0), beating(-0.2)),
+        Disagreement.CINE_ORDER,
+        "preop.model",
+    ),
+    **WRONGLY_PREPARED,
     "an ECG that was cut off": (short_ecg, Disagreement.LITTLE_COMMON_TIME, "ecg"),
 }
 
@@ -348,6 +375,41 @@ def test_every_disagreement_has_its_case() -> None:
         Disagreement.RECORD_LACKS_MESSAGES,
     }  # tests/live/test_record.py
     assert {cause for _, cause, _ in CASES.values()} == set(Disagreement) - of_a_live_record
+
+
+WAYS = {
+    "tool and probe exchanged": ("probe and tool exchanged", "the probe as tool"),
+    "another patient's model": ("another patient's model",),
+    "a foreign ECG of the same rate": ("an ECG of another recording",),
+    "names of landmarks exchanged": ("names of landmarks exchanged",),
+    "metres": ("a heart in m", "a tool in m", "a probe in m", "a tip in m", "landmarks in m"),
+    "inverse transforms": (
+        "the start's inverse",
+        "the poses' inverses",
+        "the probe calibration's inverse",
+    ),
+    "the wrong sign of the latency": ("a latency of the wrong sign",),
+    "another day's start": ("a start of another day",),
+    "RAS in place of LPS": ("a start in RAS",),
+    "another order of the cine's phases": ("a cine that begins late", "grey levels of another phase order"),
+}
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_a_session_prepared_wrongly_is_refused_by_its_cause(parts: SessionFiles, way: str) -> None:
+    """No registration begins, so that none can end in force; what comes first is the cause itself."""
+    for case in WAYS[way]:
+        change, cause, _ = CASES[case]
+        assert cause.value.refused
+        first = fit_of(change(parts)).misfits[0]
+        assert cause.value.sentence.split("{", maxsplit=1)[0] in first.sentence
+
+
+def test_a_foreign_ecg_stays_foreign_however_it_is_shifted(parts: SessionFiles) -> None:
+    """To obey "it is late" must not turn the run green."""
+    for late_s in np.arange(0.0, 0.8, 0.2):
+        causes = {one.cause for one in fit_of(beating(float(late_s), beats=1)(parts)).findings}
+        assert Disagreement.ECG_OF_ANOTHER_RECORDING in causes
 
 
 def test_a_user_reads_file_and_key(lab: Path) -> None:

@@ -36,7 +36,7 @@ def test_the_innermost_key_is_the_one_that_is_named() -> None:
     problems = ProblemList()
     with problems.about("preop"), concerning("preop.mr", Path("mr.nrrd")):
         raise InvalidInputError("damaged")
-    (problem,) = problems.found
+    (problem,) = problems.items
     assert (problem.key, problem.error.key, problem.error.path) == ("preop.mr", "preop.mr", Path("mr.nrrd"))
     assert problems.within("preop")
     assert not problems.within("pre")

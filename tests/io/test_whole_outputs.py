@@ -1,5 +1,6 @@
 """Whatever stops a program that writes, its output is the old one or the new one, and nobody else's goes."""
 
+import hashlib
 import json
 import os
 import random
@@ -291,6 +292,32 @@ def test_only_what_this_program_wrote_is_replaced(tmp_path: Path) -> None:
     (folder / LISTING).write_text(json.dumps(["a"]))
     with pytest.raises(OutputError, match="was not written"):
         write(folder, "newest")
+
+
+def test_an_existing_output_is_hashed_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The option, the folder and the swap each ask whether the program wrote it; a change is noticed."""
+    path = tmp_path / "a.txt"
+    hashed: list[str] = []
+    write_text(path, "old")
+    monkeypatch.setattr(listing, "_SETTLED_NS", -1)
+    monkeypatch.setattr(hashlib, "file_digest", _counting(hashed))
+    listing.require_outputs(path)
+    write_text(path, "new")
+    assert [name for name in hashed if name == str(path)] == [str(path)]
+    time.sleep(0.02)
+    path.write_text("own")
+    with pytest.raises(OutputError, match="changed since"):
+        listing.require_outputs(path)
+
+
+def _counting(names: list[str]) -> Callable[..., object]:
+    digest = hashlib.file_digest
+
+    def counted(stream: object, kind: str) -> object:
+        names.append(stream.name)  # type: ignore[attr-defined]
+        return digest(stream, kind)
+
+    return counted
 
 
 def test_links_pipes_and_devices_are_refused(tmp_path: Path) -> None:

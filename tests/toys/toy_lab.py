@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
+from toy_ball import RADII
 
 from dvf_ig.core import DvfModel, FloatArray, Landmarks, Points, PoseStream, Rigid, TrackedSequence
 from dvf_ig.io import write_landmarks, write_model, write_poses, write_sequence, write_sidecar
@@ -31,7 +32,8 @@ def write_lab(folder: Path, model: DvfModel) -> None:
     write_calibration(folder / "probe.json", "probe", sensor_frame="probe", sensor_from_image=IMAGE.tolist())
     write_calibration(folder / "latency.json", "latency", lag_s=-0.065)
     write_calibration(folder / "tip.json", "tip", tip_mm=[1.0, 2.0, 150.0], tip_frame="needle")
-    mr = np.random.default_rng(1).normal(size=(len(NAMES), 3)) * 30
+    mr = np.random.default_rng(1).normal(size=(len(NAMES), 3))
+    mr *= RADII[0] / np.linalg.norm(mr, axis=1, keepdims=True)
     patient = Rigid(
         "tracker",
         "mr",

@@ -226,8 +226,8 @@ def _agreement_refusals(
         refusals.append(Refusal(Gate.FEW_AGREE, _few_agree(name, keep, options)))
     if rms_mm > options.max_rms_mm:
         detail = (
-            f"pivot residual of {name} is {rms_mm:.2f} mm RMS, needed at most {options.max_rms_mm:g} mm; "
-            "keep the tip in the divot and check that the marker is tight"
+            f"pivot residual of {name} is {rms_mm:.2f} mm RMS, above the gate of {options.max_rms_mm:g} mm "
+            "(--max-residual-mm moves it); keep the tip in the divot and check that the marker is tight"
         )
         refusals.append(Refusal(Gate.RESIDUAL, detail))
     return tuple(refusals)

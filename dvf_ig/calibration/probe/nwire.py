@@ -203,8 +203,8 @@ def _residual_refusals(mean_mm: float, options: NWireOptions) -> tuple[Refusal, 
     if mean_mm <= options.max_mean_mm:
         return ()
     detail = (
-        f"the middle wires miss by {mean_mm:.2f} mm on average, needed at most {options.max_mean_mm:g} mm; "
-        "check the phantom's wiring, its registration and the tracker's latency"
+        f"the middle wires miss by {mean_mm:.2f} mm on average, above the gate of {options.max_mean_mm:g} mm "
+        "(--max-residual-mm moves it); check the phantom's wiring, its registration and the tracker's latency"
     )
     return (Refusal(Gate.RESIDUAL, detail),)
 

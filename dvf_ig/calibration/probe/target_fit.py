@@ -213,9 +213,9 @@ def _uncertainty(
     refusals: tuple[Refusal, ...] = ()
     if rms > options.max_rms_mm:
         detail = (
-            f"the frames that agree still miss the target by {rms:.2f} mm RMS, needed at most "
-            f"{options.max_rms_mm:g} mm; check that the target stood still and that poses and images belong "
-            "together"
+            f"the frames that agree still miss the target by {rms:.2f} mm RMS, above the gate of "
+            f"{options.max_rms_mm:g} mm (--max-residual-mm moves it); check that the target stood "
+            "still and that poses and images belong together"
         )
         refusals = (Refusal(Gate.RESIDUAL, detail),)
     jacobian = fit.phantom.jacobian(fit.parameters, points)

@@ -10,6 +10,7 @@ from .wires import read_wires, segmentation_json, segmentation_rows
 
 if TYPE_CHECKING:
     from dvf_ig.calibration import CalibrationErrors, NWireResult, NWireVariants
+    from dvf_ig.core import NWireRecording
     from dvf_ig.io import ProbeNames
 
 
@@ -50,14 +51,14 @@ def nwire_result(
         name: None if held_out is None else validate_nwire(r.probe_from_image, held_out)
         for name, r in variants.results.items()
     }
-    result = _result(fit, checked[fit.method])
+    result = _result(fit, checked[fit.method], recording, max_residual_mm)
     result["max_residual_mm"] = options.max_mean_mm
     result["method_from"] = "cross-validation of the calibration frames" if method is None else "--method"
     result["variants"] = _variants(variants, checked)
     result["segmentation"] = segmentation_json(seen)
     result["validation_segmentation"] = segmentation_json(validated)
     rows: list[tuple[str, ...]] = [*segmentation_rows(seen, validated)]
-    rows += [*_rows(fit, checked[fit.method]), *_variant_rows(result)]
+    rows += [*_rows(fit, checked[fit.method], result["turned_deg"]), *_variant_rows(result)]
     return result, rows, (checked[fit.method] or fit.calibration).summary.mean95
 
 
@@ -75,10 +76,22 @@ def _chosen(variants: "NWireVariants", method: str | None) -> "NWireResult":
     raise InvalidInputError(f"probe method '{method}' is unknown; choose {', '.join(NWIRE_METHODS)}")
 
 
-def _result(fit: "NWireResult", checked: "CalibrationErrors | None") -> dict[str, Any]:
-    from dvf_ig.calibration.probe.known_points import known_points_refusals
+def _result(
+    fit: "NWireResult",
+    checked: "CalibrationErrors | None",
+    recording: "NWireRecording",
+    max_residual_mm: float | None,
+) -> dict[str, Any]:
+    from dvf_ig.calibration.pivot.pivot import rotation_span_deg
+    from dvf_ig.calibration.probe.errors import KNOWN_POINT_MM, known_points_refusals
 
-    refusals = (*fit.refusals, *(() if checked is None else known_points_refusals(checked)))
+    turned_deg = rotation_span_deg(recording.phantom_from_probe.rotations[fit.inliers])
+    limit_mm = KNOWN_POINT_MM if max_residual_mm is None else max_residual_mm
+    refusals = fit.refusals
+    if checked is not None:
+        refusals += known_points_refusals(
+            checked, own=fit.calibration, turned_deg=turned_deg, limit_mm=limit_mm
+        )
     return {
         "kind": "probe",
         **verdict(refusals),
@@ -88,6 +101,7 @@ def _result(fit: "NWireResult", checked: "CalibrationErrors | None") -> dict[str
         "validation": error_fields(checked),
         "method": fit.method,
         "inlier_frames": int(fit.inliers.sum()),
+        "turned_deg": turned_deg,
         "rejected": rejected_list(fit.rejected),
         "edge_sd_mm": fit.edge_sd_mm,
         "shear_deg": fit.shear_deg,
@@ -118,9 +132,12 @@ def _variants(
     return table
 
 
-def _rows(fit: "NWireResult", checked: "CalibrationErrors | None") -> list[tuple[str, ...]]:
+def _rows(
+    fit: "NWireResult", checked: "CalibrationErrors | None", turned_deg: float
+) -> list[tuple[str, ...]]:
     rows: list[tuple[str, ...]] = [
         ("frames used", f"{int(fit.inliers.sum())} of {fit.calibration.frames}"),
+        ("probe turned", f"{turned_deg:.1f} deg at most between two frames"),
         *map_rows(fit.uncertainty),
         ("calibration", error_row(fit.calibration)),
     ]

@@ -22,7 +22,7 @@ def mcap(
     """Write the log of a session: ROS 2 messages in MCAP, which `dvf-ig replay LOG.mcap` replays bit by bit.
 
     Transforms (metres), images, ECG, force, phase and diagnostics for ros2 bag, Foxglove and PlotJuggler; the
-    recorded numbers, calibrations and the heart for the replay. Needs pip install "dvf-ig[log]".
+    recorded numbers, calibrations and the heart for the replay. Needs pip install '.[log]'.
     """
     with command():
         from dvf_ig.replay.export.session_log import write_session_log

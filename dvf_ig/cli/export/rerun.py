@@ -20,7 +20,7 @@ def rerun(
 ) -> None:
     """Write a replay as a recording of the Rerun viewer: heart, probe, ultrasound, tool, force, and curves.
 
-    Needs pip install "dvf-ig[rerun]" (0.7 GB). Frames are nested, in mm, LPS; time is the tracker's.
+    Needs pip install '.[rerun]' (0.7 GB). Frames are nested, in mm, LPS; time is the tracker's.
     """
     with command():
         from dvf_ig.replay.export.rerun_file import write_rerun

@@ -32,18 +32,20 @@ def _register_frames(
     files: "SessionFiles", model: "DvfModel", seed: int
 ) -> "tuple[RegistrationResult, ShownInput]":
     from dvf_ig.replay.page.registration_inputs import frames_shown
-    from dvf_ig.replay.registration import every_frame, recorded_ultrasound, register_recording
+    from dvf_ig.replay.registration import explain_refusal, prepare_registration
 
     recorded = files.scenario
     with progress("register") as report:
-        recording = recorded_ultrasound(
+        prepared = prepare_registration(
             recorded, model=model, seed=seed, progress=lambda share: report(0.6 * share)
         )
-        frames = every_frame(recording)
-        result = register_recording(
-            recorded, recording, frames, seed=seed, progress=lambda share: report(0.6 + 0.4 * share)
-        )
-    return result, frames_shown(result, frames, recording, recorded)
+        result = prepared.register(seed=seed, progress=lambda share: report(0.6 + 0.4 * share))
+    if not result.stop.usable:
+        with progress("look for the cause"):
+            cause = explain_refusal(prepared, seed=seed)
+        if cause is not None:
+            warn(cause)
+    return result, frames_shown(result, prepared.frames, prepared.recording, recorded)
 
 
 def _register_volumes(

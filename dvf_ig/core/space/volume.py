@@ -3,6 +3,7 @@
 Arrays are indexed [i, j, k] = [x, y, z]: the first axis runs along the first column of `direction`.
 """
 
+import hashlib
 from dataclasses import dataclass
 from typing import Any
 
@@ -112,6 +113,12 @@ class VolumeSeries:
 
     def phase(self, i: int) -> Volume:
         return Volume(self.grid, self.values[i])
+
+    def fingerprint(self) -> str:
+        """Hash (SHA-256, hex) the voxels of all phases, whatever their order, type, geometry and times."""
+        phases = (np.ascontiguousarray(values, dtype="<f4") for values in self.values)
+        each = sorted(hashlib.sha256(values.data).digest() for values in phases)
+        return hashlib.sha256(repr(self.grid.shape).encode("ascii") + b"".join(each)).hexdigest()
 
 
 def _owned(values: AnyArray, shape: tuple[int, ...], name: str) -> AnyArray:

@@ -185,7 +185,7 @@ def work_message(t_s: float, number: int, refused: int) -> Timed:
 
 
 def answer_messages(state: GuidanceState) -> Iterator[Timed]:
-    """What was sent, for ROS tools."""
+    """Messages as they were sent, for ROS tools."""
     now_s, phase, pose = state.now_s, state.phase, state.transform.pose
     yield now_s, "/tool/force", ros.WRENCH, ros.wrench(now_s, "tracker", state.force_n)
     numbers = np.array([phase.phi, state.model_phase, phase.rr_s, state.distance_mm, state.pose_age_s])

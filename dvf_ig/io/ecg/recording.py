@@ -57,7 +57,7 @@ def read_ecg(spec: str, rate_hz: float | None = None, lead: str | None = None) -
     Raises:
         InvalidInputError: `spec` names no known format.
         UnreadableFileError: absent, damaged, unevenly sampled, no ECG, or of another rate than `rate_hz`.
-        MissingDependencyError: WFDB without the package of the `ecg` extra.
+        MissingDependencyError: WFDB without `pip install '.[ecg]'`.
     """
     kind, path = split_spec(spec)
     with reading(path, f"an ECG ({kind})"):

@@ -12,7 +12,7 @@ from types import ModuleType
 
 import numpy as np
 
-from dvf_ig.core.errors import MissingDependencyError, UnreadableFileError
+from dvf_ig.core.errors import MissingDependencyError, UnreadableFileError, install_extra
 from dvf_ig.core.recordings.signal import Signal
 from dvf_ig.io.provenance import record_file
 from dvf_ig.io.reading import refuse_lfs_pointer
@@ -153,5 +153,5 @@ def _package() -> ModuleType:
             return importlib.import_module("wfdb")
     except ModuleNotFoundError as exc:
         raise MissingDependencyError(
-            'reading this ECG needs the package wfdb; install it with: pip install "dvf-ig[ecg]"'
+            f"reading this ECG needs the package wfdb; {install_extra('ecg')}"
         ) from exc

@@ -43,6 +43,7 @@ class ModelHeader(BaseModel):
     knot_spacing_mm: Annotated[float, Field(strict=True, ge=0.05, le=100.0)]
     sources: tuple[Text, ...] = ()
     chambers: tuple[Text, ...] = ()
+    cine_fingerprint: Text | None = None
 
     @model_validator(mode="after")
     def _consistent(self) -> "ModelHeader":

@@ -126,6 +126,8 @@ def _parts(model: DvfModel) -> tuple[dict[str, Any], dict[str, AnyArray]]:
         "vertex_counts": np.array([len(m.vertices_mm) for m in model.reference], dtype=np.int64),
         "triangle_counts": np.array([len(m.triangles) for m in model.reference], dtype=np.int64),
     }
+    if model.cine_fingerprint is not None:
+        header["cine_fingerprint"] = model.cine_fingerprint
     if model.chambers:
         header["chambers"] = [chamber.name for chamber in model.chambers]
         arrays |= chamber_arrays(model.chambers)
@@ -216,6 +218,7 @@ def _model(path: Path, document: dict[str, Any], arrays: dict[str, AnyArray]) ->
             reference_caps=tuple(caps),
             sources=header.sources,
             chambers=chambers_of_arrays(header.chambers, frame, arrays),
+            cine_fingerprint=header.cine_fingerprint,
         )
     except KeyError as exc:
         raise UnreadableFileError(f"{path}: the model lacks {exc}; build it again") from exc

@@ -9,7 +9,12 @@ from functools import cached_property
 from pathlib import Path
 from typing import IO, Any
 
-from dvf_ig.core.errors import InvalidInputError, MissingDependencyError, UnreadableFileError
+from dvf_ig.core.errors import (
+    InvalidInputError,
+    MissingDependencyError,
+    UnreadableFileError,
+    install_extra,
+)
 from dvf_ig.io import limits
 from dvf_ig.io.reading import reading
 from dvf_ig.io.writing.atomic import atomic_file
@@ -304,5 +309,5 @@ def _require_mcap() -> None:
         import mcap  # noqa: F401
     except ImportError as exc:
         raise MissingDependencyError(
-            'session logs need the packages mcap and rosbags; install them with: pip install "dvf-ig[log]"'
+            f"session logs need the packages mcap and rosbags; {install_extra('log')}"
         ) from exc

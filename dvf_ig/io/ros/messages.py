@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from dvf_ig.core.arrays import FloatArray
-from dvf_ig.core.errors import MissingDependencyError
+from dvf_ig.core.errors import MissingDependencyError, install_extra
 
 TF, IMAGE, WRENCH = "tf2_msgs/msg/TFMessage", "sensor_msgs/msg/Image", "geometry_msgs/msg/WrenchStamped"
 POSE, ARRAY = "geometry_msgs/msg/PoseStamped", "std_msgs/msg/Float64MultiArray"
@@ -33,7 +33,7 @@ def typestore() -> Any:
         from rosbags.typesys import Stores, get_typestore
     except ImportError as exc:
         raise MissingDependencyError(
-            'session logs need the packages mcap and rosbags; install them with: pip install "dvf-ig[log]"'
+            f"session logs need the packages mcap and rosbags; {install_extra('log')}"
         ) from exc
     return get_typestore(Stores.ROS2_HUMBLE)
 

@@ -11,8 +11,9 @@ import json
 import os
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
-from time import monotonic, sleep
+from time import monotonic, sleep, time_ns
 
 from dvf_ig.core.errors import OutputError, UnreadableFileError
 from dvf_ig.io.provenance import in_command, is_recorded
@@ -25,6 +26,9 @@ _DEEPEST = 3
 """Deepest level of folders that are written as a whole."""
 _PATIENCE_S = 2.0
 """Longest wait of a reader for a process that is swapping files, which takes milliseconds."""
+
+_SETTLED_NS = 100_000_000
+"""A file that changed more recently may change again within one step of ctime, which takes 1 to 10 ms."""
 
 
 @dataclass(slots=True)
@@ -116,6 +120,15 @@ def sha256(path: Path) -> str | None:
     """Hash a regular file (SHA-256); None if there is none."""
     if not path.is_file():
         return None
+    status = path.stat()
+    settled = time_ns() - status.st_ctime_ns > _SETTLED_NS
+    hashed = _hash_once if settled else _hash_once.__wrapped__
+    return hashed(path, status.st_dev, status.st_ino, status.st_size, status.st_ctime_ns)
+
+
+@lru_cache(maxsize=1024)
+def _hash_once(path: Path, *_state: int) -> str:
+    """Hash a file once until it changes: any change of a file sets the time of its status (ctime)."""
     with path.open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 

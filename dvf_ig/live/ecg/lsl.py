@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from dvf_ig.core import MissingDependencyError
+from dvf_ig.core.errors import MissingDependencyError, install_extra
 from dvf_ig.session import EcgSamples
 
 from .batches import plausible
@@ -95,6 +95,6 @@ def _pylsl() -> Any:
         return importlib.import_module("pylsl")
     except (ImportError, RuntimeError) as exc:
         raise MissingDependencyError(
-            "an ECG of the Lab Streaming Layer needs pylsl and liblsl: pip install 'dvf-ig[lsl]'; "
+            f"an ECG of the Lab Streaming Layer needs pylsl and liblsl; {install_extra('lsl')}, "
             f"or let PLUS send the ECG as field data ({str(exc).splitlines()[0]})"
         ) from exc

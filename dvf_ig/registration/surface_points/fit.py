@@ -29,6 +29,7 @@ from dvf_ig.core import (
     read_only_arrays,
     require_same_frame,
 )
+from dvf_ig.core.errors import install_extra
 from dvf_ig.registration.evidence.covariance import LeastConstrained, least_constrained_direction
 from dvf_ig.registration.pose_chart import PoseChart, covariance_from_mm, distinct, random_displacements
 
@@ -148,8 +149,8 @@ def _open3d() -> Any:
         return importlib.import_module("open3d")
     except (ImportError, OSError) as exc:
         raise MissingDependencyError(
-            f"fitting touched surface points needs Open3D ({exc}); install it with: "
-            'pip install "dvf-ig[open3d]" (`dvf-ig doctor` names system libraries that it lacks)'
+            f"fitting touched surface points needs Open3D ({exc}); {install_extra('open3d')} "
+            "(`dvf-ig doctor` names system libraries that it lacks)"
         ) from exc
 
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from dvf_ig.core import DvfModel, FloatArray, MissingDependencyError, Signal
 from dvf_ig.core.arrays import AnyArray
+from dvf_ig.core.errors import install_extra
 from dvf_ig.guidance import Hazard, SupervisorState
 from dvf_ig.io.writing.atomic import atomic_file
 from dvf_ig.replay.preconditions import RATE_HZ
@@ -59,7 +60,7 @@ def _package() -> Any:
         import rerun
     except ImportError as exc:
         raise MissingDependencyError(
-            'a recording of Rerun needs the package rerun-sdk; install it with: pip install "dvf-ig[rerun]"'
+            f"a recording of Rerun needs the package rerun-sdk; {install_extra('rerun')}"
         ) from exc
     return rerun
 

@@ -14,7 +14,7 @@ from data_synth.seeds import child_rng
 from data_synth.signals.tracker import TrackerSpec
 from data_synth.ultrasound.probe import SectorProbe
 from dvf_ig.calibration import validate_nwire
-from dvf_ig.calibration.probe.known_points import known_points_refusals
+from dvf_ig.calibration.probe.errors import known_points_refusals
 from dvf_ig.calibration.refusal import Refusal
 from dvf_ig.core import DvfIgError, DvfModel, FloatArray, ImageMap, Landmarks, Mesh, Points, Rigid
 from dvf_ig.io import read_model, read_transform, write_model, write_transform

@@ -118,7 +118,7 @@ def test_a_residual_above_the_gate_is_refused_with_its_size() -> None:
     loose = pivoting(cone(200, 40), noise_mm=0.4)
     found = calibrate_pivot(loose, rng=np.random.default_rng(0), options=PivotOptions(max_rms_mm=1.0))
     assert found.rms_3d_mm == pytest.approx(0.4 * np.sqrt(3), rel=0.1)
-    with pytest.raises(QualityGateError, match=r"is 0\.\d\d mm RMS, needed at most 0\.5 mm"):
+    with pytest.raises(QualityGateError, match=r"is 0\.\d\d mm RMS, above the gate of 0\.5 mm"):
         accepted(calibrate_pivot(loose, rng=np.random.default_rng(0), options=PivotOptions(max_rms_mm=0.5)))
 
 

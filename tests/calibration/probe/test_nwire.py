@@ -13,6 +13,7 @@ from dvf_ig.calibration import (
     diagonal_crossings,
     validate_nwire,
 )
+from dvf_ig.calibration.probe.errors import CalibrationErrors, calibration_errors, known_points_refusals
 from dvf_ig.core import (
     FloatArray,
     ImageMap,
@@ -161,6 +162,27 @@ def test_wires_that_form_no_n_are_refused() -> None:
     lifted = Wire("lifted", good[1].front_mm + lift, good[1].back_mm + lift)
     with pytest.raises(InvalidInputError, match="lie in one plane"):
         diagonal_crossings((good[0], lifted, good[2]))
+
+
+def errors_of(mean_mm: float) -> CalibrationErrors:
+    return calibration_errors(np.full(40, mean_mm), 40)
+
+
+@pytest.mark.parametrize(
+    ("own_mm", "turned_deg", "cause"),
+    [
+        (1.1, 5.8, "1.10 mm as well, so the marker has not moved; its sweep turns the probe by 5.8° only"),
+        (1.1, 40.0, "so the marker has not moved; check the phantom's wiring"),
+        (0.4, 5.8, "0.40 mm off in the calibration's own frames, so the marker may have moved"),
+    ],
+)
+def test_known_points_name_the_likely_cause(own_mm: float, turned_deg: float, cause: str) -> None:
+    """A poor sweep misses its own frames as much as those of the validation; a moved marker does not."""
+    (refusal,) = known_points_refusals(errors_of(1.24), own=errors_of(own_mm), turned_deg=turned_deg)
+    assert "1.24 mm" in refusal.detail
+    assert "the gate of 1 mm (--max-residual-mm moves it)" in refusal.detail
+    assert cause in refusal.detail
+    assert not known_points_refusals(errors_of(1.24), own=errors_of(own_mm), limit_mm=1.3)
 
 
 def test_real_recording_against_its_validation_set(

@@ -52,7 +52,7 @@ def test_a_pivot_over_the_gate_gives_tip_residual_picture_and_json(loose: Path, 
     assert result["rms_3d_mm"] == pytest.approx(2.17, abs=0.1)
     assert np.abs(np.array(result["tip_mm"]) - TIP_MM).max() < 1.0
     assert result["refused"] is True
-    assert "needed at most 2 mm" in result["refused_because"][0]
+    assert "the gate of 2 mm" in result["refused_because"][0]
     saved = json.loads(out.read_text())
     assert saved["refused"] is True
     assert saved["tip_mm"] == result["tip_mm"]

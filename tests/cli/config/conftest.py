@@ -17,6 +17,7 @@ def files(ball: DvfModel, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def lab(files: Path, tmp_path: Path) -> Path:
-    """A lab's folder, to be spoilt."""
+def lab(files: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A lab's folder, to be spoilt; its images show no heart, so that no registration is prepared."""
+    monkeypatch.setattr("dvf_ig.replay.registration.prepare_registration", lambda *_, **__: None)
     return Path(shutil.copytree(files, tmp_path / "lab"))

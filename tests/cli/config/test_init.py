@@ -40,7 +40,10 @@ def test_init_writes_what_register_and_replay_read(lab: Path) -> None:
     output = lab.parent / "case" / "session.yaml"
     done = init(lab, output)
     assert done.exit_code == 0, done.output
-    assert done.stderr == f"wrote {output}\n"
+    anybody = (
+        "note: nothing shows whose heart the model is; give its cine (--mr), or say whose it is (--patient)"
+    )
+    assert done.stderr == f"wrote {output}\n{anybody}\n"
     assert "replay             can run" in done.stdout
     assert "missing" not in done.stdout
     text = output.read_text()
@@ -51,6 +54,15 @@ def test_init_writes_what_register_and_replay_read(lab: Path) -> None:
     recordings = read_session(output)
     assert recordings.scenario.tip is not None
     assert run("validate", output, "--for", "replay").exit_code == 0
+
+
+def test_init_tries_what_register_would_try_first(files: Path, tmp_path: Path) -> None:
+    """Files of which each can be read and all fit, but whose images show nothing that could be compared."""
+    done = init(files, tmp_path / "session.yaml")
+    assert done.exit_code == 3
+    assert "ultrasound: 0 ultrasound frames can be compared with the model" in done.stderr
+    assert "register           cannot run yet: ultrasound" in done.stdout
+    assert not (tmp_path / "session.yaml").exists()
 
 
 def test_init_again_takes_the_place_of_its_own_file_and_of_no_other(lab: Path) -> None:
