@@ -95,8 +95,8 @@ def wall_trace(
     lines = find_wall_lines(images[usable], rng=rng, options=options)
     if lines.is_found.sum() < max(2, len(usable) / 2):
         raise QualityGateError(
-            f"the tank's floor shows as a straight line in {int(lines.is_found.sum())} of {len(usable)} frames, "
-            "needed half; image a flat bare floor, or give the lines with --line-table"
+            f"the tank's floor shows as a straight line in {int(lines.is_found.sum())} of {len(usable)} "
+            "frames, needed half; image a flat bare floor, or give the lines with --line-table"
         )
     return Trace(t_s[usable][lines.is_found], lines.row_px[lines.is_found])
 
