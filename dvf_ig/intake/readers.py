@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
-from dvf_ig.core.plausible import lag_problem
 from dvf_ig.core.recordings.phantom import NWireRecording, TargetRecording
 from dvf_ig.core.recordings.scenario import LatencyRecording
 from dvf_ig.core.recordings.sequence import TrackedSequence
@@ -193,8 +192,6 @@ def read_latency_source(
         return read_latency_recording(
             folder / source.tracker, folder / source.video, folder / source.lines, names
         )
-    if problem := lag_problem(float(source)):
-        raise InvalidInputError(problem)
     return float(source)
 
 

@@ -187,7 +187,7 @@ WRONG: dict[str, tuple[Spoil, list[str]]] = {
                 sensor_from_image=np.diag([5e-4, 5e-4, 1, 1]).tolist(),
             )
         ),
-        ["calibration.probe: ", "probe.json", "0.04 mm deep; needed 10 to 500 mm", "in mm"],
+        ["calibration.probe: ", "probe.json", "its pixels have 0.0005 to 0.0005 mm", "not in mm per pixel"],
     ),
     "a latency in ms": (
         put("calibration.latency", -65.0),
