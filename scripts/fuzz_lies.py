@@ -11,7 +11,7 @@ Lie = Callable[[bytes, random.Random], bytes]
 
 
 def _changed(data: bytes, pattern: str, by: Callable[[re.Match[bytes]], bytes]) -> bytes:
-    """Replace the first match in the header; unchanged data tell the caller that the lie does not apply."""
+    """Replace the first match in the header; data that stay the same mean that it does not apply."""
     return re.sub(pattern.encode(), by, data, count=1, flags=re.MULTILINE)
 
 

@@ -33,11 +33,13 @@ class PhaseTimes:
         values: (n,) in `unit`.
         unit: as the file writes it; empty if it states none.
         field: of the header, for messages.
+        nominal: one step for the whole axis, which programs often leave at a value of no meaning.
     """
 
     values: FloatArray
     unit: str
     field: str
+    nominal: bool = False
 
     def order(self, path: Path) -> IntArray:
         """Sort the volumes by time.
@@ -104,9 +106,9 @@ class PhaseTimes:
         since_peak = 0 <= values[0] < 2 * step  # else counted from another event
         times = values if since_peak else values - values[0]
         scale = self._scale() or next((s for s in (1.0, 1e-3) if _is_cycle(s * (times[-1] + step))), None)
-        if scale is None:
+        if scale is None or (self.nominal and not _is_cycle(scale * float(times[-1] + step))):
             log.warning(
-                "%s: %s states %s without a unit, which is no cycle of a heart in s or ms: not used",
+                "%s: %s states times of %s, which are no cycle of a heart: not used",
                 path,
                 self.field,
                 self._range(),
@@ -131,7 +133,7 @@ def uniform_times(step: float, count: int, unit: str, field: str) -> PhaseTimes 
     """Build times of equal steps; None for a step of 0 or 1, which writers store if they know none."""
     if not np.isfinite(step) or step in (0.0, 1.0) or count < 2:
         return None
-    return PhaseTimes(step * np.arange(count, dtype=np.float64), unit, field)
+    return PhaseTimes(step * np.arange(count, dtype=np.float64), unit, field, nominal=True)
 
 
 def require_same_timing(path: Path, header: CycleTiming, file: Path, timing: CycleTiming) -> None:
