@@ -15,8 +15,8 @@ START = Rigid("mr", "tracker", np.eye(3), np.array([10.0, 20.0, 30.0]))
 
 
 def prepared() -> PreparedRegistration:
-    recording = UltrasoundRecording(sweep(), 0, None, None, (), None, "two-segment")  # type: ignore[arg-type]
-    return PreparedRegistration(None, recording, None, START)  # type: ignore[arg-type]
+    recording = UltrasoundRecording(sweep(), 0, None, None, (), None, "two-segment")
+    return PreparedRegistration(None, recording, None, START)
 
 
 @pytest.mark.parametrize(
