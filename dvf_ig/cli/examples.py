@@ -1,10 +1,14 @@
-"""The examples under `--help`, a command each; a test parses every one."""
+"""What `--help` shows of commands and groups: their sections, and examples that a test parses."""
+
+import inspect
+from collections.abc import Sequence
 
 import typer
 
 OWN = "--model heart.npz --probe probe.json --latency latency.json"
 
 EXAMPLES: dict[str, tuple[str, ...]] = {
+    "cache": ("dvf-ig cache", "dvf-ig cache --clear"),
     "doctor": ("dvf-ig doctor", "dvf-ig doctor --json"),
     "inspect": ("dvf-ig inspect ultrasound.igs.mha", "dvf-ig inspect heart.npz --json"),
     "force": (
@@ -78,18 +82,54 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "dvf-ig config validate session.yaml --for replay",
     ),
 }
-"""By the command's name."""
+"""Examples by the command's name."""
+
+FIRST = (
+    "dvf-ig synth scenario --preset calm --motion paper5mm --seconds 30 --seed 101 -o demo",
+    "dvf-ig replay demo -o run",
+    "dvf-ig view run",
+)
+"""Examples of the whole program: three lines from nothing to a heart that beats on the screen."""
+
+SECTIONS = {
+    "Prepare": ("inspect", "calibrate", "gate", "model", "config"),
+    "Intervene": ("register", "evaluate", "replay", "serve", "force"),
+    "Look, and hand on": ("view", "export"),
+    "Try and measure": ("synth", "study", "bench"),
+    "This machine": ("doctor", "cache"),
+}
+"""Commands and groups by heading, in the order of an intervention."""
 
 
-def show_examples(app: typer.Typer, before: str = "") -> None:
-    """Put the examples of every command of an application, and of its groups, under its help.
+def show_examples(app: typer.Typer) -> None:
+    """Put examples under the help of the program, its groups and their commands, and sort it by section.
+
+    Help is also freed from the line breaks of docstrings, which the terminal's width does not share.
 
     Raises:
-        KeyError: a command has none.
+        KeyError: a command has no examples, or no section.
     """
+    section = {name: heading for heading, names in SECTIONS.items() for name in names}
+    order = list(section)
+    app.info.epilog = _epilog(FIRST)
+    app.registered_commands.sort(key=lambda command: order.index(str(command.name)))
+    for one in (*app.registered_commands, *app.registered_groups):
+        one.rich_help_panel = section[str(one.name)]
+    _show_examples(app, "")
+
+
+def _show_examples(app: typer.Typer, before: str) -> None:
     for group in app.registered_groups:
-        if group.typer_instance is not None:
-            show_examples(group.typer_instance, f"{before}{group.name} ")
+        inner = group.typer_instance
+        if inner is not None and inner.registered_commands:
+            _show_examples(inner, f"{group.name} ")
+            names = [f"{group.name} {command.name}" for command in inner.registered_commands]
+            group.epilog = _epilog([EXAMPLES[name][0] for name in names])
     for command in app.registered_commands:
-        examples = EXAMPLES[f"{before}{command.name}"]
-        command.epilog = "\n\n".join(("Examples:" if len(examples) > 1 else "Example:", *examples))
+        command.epilog = _epilog(EXAMPLES[f"{before}{command.name}"])
+        paragraphs = (inspect.getdoc(command.callback) or "").split("\n\n")
+        command.help = "\n\n".join(" ".join(text.split()) for text in paragraphs)
+
+
+def _epilog(examples: Sequence[str]) -> str:
+    return "\n\n".join(("Examples:" if len(examples) > 1 else "Example:", *examples))

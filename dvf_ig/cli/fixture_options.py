@@ -13,6 +13,8 @@ if TYPE_CHECKING:
     from dvf_ig.guidance import FixtureSet
 
 LAW_NAMES = ("forbidden", "guidance")
+SECTION = "Fixture"
+"""Heading of these options under `--help`."""
 FORMER_LAWS = {"sigmoid": "forbidden", "gaussian": "guidance"}
 
 
@@ -46,6 +48,7 @@ LawOption = Annotated[
     str | None,
     typer.Option(
         "--law",
+        rich_help_panel=SECTION,
         parser=_law,
         metavar="[forbidden|guidance]",
         help="forbidden: keep out of the organ. guidance: pull to its surface.",
@@ -54,38 +57,63 @@ LawOption = Annotated[
 ]
 GammaOption = Annotated[
     float | None,
-    typer.Option("--gamma", help="Forbidden: steepness in 1/mm, 0.23 or more.", show_default="1.0"),
+    typer.Option(
+        "--gamma",
+        rich_help_panel=SECTION,
+        help="Forbidden: steepness in 1/mm, 0.23 or more.",
+        show_default="1.0",
+    ),
 ]
 DeltaOption = Annotated[
-    float | None, typer.Option("--delta", help="Guidance: width in mm.", show_default="3.0")
+    float | None,
+    typer.Option("--delta", rich_help_panel=SECTION, help="Guidance: width in mm.", show_default="3.0"),
 ]
-ExponentOption = Annotated[float | None, typer.Option("--m", help="Guidance: exponent.", show_default="1.0")]
+ExponentOption = Annotated[
+    float | None, typer.Option("--m", rich_help_panel=SECTION, help="Guidance: exponent.", show_default="1.0")
+]
 CapOption = Annotated[
     float | None,
     typer.Option(
         "--cap-n",
+        rich_help_panel=SECTION,
         help="Largest force in N, up to 4; more in a file of --fixtures that names the device.",
         show_default="0.6",
     ),
 ]
 DepthOption = Annotated[
     float | None,
-    typer.Option("--depth-mm", help="Depth of the surface below the organ's, in mm.", show_default="0.0"),
+    typer.Option(
+        "--depth-mm",
+        rich_help_panel=SECTION,
+        help="Depth of the surface below the organ's, in mm.",
+        show_default="0.0",
+    ),
 ]
 InsideOption = Annotated[
-    bool, typer.Option("--inside", help="Forbidden: confine inside the surface instead of keeping out.")
+    bool,
+    typer.Option(
+        "--inside",
+        rich_help_panel=SECTION,
+        help="Forbidden: confine inside the surface instead of keeping out.",
+    ),
 ]
 BlendOption = Annotated[
-    BlendName | None, typer.Option("--blend", help="How phases are blended.", show_default="force")
+    BlendName | None,
+    typer.Option("--blend", rich_help_panel=SECTION, help="How phases are blended.", show_default="force"),
 ]
 FixturesFileOption = Annotated[
     Path | None,
-    typer.Option("--fixtures", help="YAML of one or several fixtures, in place of the options of one."),
+    typer.Option(
+        "--fixtures",
+        rich_help_panel=SECTION,
+        help="YAML of one or several fixtures, in place of the options of one.",
+    ),
 ]
 RetimingOption = Annotated[
     RetimingName | None,
     typer.Option(
         "--retiming",
+        rich_help_panel=SECTION,
         help="uniform: the cycle stretches as a whole. two-segment: systole shortens less than diastole.",
         show_default="two-segment",
     ),
@@ -104,6 +132,7 @@ MarginOption = Annotated[
     str | None,
     typer.Option(
         "--margin",
+        rich_help_panel=SECTION,
         parser=_margin,
         metavar="[off|fixed|adaptive|MM]",
         help="Widen forbidden regions and soften guidance: fixed by 2 mm or by MM, adaptive by the 95 % "

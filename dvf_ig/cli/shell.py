@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from typer.core import TyperGroup
 
 if TYPE_CHECKING:
     from dvf_ig.core.errors import DvfIgError
@@ -90,6 +91,8 @@ def exit_code(error: "DvfIgError") -> int:
 
 _provenance: ContextVar[Callable[[], Mapping[str, Any]]] = ContextVar("provenance", default=dict)
 """Fields that `emit` adds to a result."""
+_json_due: ContextVar[bool] = ContextVar("json_due", default=False)
+"""Whether --json was given, and stdout holds no JSON yet."""
 
 
 @contextmanager
@@ -118,19 +121,58 @@ def _stated_errors() -> Iterator[None]:
     try:
         yield
     except DvfIgError as error:
-        typer.secho(f"error: {_one_line(_told(error))}", err=True, fg=typer.colors.RED)
+        kind = type(error).__name__.removesuffix("Error")
+        state_error(_sentence(error), exit_code(error), kind=kind, key=error.key, path=error.path)
         raise typer.Exit(exit_code(error)) from error
     except OSError as error:
         if error.errno != errno.ENAMETOOLONG:
             raise
         name = str(error.filename)
-        typer.secho(
-            f"error: a file cannot have the name '{_one_line(name[:60])}…', which is too long", err=True
-        )
+        state_error(f"a file cannot have the name '{name[:60]}…', which is too long", 3)
         raise typer.Exit(3) from error
 
 
-def _told(error: "DvfIgError") -> str:
+def state_error(
+    sentence: str, code: int, *, kind: str = "InvalidInput", key: str | None = None, path: Path | None = None
+) -> None:
+    """Print an error on stderr; with --json also as a JSON object on stdout, unless a result is there.
+
+    Args:
+        code: exit code of the program.
+        kind: class of the error.
+        key: key of a session.yaml that it concerns; path: file or folder.
+    """
+    typer.secho(f"error: {_one_line(sentence)}", err=True, fg=typer.colors.RED)
+    _emit_error(sentence, code, kind, key, path)
+
+
+def _emit_error(
+    sentence: str, code: int, kind: str, key: str | None = None, path: Path | None = None
+) -> None:
+    if _json_due.get():
+        where = {"key": key, "path": None if path is None else str(path)}
+        _write_json({"error": {"kind": kind, "exit_code": code, "message": sentence, **where}})
+
+
+class Program(TyperGroup):
+    """The whole program, which knows whether JSON is due on stdout when it fails."""
+
+    def main(self, args: Sequence[str] | None = None, *rest: Any, **more: Any) -> Any:
+        words = sys.argv[1:] if args is None else args
+        _json_due.set("--json" in words)
+        return super().main(args, *rest, **more)
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the command; a mistake in its options is also printed as JSON."""
+        try:
+            return super().invoke(ctx)
+        except typer.TyperException as error:
+            if hasattr(error, "format_message"):
+                _emit_error(error.format_message(), 2, "Usage")
+            raise
+
+
+def _sentence(error: "DvfIgError") -> str:
     """The sentence of an error: by keys if a key of a session.yaml is concerned, else by options."""
     if error.key is not None:
         return f"{error.key}: {error}"
@@ -157,8 +199,8 @@ def report_unexpected(error: Exception) -> int:
         where = f"details in {name}, which belongs to a report of this fault"
     except OSError as exc:
         where = f"its details could not be written ({exc.strerror})"
-    text = f"error: the program failed in a way that it did not foresee ({what}); {where}"
-    typer.secho(_one_line(text), err=True, fg=typer.colors.RED)
+    text = f"the program failed in a way that it did not foresee ({what}); {where}"
+    state_error(text, UNEXPECTED, kind="Unexpected")
     return UNEXPECTED
 
 
@@ -228,13 +270,18 @@ def whole_numbers(text: str, option: str, example: str) -> tuple[int, ...]:
 def emit(result: Mapping[str, Any], rows: Sequence[tuple[str, ...]], *, as_json: bool) -> None:
     """Print a result: one JSON object, with where it comes from, or its rows as aligned columns."""
     if as_json:
-        json.dump({**result, **_provenance.get()()}, sys.stdout, indent=2, allow_nan=False)
-        sys.stdout.write("\n")
+        _write_json({**result, **_provenance.get()()})
         return
     columns = max((len(row) for row in rows), default=0)
     widths = [max(len(row[c]) for row in rows if len(row) > c) for c in range(columns)]
     for row in rows:
         print("  ".join(f"{cell:<{width}}" for cell, width in zip(row, widths, strict=False)).rstrip())
+
+
+def _write_json(value: Mapping[str, Any]) -> None:
+    json.dump(value, sys.stdout, indent=2, allow_nan=False)
+    sys.stdout.write("\n")
+    _json_due.set(False)
 
 
 def wrote(path: Path, frame: str | None = None) -> None:
@@ -250,14 +297,30 @@ def warn(message: str) -> None:
 
 @contextmanager
 def progress(title: str) -> Iterator[Callable[[float], None]]:
-    """A progress bar on stderr where it is a terminal; yields `report(fraction done)`."""
+    """Show a progress bar on stderr if it is a terminal; yields `report(fraction done)`.
+
+    The time left is estimated from the first report on, by the time since the start.
+    """
     if not sys.stderr.isatty():
         yield lambda _: None
         return
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+    from rich.progress import BarColumn, Progress, ProgressColumn, Task, TaskProgressColumn, TextColumn
+    from rich.text import Text
 
-    columns = (TextColumn(f"{title:<28}"), BarColumn(), TimeRemainingColumn())
+    class TimeLeft(ProgressColumn):
+        def render(self, task: Task) -> Text:
+            return Text(time_left(task.elapsed or 0.0, task.completed))
+
+    columns = (TextColumn(f"{title:<28}"), BarColumn(), TaskProgressColumn(), TimeLeft())
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(title, total=1.0)
         yield lambda fraction: bar.update(task, completed=fraction)
+
+
+def time_left(elapsed_s: float, fraction: float) -> str:
+    """Describe how long a task will still take, if it goes on as fast as until now."""
+    if fraction <= 0.0:
+        return f"{elapsed_s:.0f} s"
+    left_s = elapsed_s * (1.0 - fraction) / fraction
+    return f"{left_s:.0f} s left" if left_s < 120.0 else f"{left_s / 60.0:.0f} min left"

@@ -96,7 +96,12 @@ class StudyGroup(TyperGroup):
         self.commands = {name: StudyCommand(name, file) for name, file in studies().items()}
 
 
-app = typer.Typer(cls=StudyGroup, help="Many trials with a known truth.", no_args_is_help=True)
+app = typer.Typer(
+    cls=StudyGroup,
+    help="Many trials with a known truth.",
+    epilog="Each has its own examples: dvf-ig study NAME --help",
+    no_args_is_help=True,
+)
 
 
 @cache

@@ -125,6 +125,28 @@ def cache_folder() -> Path | None:
     return Path(base) / "dvf_ig" / "models" if os.path.isabs(base) else None
 
 
+def cache_entries() -> dict[Path, int]:
+    """List the files of the cached models, with their sizes in bytes."""
+    folder = cache_folder()
+    paths = () if folder is None else folder.glob(f"*{SUFFIX}")
+    return {path: path.lstat().st_size for path in paths}
+
+
+def clear_cache() -> int:
+    """Remove every cached model, and return their number.
+
+    Raises:
+        OutputError: an entry cannot be removed.
+    """
+    entries = cache_entries()
+    for path in entries:
+        try:
+            path.unlink(missing_ok=True)
+        except OSError as exc:
+            raise OutputError(f"cannot remove {path}: {exc.strerror or exc}") from exc
+    return len(entries)
+
+
 def model_key(preop: Preop, options: "ModelOptions") -> str:
     """Hash (SHA-256, hex) everything that the model of these data with these options depends on."""
     digest = hashlib.sha256()

@@ -2,7 +2,6 @@
 
 import logging
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -25,6 +24,7 @@ from dvf_ig.core import (
     untold,
 )
 from dvf_ig.core.space.frames import require_same_frame
+from dvf_ig.core.threads import thread_pool
 from dvf_ig.preop.spline.phase_fit import axis_solvers, fit_phase, sample_grid
 from dvf_ig.preop.surface.chambers import chambers_from_labels, chambers_from_surfaces
 from dvf_ig.preop.surface.closing import Cap, caps_of, close_surface, describe_caps
@@ -138,7 +138,7 @@ def _fit_phases(
         return fit_phase(mesh, grid, solvers, options.band_mm).astype(np.float32)
 
     coefficients = []
-    with ThreadPoolExecutor(options.threads) as pool:
+    with thread_pool(options.threads) as pool:
         for fitted in pool.map(fit, reference):
             coefficients.append(fitted)
             report(len(coefficients) / len(reference))

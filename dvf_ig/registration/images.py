@@ -1,11 +1,11 @@
 """Input of a registration: slices of ultrasound, the heart they are compared with, and options by kind."""
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import Protocol
 
 from dvf_ig.core import FloatArray, TrackedVolume, read_only_arrays
+from dvf_ig.core.threads import thread_pool
 from dvf_ig.kernels.compiled import thread_count
 from dvf_ig.registration.boundary.fit import Boundary
 from dvf_ig.registration.boundary.points import BoundaryPoints, boundary_points
@@ -200,7 +200,7 @@ def images_of_volumes(
         InvalidInputError: no volume, or nothing insonified.
     """
     began = clock()
-    with ThreadPoolExecutor(thread_count()) as pool:
+    with thread_pool(thread_count()) as pool:
         boundary = pool.submit(_boundary, volumes)
         coarse, fine = pool.map(
             lambda sizes: Level(prepare_volumes(volumes, pitch_mm=sizes[0], planes=sizes[1]), sizes[0]),

@@ -2,7 +2,6 @@
 
 import logging
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +16,7 @@ from dvf_ig.core import (
     read_only_arrays,
     require_same_frame,
 )
+from dvf_ig.core.threads import thread_pool
 from dvf_ig.kernels.compiled import thread_count
 from dvf_ig.preop import CHAMBER_SURFACES, close_surface, model_from_preop, rasterise, rasterise_meshes
 from dvf_ig.registration import (
@@ -101,7 +101,7 @@ def build_heart(
     seen = bool((labels.values == BLOOD).any())
     if not seen:
         log.warning(_WITHOUT_CHAMBERS, model.patient_id)
-    with ThreadPoolExecutor(thread_count()) as pool:
+    with thread_pool(thread_count()) as pool:
         target = pool.submit(target_from_labels, labels, labels.timing.fractions) if seen else None
         if preop.mr is not None:
             channels = channels_from_mr(preop.mr, smoothing_mm=MR_SMOOTHING_MM)

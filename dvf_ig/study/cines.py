@@ -227,6 +227,8 @@ def run(settings: CinesSettings, driver: Driver) -> Result:
     """Compare every patient's labels."""
     folders = labelled_cines(settings.data, tuple((settings.patients or "").split(",")))
     options = MotionOptions(threads=min(driver.threads, 2))
+    for folder in folders:
+        read_labelled_cine(folder, settings.voxel_mm)  # refused before the first is computed, not after
     patients: list[PatientAgreement] = []
     with driver.progress("cines") as report:
         for folder in folders:

@@ -3,6 +3,7 @@
 import json
 import os
 import shlex
+import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -19,9 +20,11 @@ from typer.testing import CliRunner
 import dvf_ig
 from dvf_ig.cli import main
 from dvf_ig.cli.doctor import verdict
-from dvf_ig.cli.examples import EXAMPLES
+from dvf_ig.cli.examples import EXAMPLES, SECTIONS
 from dvf_ig.cli.main import app
+from dvf_ig.cli.shell import time_left
 from dvf_ig.core import DvfModel, Landmarks, Points, Preop, Rigid, Scenario
+from dvf_ig.intake.model_cache import SUFFIX
 from dvf_ig.io import read_coordinate_definitions, read_transform, write_landmarks, write_transform
 from dvf_ig.registration import target_errors_mm
 from dvf_ig.replay import Replay
@@ -278,3 +281,82 @@ def test_latency_draws_its_evidence(data_dir: Path, tmp_path: Path) -> None:
     assert len(result["period_lags_s"]) == 17
     assert out.with_suffix(".png").is_file()
     assert not out.with_suffix(".xml").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "kind", "code"),
+    [
+        (["replay", "/nowhere", "-o", "RUN"], "UnreadableFile", 3),
+        (["replay", "demo", "--tool", "x"], "Usage", 2),
+        (["force", "demo"], "Usage", 2),
+    ],
+)
+def test_an_error_is_json_under_json(words: list[str], kind: str, code: int, tmp_path: Path) -> None:
+    given = [str(tmp_path / "run") if word == "RUN" else word for word in words]
+    result = CliRunner().invoke(app, [*given, "--json"])
+    error = json.loads(result.stdout)["error"]
+    assert (error["kind"], error["exit_code"], result.exit_code) == (kind, code, code)
+    assert error["message"].split()[0] in result.stderr
+    assert CliRunner().invoke(app, given).stdout == ""
+
+
+def test_groups_have_examples_and_the_program_has_sections() -> None:
+    program = CliRunner().invoke(app, ["--help"]).stdout
+    assert "dvf-ig view run" in program
+    assert [heading for heading in SECTIONS if f"─ {heading} ─" in program] == list(SECTIONS)
+    for group in ("calibrate", "model", "synth", "config", "export"):
+        assert f"dvf-ig {group} " in CliRunner().invoke(app, [group, "--help"]).stdout
+
+
+def test_the_cache_is_shown_and_cleared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("DVF_IG_CACHE", str(tmp_path))
+    (tmp_path / "models").mkdir()
+    entry, other = tmp_path / "models" / f"key{SUFFIX}", tmp_path / "models" / "mine.txt"
+    entry.write_bytes(bytes(2_000_000))
+    other.write_text("not an entry")
+    shown = run("cache")
+    assert (shown["folder"], shown["models"], shown["megabytes"]) == (str(entry.parent), 1, 2.0)
+    assert entry.exists()
+    cleared = run("cache", "--clear")
+    assert (cleared["models"], cleared["megabytes"], cleared["removed"]) == (0, 0.0, 1)
+    assert not entry.exists()
+    assert other.exists()
+
+
+@pytest.mark.parametrize(
+    ("elapsed_s", "fraction", "text"),
+    [(3.0, 0.0, "3 s"), (10.0, 0.25, "30 s left"), (60.0, 0.1, "9 min left")],
+)
+def test_time_left_is_estimated_from_the_first_report(elapsed_s: float, fraction: float, text: str) -> None:
+    assert time_left(elapsed_s, fraction) == text
+
+
+def test_help_of_scripts_installs_nothing(tmp_path: Path) -> None:
+    folder = Path(dvf_ig.__file__).parents[1] / "scripts"
+    scripts = [path for path in folder.iterdir() if path.suffix == "" and path.is_file()]
+    copies = tmp_path / "scripts"
+    shutil.copytree(folder, copies)
+    (copies / "setup").write_text("exit 1")
+    for script in scripts:
+        if script.name not in ("setup", "usage"):
+            done = subprocess.run(["bash", copies / script.name, "--help"], capture_output=True, text=True)
+            assert done.returncode == 0, script.name
+            assert done.stdout.splitlines()[0] == script.read_text().splitlines()[1].removeprefix("# ")
+
+
+def test_ctrl_c_does_not_wait_for_threads() -> None:
+    code = (
+        "import os, signal, sys, threading, time\n"
+        "from dvf_ig.cli import main\n"
+        "from dvf_ig.core.threads import thread_pool\n"
+        "def work():\n"
+        "    threading.Timer(0.2, os.kill, (os.getpid(), signal.SIGINT)).start()\n"
+        "    with thread_pool(2) as pool:\n"
+        "        list(pool.map(time.sleep, [30.0, 30.0, 30.0]))\n"
+        "main.app.registered_commands[0].callback = work\n"
+        "sys.argv = ['dvf-ig', str(main.app.registered_commands[0].name)]\n"
+        "main.run()"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=20)
+    assert done.returncode == main.INTERRUPTED
+    assert done.stderr.strip() == "interrupted"

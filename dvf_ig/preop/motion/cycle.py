@@ -7,7 +7,6 @@ the closure error of the cycle.
 """
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from threading import Lock
 from typing import Literal, Protocol
@@ -30,6 +29,7 @@ from dvf_ig.core import (
     untold,
 )
 from dvf_ig.core.space.frames import require_same_frame
+from dvf_ig.core.threads import thread_pool
 
 from .consistency import LIMIT_MM, Stiffened, inverse_index, made_consistent
 from .demons import DemonsOptions, DisplacementField, match_images_by_demons
@@ -156,7 +156,7 @@ def track_cycle(
     half = phases // 2
     forwards = [(ed_phase + k) % phases for k in range(1, half + 1)]
     backwards = [(ed_phase - k) % phases for k in range(1, phases - half + 1)]
-    with ThreadPoolExecutor(min(options.threads, 2)) as pool:
+    with thread_pool(min(options.threads, 2)) as pool:
         ahead, behind = pool.map(chain, (forwards, backwards))
     by_phase = {**dict(zip(backwards, behind, strict=True)), **dict(zip(forwards, ahead, strict=True))}
     by_phase[ed_phase] = (identity, 0.0)

@@ -2,9 +2,9 @@
 
 import logging
 from collections.abc import Iterable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 
 from dvf_ig.core import Chamber, InvalidInputError, Mesh, SurfaceSeries, VolumeSeries
+from dvf_ig.core.threads import thread_pool
 
 from .closing import close_surface
 from .from_labels import surface_of_mask
@@ -42,7 +42,7 @@ def chambers_from_labels(
         threads: phases at a time; has no influence on the result.
     """
     chambers = []
-    with ThreadPoolExecutor(threads) as pool:
+    with thread_pool(threads) as pool:
         for value in values:
             name = label_name(value, names)
             try:

@@ -1,7 +1,6 @@
 """Closed surfaces from a 4-D label image: smoothed mask, marching cubes, compensated shrinkage."""
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +17,7 @@ from dvf_ig.core import (
     read_only_arrays,
 )
 from dvf_ig.core.space.mesh import enclosed_volume_mm3
+from dvf_ig.core.threads import thread_pool
 from dvf_ig.preop.segment.components import largest_component
 
 SMOOTHING_VOXELS = 1.0
@@ -52,7 +52,7 @@ def surfaces_from_labels(
     """
     if not organ_labels:
         raise InvalidInputError("no organ labels given; name the label values that the surface encloses")
-    with ThreadPoolExecutor(threads) as pool:
+    with thread_pool(threads) as pool:
         masks = pool.map(lambda i: _organ_mask(labels, i, organ_labels), range(len(labels.timing)))
         return tuple(pool.map(lambda mask: _surface(mask, labels.grid, smoothing_voxels), masks))
 

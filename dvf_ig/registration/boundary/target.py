@@ -5,7 +5,6 @@ the surface of a fixture model (the epicardium). Both are cubic splines of signe
 Samples of the blood's distance serve as spline coefficients unfiltered: that smooths them by 0.58 voxels.
 """
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,6 +23,7 @@ from dvf_ig.core import (
     nearest_phase,
     read_only_arrays,
 )
+from dvf_ig.core.threads import thread_pool
 from dvf_ig.kernels.compiled import thread_count
 from dvf_ig.kernels.foot_points import foot_point_distance
 from dvf_ig.registration.lc2.channels import BLOOD
@@ -68,7 +68,7 @@ def target_from_labels(labels: VolumeSeries, model_phase: FloatArray) -> Boundar
     """
     used = np.unique(nearest_phase(labels.timing.fractions, model_phase))
     grid = labels.grid
-    with ThreadPoolExecutor(thread_count()) as pool:
+    with thread_pool(thread_count()) as pool:
         distance = np.stack(
             list(pool.map(lambda i: signed_distance_mm(labels.values[i] == BLOOD, grid.spacing_mm), used))
         )
