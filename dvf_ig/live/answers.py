@@ -99,7 +99,7 @@ def state_numbers(state: GuidanceState) -> dict[str, Any]:
         "rr_s": _known(phase.rr_s),
         "model_phase": _known(state.model_phase),
         "pose_age_s": _known(state.pose_age_s),
-        "tre_bound_mm": _known(state.tre_bound_mm),
+        "pose_bound_mm": _known(state.pose_bound_mm),
         "distance_mm": _known(state.distance_mm),
         "margin_mm": _known(float(state.margin_mm[0])),
         "tool_age_s": _known(state.tool.age_s),

@@ -31,7 +31,7 @@ COLUMNS = (
     ("supervisor", "%s"),
     ("hazards", "%s"),
     ("pose_age_s", "%.3f"),
-    ("tre_bound_mm", "%.3f"),
+    ("pose_bound_mm", "%.3f"),
     ("margin_mm", "%.4f"),
 )
 """Columns of the ticks, each with its format: 1 µs, 0.1 µm, 1 µN."""
@@ -104,7 +104,7 @@ def _columns(ticks: Ticks) -> list[AnyArray]:
         _words(ticks.supervisor, lambda code: SupervisorState(code).name.lower()),
         _words(ticks.hazards, lambda bits: "|".join(h.name.lower() for h in Hazard(bits) if h.name)),
         ticks.pose_age_s,
-        ticks.tre_bound_mm,
+        ticks.pose_bound_mm,
         ticks.margin_mm,
     ]
 

@@ -79,7 +79,7 @@ def recorded_ticks(record: LiveRecord) -> Ticks:
         model_phase=columns["model_phase"],
         mr_from_tracker=rows[:, first : first + 12].reshape(-1, 3, 4),
         pose_age_s=columns["pose_age_s"],
-        tre_bound_mm=columns["tre_bound_mm"],
+        pose_bound_mm=columns["tre_bound_mm"],
         tip_tracker_mm=vector("tip_tracker_{}_mm"),
         force_n=vector("force_tracker_{}_n"),
         wanted_n=vector("wanted_tracker_{}_n"),

@@ -24,6 +24,7 @@ def table(result: dict[str, Any]) -> list[tuple[str, str, str]]:
         ),
         *_phase_rows(result),
         *_pose_rows(result),
+        *_bound_rows(result),
         *_update_rows(result),
         *_tip_rows(result),
         *_force_rows(result),
@@ -69,7 +70,7 @@ def _stated(attempt: dict[str, Any]) -> str:
     if chance is None:
         return "no probability stated"
     return f"success probability {chance:.2f}" + (
-        f", error below {bound:.1f} mm" if bound is not None else ""
+        f", largest error below {bound:.1f} mm" if bound is not None else ""
     )
 
 
@@ -101,6 +102,30 @@ def _pose_rows(result: dict[str, Any]) -> list[tuple[str, str, str]]:
     return rows
 
 
+def _bound_rows(result: dict[str, Any]) -> list[tuple[str, str, str]]:
+    """Show the two stated bounds under their names, and how often each held."""
+    names = (
+        ("tre_bound_mm", "bound of registrations", "95 % bound on the largest error over the heart"),
+        (
+            "pose_bound_mm",
+            "bound of the pose",
+            "95 % bound on the RMS error over the heart, median of its updates",
+        ),
+    )
+    rows = []
+    for key, name, meaning in names:
+        bound = result[key]
+        if bound is not None:
+            held = bound["coverage"]
+            error = "" if held is None else f"held in {held:.0%} of {_bounds_of(result, key)}"
+            rows.append((name, f"{bound['median']:.1f} mm: {meaning}", error))
+    return rows
+
+
+def _bounds_of(result: dict[str, Any], key: str) -> str:
+    return "registrations" if key == "tre_bound_mm" else f"{result[key]['updates']} updates"
+
+
 def _update_rows(result: dict[str, Any]) -> list[tuple[str, str, str]]:
     seconds, drift = result["update_seconds"], result["drift_mm_per_min"]
     if seconds is None:
@@ -108,9 +133,16 @@ def _update_rows(result: dict[str, Any]) -> list[tuple[str, str, str]]:
     text = f"{result['tracked_beats']} beats, {1000 * seconds['median']:.0f} ms an update"
     if drift is not None:
         text += f", drift {drift:.1f} mm/min"
-    for begin_s, end_s in result["doubts_s"]:
-        text += f"; suspended from {begin_s:.1f} to {end_s:.1f} s"
-    return [("pose updates", text, "")]
+    rows = [("pose updates", text, "")]
+    rows += [
+        (
+            f"withheld at {one['begin_s']:.1f} s",
+            f"for {one['end_s'] - one['begin_s']:.1f} s: {one['why']}",
+            "",
+        )
+        for one in result["withheld"]
+    ]
+    return rows
 
 
 def _tip_rows(result: dict[str, Any]) -> list[tuple[str, str, str]]:
@@ -147,8 +179,9 @@ def _force_rows(result: dict[str, Any]) -> list[tuple[str, str, str]]:
 def _supervisor_row(result: dict[str, Any]) -> tuple[str, str, str]:
     supervisor, hazard_s = result["supervisor"], result["hazard_s"]
     text = (
-        f"faded {supervisor['fades']} times, latched {supervisor['latches']} times "
-        f"({supervisor['latched_s']:.1f} s), largest step {supervisor['largest_step_n']:.3f} N"
+        f"no force for {result['without_force_s']:.1f} s after the first pose, faded {supervisor['fades']} "
+        f"times, latched {supervisor['latches']} times ({supervisor['latched_s']:.1f} s), largest step "
+        f"{supervisor['largest_step_n']:.3f} N"
     )
     if hazard_s is None:
         return ("supervisor", text, "")

@@ -19,7 +19,7 @@ class Ticks:
         model_phase: (n,) place in the model's cycle; NaN where the phase is not locked.
         mr_from_tracker: (n, 3, 4) the pose through which the force came; NaN where there was none.
         pose_age_s: (n,) time since a beat confirmed the pose; infinite before the first.
-        tre_bound_mm: (n,) 95 % bound on the error of the pose over the heart; NaN before the first.
+        pose_bound_mm: (n,) 95 % bound on the RMS error of the pose over the heart; NaN before the first.
         tip_tracker_mm: (n, 3) predicted tip; NaN where the tool is not known.
         force_n: (n, 3) sent by the supervisor; wanted_n: of the fixtures.
         distance_mm: (n,) signed distance of the primary fixture, at NO_PHASE of the first wall at its worst
@@ -33,7 +33,7 @@ class Ticks:
     model_phase: FloatArray
     mr_from_tracker: FloatArray
     pose_age_s: FloatArray
-    tre_bound_mm: FloatArray
+    pose_bound_mm: FloatArray
     tip_tracker_mm: FloatArray
     force_n: FloatArray
     wanted_n: FloatArray
@@ -83,7 +83,7 @@ class TickRecorder:
         self._force[i], self._wanted[i] = state.force_n, state.wanted_n
         self._model_phase[i], self._distance[i] = state.model_phase, state.distance_mm
         self._age[i], self._margin[i] = state.pose_age_s, state.margin_mm[0]
-        self._bound[i] = state.tre_bound_mm
+        self._bound[i] = state.pose_bound_mm
         self._codes[i] = state.status, state.supervisor, state.supervised.hazards
 
     def finish(self) -> Ticks:
@@ -102,7 +102,7 @@ class TickRecorder:
             model_phase=self._model_phase,
             mr_from_tracker=poses,
             pose_age_s=self._age,
-            tre_bound_mm=self._bound,
+            pose_bound_mm=self._bound,
             tip_tracker_mm=self._tip,
             force_n=self._force,
             wanted_n=self._wanted,

@@ -145,18 +145,24 @@ def _frames(
 
 
 def _marks(result: dict[str, Any]) -> list[Mark]:
-    """List registrations and suspensions in order of time."""
+    """List registrations, and times without a pose, in order of time."""
     marks = [
-        Mark(one["ready_s"], "registration" if one["usable"] else "refused", _registration(one))
+        Mark(
+            one["ready_s"],
+            "registration" if one["usable"] else "refused",
+            _registration(one),
+            bound_mm=one.get("tre_bound_mm"),
+        )
         for one in result["registrations"]
     ]
     marks += [
-        Mark(begin_s, "suspended", "the pose was suspended", end_s) for begin_s, end_s in result["doubts_s"]
+        Mark(span["begin_s"], "suspended", f"no pose: {span['why']}", span["end_s"])
+        for span in result["withheld"]
     ]
     return sorted(marks, key=lambda mark: mark.t_s)
 
 
 def _registration(one: dict[str, Any]) -> str:
     bound = one.get("tre_bound_mm")
-    stated = "" if bound is None else f", error below {bound:.1f} mm"
+    stated = "" if bound is None else f", largest error below {bound:.1f} mm"
     return f"registration {one['reason']}{stated}" if one["usable"] else f"registration: {one['reason']}"

@@ -11,12 +11,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.ndimage import map_coordinates
 
-from dvf_ig.core.arrays import FloatArray
+from dvf_ig.core.arrays import BoolArray, FloatArray
 from dvf_ig.core.space.mesh import SurfaceSeries
 from dvf_ig.core.space.volume import VolumeSeries
 
+from .plane_marks import draw_plane_marks, edge_letters, plane_name, viewed_upright
 from .plane_section import plane_section
-from .style import ESTIMATE, FAINT, ON_GREY, START, TRUTH, without_ticks, write_png
+from .style import ESTIMATE, FAINT, MR_ON_GREY, ON_GREY, START, TRUTH, without_ticks, write_png
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -26,7 +27,8 @@ if TYPE_CHECKING:
 
 BEYOND_MM = 15.0
 PIXEL_MM = 1.0
-_VIEWS = (("across axis k", 2), ("across axis j", 1), ("across axis i", 0))
+_NORMALS = (2, 1, 0)
+"""Image axes across which the planes are drawn."""
 
 
 def write_motion_picture(
@@ -37,18 +39,26 @@ def write_motion_picture(
     *,
     ed_phase: int,
     es_phase: int,
+    caps: BoolArray | None = None,
 ) -> None:
     """Write three planes through the organ at end-diastole and end-systole, and bars of quality, as a PNG.
 
+    Args:
+        caps: (t,) triangles at which the image cut the organ off, so that they were closed, not imaged.
     Raises:
         InvalidInputError: a suffix that is not .png.
         OutputError: not writable.
     """
-    write_png(path, motion_figure(image, surfaces, quality, ed_phase, es_phase), dpi=90)
+    write_png(path, motion_figure(image, surfaces, quality, ed_phase, es_phase, caps), dpi=90)
 
 
 def motion_figure(
-    image: VolumeSeries, surfaces: SurfaceSeries, quality: MotionQuality, ed_phase: int, es_phase: int
+    image: VolumeSeries,
+    surfaces: SurfaceSeries,
+    quality: MotionQuality,
+    ed_phase: int,
+    es_phase: int,
+    caps: BoolArray | None = None,
 ) -> Figure:
     """Draw three planes at both phases above, the quality of the motion by phase below."""
     from matplotlib.figure import Figure
@@ -58,12 +68,14 @@ def motion_figure(
     axes = upper.subplots(2, 3)
     index = image.grid.to_index(surfaces.vertices_mm)
     low, high = index.min(axis=(0, 1)), index.max(axis=(0, 1))
+    closed = np.zeros(len(surfaces.triangles), dtype=np.bool_) if caps is None else caps
     for row, (word, phase) in enumerate((("end-diastole", ed_phase), ("end-systole", es_phase))):
-        for axis, (view, normal) in zip(axes[row], _VIEWS, strict=True):
-            _draw_plane(axis, image, surfaces, (phase, ed_phase), normal, (low, high))
+        for axis, normal in zip(axes[row], _NORMALS, strict=True):
+            name = _draw_plane(axis, image, surfaces, (phase, ed_phase), normal, (low, high), closed)
             percent = 100 * image.timing.fractions[phase]
-            axis.set_title(f"{word} ({percent:.0f} % of the cycle), {view}", fontsize=9, color=TRUTH)
-    upper.suptitle("propagated surface (dotted: end-diastole)", fontsize=10, color=TRUTH)
+            axis.set_title(f"{word} ({percent:.0f} % of the cycle)\n{name}", fontsize=9, color=TRUTH)
+    note = "; dashed: closed where the image ends, not imaged" if closed.any() else ""
+    upper.suptitle(f"propagated surface (dotted: end-diastole{note})", fontsize=10, color=TRUTH)
     bars = lower.subplots(2, 2).ravel()
     _draw_bars(bars, image, quality, es_phase)
     lower.legend(
@@ -79,28 +91,41 @@ def _draw_plane(
     phases: tuple[int, int],
     normal: int,
     box: tuple[FloatArray, FloatArray],
-) -> None:
-    """Draw a plane of voxels in mm, the contour of the phase and, dotted, that of end-diastole."""
+    caps: BoolArray,
+) -> str:
+    """Draw a plane of voxels in mm as radiologists view it, with its contours; return the plane's name.
+
+    The contour of the phase is drawn through, where it is a cap dashed, and that of end-diastole dotted.
+    """
     from matplotlib.collections import LineCollection
 
     grid, spacing = image.grid, image.grid.spacing_mm
     level = round(float(0.5 * (box[0] + box[1])[normal]))
-    across, up = (a for a in range(3) if a != normal)
-    low = np.maximum(box[0] * spacing - BEYOND_MM, 0.0)
-    high = np.minimum(box[1] * spacing + BEYOND_MM, (np.array(grid.shape) - 1) * spacing)
-    x, y = (np.arange(low[a], high[a] + 1e-6, PIXEL_MM) for a in (across, up))
+    plane = [a for a in range(3) if a != normal]
+    column, row, *reverse = viewed_upright(grid.direction[:, plane].T)
+    shown = [plane[column], plane[row]]
+    low = np.maximum(box[0] * spacing - BEYOND_MM, 0.0)[shown]
+    high = np.minimum(box[1] * spacing + BEYOND_MM, (np.array(grid.shape) - 1) * spacing)[shown]
+    first, sign = np.where(reverse, high, low), np.where(reverse, -1.0, 1.0)
+    x, y = (first[a] + sign[a] * np.arange(0.0, high[a] - low[a] + 1e-6, PIXEL_MM) for a in range(2))
     at = np.empty((3, len(y), len(x)))
-    at[normal], at[across], at[up] = level, x / spacing[across], (y / spacing[up])[:, None]
+    at[normal], at[shown[0]], at[shown[1]] = level, x / spacing[shown[0]], (y / spacing[shown[1]])[:, None]
     grey = map_coordinates(image.values[phases[0]].astype(np.float64), at, order=1, mode="nearest")
     top = float(np.percentile(grey, 99.5))
-    extent = (x[0], x[-1], y[0], y[-1])
-    axis.imshow(grey, cmap="gray", vmin=0.0, vmax=max(top, 1e-9), origin="lower", extent=extent)
-    for phase, style, colour in ((phases[1], ":", FAINT), (phases[0], "-", ON_GREY)):
+    width, height = (high - low).tolist()
+    axis.imshow(grey, cmap="gray", vmin=0.0, vmax=max(top, 1e-9), extent=(0.0, width, height, 0.0))
+    parts = [(phases[1], slice(None), ":", FAINT), (phases[0], ~caps, "-", ON_GREY)]
+    if caps.any():
+        parts.append((phases[0], caps, "--", MR_ON_GREY))
+    for phase, part, style, colour in parts:
         mesh = surfaces.phase(phase)
-        lines = plane_section(grid.to_index(mesh.vertices_mm)[mesh.triangles], normal, level + 1e-3)
-        segments = (lines * spacing)[..., [across, up]]
+        lines = plane_section(grid.to_index(mesh.vertices_mm)[mesh.triangles[part]], normal, level + 1e-3)
+        segments = ((lines * spacing)[..., shown] - first) * sign
         axis.add_collection(LineCollection(list(segments), colors=colour, linewidths=1.2, linestyles=style))
+    directions = grid.direction[:, shown] * sign
+    draw_plane_marks(axis, (width, height), edge_letters(directions[:, 0], directions[:, 1]))
     without_ticks(axis)
+    return plane_name(grid.direction[:, normal])
 
 
 def _draw_bars(axes: list[Axes], image: VolumeSeries, quality: MotionQuality, es_phase: int) -> None:

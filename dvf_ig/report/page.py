@@ -25,7 +25,7 @@ td { padding: .25rem 1rem .25rem 0; border-bottom: 1px solid #e4e4e4; vertical-a
 td:first-child { color: #555; } img { max-width: 100%; height: auto; }
 figure { margin: 2rem 0; } figcaption { color: #555; max-width: 75ch; }
 .verdict { display: inline-block; padding: .3rem .8rem; border-radius: .3rem; color: #fff; }
-.good { background: #2b7a3d; } .bad { background: #b3261e; }
+.good { background: #2b7a3d; } .warn { background: #ffb300; color: #1c1c1c; } .bad { background: #b3261e; }
 @media (prefers-color-scheme: dark) {
   :root { color-scheme: dark; } body { background: #17191c; color: #e4e6e8; } a { color: #7db7ec; }
   p.note, figcaption, td:first-child { color: #a5abb2; } th { border-color: #777; } td { border-color: #333; }

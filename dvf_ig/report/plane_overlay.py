@@ -22,7 +22,7 @@ class AnatomyPlane:
         blood_mm: (rows, columns) signed distance to the blood's border, which ultrasound shows; None if
             unknown.
         edges: the side of the patient towards which the left, right, upper and lower edge lie, as letters
-            (R, L, A, P, H, F).
+            (R, L, A, P, S, I).
     """
 
     grey: FloatArray

@@ -40,34 +40,34 @@ class Confirmation:
 
     Attributes:
         confirmed_s: when that was known.
-        tre_bound_mm: 95 % bound on the error of the pose then.
+        pose_bound_mm: 95 % bound on the RMS error of the pose over the heart then.
         missed_beats: regular beats since that could not be compared with the pose, carried no information, or
             did not agree with it.
     """
 
     confirmed_s: float
-    tre_bound_mm: float
+    pose_bound_mm: float
     missed_beats: int = 0
 
     @property
     def until_s(self) -> float:
         """Time from which the pose is withheld unless a beat confirms it; -inf if it already is."""
-        lasts_s = min(MAX_AGE_S, (MAX_BOUND_MM - self.tre_bound_mm) / AGEING_MM_PER_S)
+        lasts_s = min(MAX_AGE_S, (MAX_BOUND_MM - self.pose_bound_mm) / AGEING_MM_PER_S)
         if self.missed_beats >= MAX_MISSED_BEATS or lasts_s <= 0.0:
             return -inf
         return self.confirmed_s + lasts_s
 
     def bound_mm(self, now_s: float) -> float:
         """95 % bound on the error of the pose at `now_s`."""
-        return self.tre_bound_mm + AGEING_MM_PER_S * (now_s - self.confirmed_s)
+        return self.pose_bound_mm + AGEING_MM_PER_S * (now_s - self.confirmed_s)
 
     def missed(self) -> "Confirmation":
         """Count a regular beat that did not confirm the pose."""
         return replace(self, missed_beats=self.missed_beats + 1)
 
-    def changed(self, tre_bound_mm: float) -> "Confirmation":
+    def changed(self, pose_bound_mm: float) -> "Confirmation":
         """State another bound, after a change of the pose without a beat that confirms it."""
-        return replace(self, tre_bound_mm=tre_bound_mm)
+        return replace(self, pose_bound_mm=pose_bound_mm)
 
 
 @dataclass(frozen=True, slots=True)

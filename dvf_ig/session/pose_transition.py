@@ -255,7 +255,7 @@ def _follow(pose: InUse, event: BeatCompared) -> Transition:
     estimate = _updated(estimate, measurement) if measurement.informative else estimate.predict(1.0)
     pose, update = _moved(replace(pose, similarity=similarity), estimate, now_s)
     if confirms(measurement):
-        pose = replace(pose, confirmation=Confirmation(now_s, estimate.tre_bound_mm))
+        pose = replace(pose, confirmation=Confirmation(now_s, estimate.pose_bound_mm))
     elif not event.again:
         pose = replace(pose, confirmation=pose.confirmation.missed())
     return pose, (update,)
@@ -291,7 +291,7 @@ def _suspend(
 def _moved(pose: InUse, estimate: PoseEstimate, now_s: float) -> tuple[InUse, PoseUpdate]:
     """Use another estimate, towards which the pose moves from its present position."""
     motion = PoseMotion.towards(pose.motion.at(now_s), estimate.pose, now_s, estimate.center_mm)
-    confirmation = pose.confirmation.changed(estimate.tre_bound_mm)
+    confirmation = pose.confirmation.changed(estimate.pose_bound_mm)
     moved = replace(pose, estimate=estimate, motion=motion, confirmation=confirmation)
     return moved, PoseUpdate(now_s, estimate.pose)
 
@@ -356,7 +356,7 @@ def _drop(pose: Candidate, off_mm: float, now_s: float) -> Transition:
 
 def _bring_into_use(pose: Candidate | Suspended, estimate: PoseEstimate, now_s: float) -> Transition:
     """Use a pose that beats have confirmed; at once, for no force depends on one before."""
-    motion, confirmation = PoseMotion.still(estimate.pose), Confirmation(now_s, estimate.tre_bound_mm)
+    motion, confirmation = PoseMotion.still(estimate.pose), Confirmation(now_s, estimate.pose_bound_mm)
     in_use = InUse(estimate, motion, confirmation, pose.trial.shift.restarted())
     update = PoseUpdate(now_s, estimate.pose)
     if isinstance(pose, Suspended):

@@ -168,7 +168,7 @@ class Session:
             transform=self._transform,
             estimate=self._pose.estimate,
             pose_age_s=age_s,
-            tre_bound_mm=nan if confirmation is None else confirmation.bound_mm(now_s),
+            pose_bound_mm=nan if confirmation is None else confirmation.bound_mm(now_s),
             doubt=self._pose.doubt,
             tip_seen=self._tip.seen,
             registration=self.history.last_registration,

@@ -27,7 +27,7 @@ class GuidanceState:
         transform: (p_tracker, t) ↦ (p_mr, φ), from now on until something new is known.
         estimate: the pose in use with its covariance, or the last one while it is withheld; None before any.
         pose_age_s: time since a heart beat confirmed the pose; infinite before the first.
-        tre_bound_mm: 95 % bound on the error of the pose in use over the heart; NaN before the first.
+        pose_bound_mm: 95 % bound on the RMS error of the pose in use over the heart; NaN before the first.
         doubt: why the pose is suspended; None while it is not.
         tip_seen: where ultrasound shows the tool's tip; None if it does not.
         registration: the last one that ended, with its evidence; None before the first.
@@ -43,7 +43,7 @@ class GuidanceState:
     transform: PoseAndPhase
     estimate: PoseEstimate | None
     pose_age_s: float
-    tre_bound_mm: float
+    pose_bound_mm: float
     doubt: Doubt | None
     tip_seen: TipSighting | None
     registration: RegistrationRecord | None

@@ -218,7 +218,7 @@ def measured(recording: WatchedRecording, number: int) -> Line:
     beats, rng = recording.beats, child_rng(number, "watch trial")
     onsets = range(FIRST_ONSET, len(beats) - FOLLOWED_BEATS, ONSET_EVERY)
     off_mm = [mean_displacement_mm(b.estimate.pose, recording.truth, recording.center_mm) for b in beats]
-    bounds = [b.estimate.tre_bound_mm for b in beats]
+    bounds = [b.estimate.pose_bound_mm for b in beats]
     return {
         "beats": len(beats),
         "guided_s": round(recording.guided_s, 2),

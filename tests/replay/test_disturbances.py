@@ -14,7 +14,7 @@ from dvf_ig.guidance import Status
 from dvf_ig.guidance.supervision.supervisor import FADE_S
 from dvf_ig.preop import ModelOptions, model_from_labels
 from dvf_ig.replay import Replay, run_replay
-from dvf_ig.replay.result.pose_summary import suspensions
+from dvf_ig.replay.result.pose import suspensions, withheld_spans, without_force_s
 from dvf_ig.replay.result.score import pose_errors_mm
 from dvf_ig.session import Refusal
 
@@ -93,6 +93,13 @@ def test_after_the_marker_slips_on_the_probe_no_force_is_given_again(
     assert len(after) >= 2
     assert {refused.cause for refused in after if refused is not None} == {Refusal.BEAT_DISAGREES}
     assert not replay.ticks.force_n[between(replay, stopped_s + FADE_S + 0.001, np.inf)].any()
+    *_, last = withheld_spans(replay)
+    assert (last.begin_s, last.end_s, last.rule) == (
+        pytest.approx(stopped_s, abs=0.002),
+        end_s,
+        "contradicted",
+    )
+    assert without_force_s(replay.ticks) >= end_s - stopped_s - FADE_S
 
 
 def test_a_wrong_probe_calibration_is_refused_by_touched_landmarks(

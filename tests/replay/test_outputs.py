@@ -34,7 +34,7 @@ def two_ticks() -> Ticks:
         model_phase=np.array([nan, 0.5]),
         mr_from_tracker=np.stack([np.full((3, 4), nan), POSE.matrix[:3]]),
         pose_age_s=np.array([np.inf, 0.25]),
-        tre_bound_mm=np.array([np.nan, 3.5]),
+        pose_bound_mm=np.array([np.nan, 3.5]),
         tip_tracker_mm=np.array([[nan] * 3, [10.0, 20.0, 30.0]]),
         force_n=np.array([[0.0, 0.0, 0.0], [0.1, -0.2, 0.3]]),
         wanted_n=np.zeros((2, 3)),

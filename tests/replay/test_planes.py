@@ -10,9 +10,9 @@ from toy_session import toy_heart
 
 from dvf_ig.core import CycleTiming, FloatArray, Grid, Rigid, TrackedVolume, Volume, VolumeSeries
 from dvf_ig.registration import BoundaryTarget, ModelChannels
-from dvf_ig.replay.page.plane_names import edge_letters, plane_name, viewed_upright
 from dvf_ig.replay.page.planes import anatomy_of_heart, anatomy_of_image, plane_overlay
 from dvf_ig.replay.page.volume_planes import image_overlays, shown_grey, tracked_overlays
+from dvf_ig.report.plane_marks import edge_letters, plane_name, viewed_upright
 
 X, Y, Z = np.eye(3)
 SLOPE = np.array([2.0, -1.0, 3.0])
@@ -38,13 +38,13 @@ def test_planes_are_named_after_the_nearest_standard_plane() -> None:
 
 def test_edges_carry_the_patients_sides() -> None:
     assert edge_letters(X, Y) == ("R", "L", "A", "P")
-    assert edge_letters(Y, -Z) == ("A", "P", "H", "F")
-    assert edge_letters(np.array([0.6, -0.8, 0.0]), Z) == ("PR", "AL", "F", "H")
+    assert edge_letters(Y, -Z) == ("A", "P", "S", "I")
+    assert edge_letters(np.array([0.6, -0.8, 0.0]), Z) == ("PR", "AL", "I", "S")
 
 
 @pytest.mark.parametrize(
     ("axes", "letters"),
-    [((X, Y), ("R", "L", "A", "P")), ((X, Z), ("R", "L", "H", "F")), ((Y, Z), ("A", "P", "H", "F"))],
+    [((X, Y), ("R", "L", "A", "P")), ((X, Z), ("R", "L", "S", "I")), ((Y, Z), ("A", "P", "S", "I"))],
 )
 def test_any_axes_are_turned_upright(
     axes: tuple[FloatArray, FloatArray], letters: tuple[str, str, str, str]
@@ -176,7 +176,7 @@ def test_planes_of_a_volume_show_ultrasound_and_anatomy_of_the_same_places() -> 
     assert overlays[0].size_mm == pytest.approx((22.0, 24.0), rel=0.1)  # 22 by 16 voxels of 1 and 1.5 mm
     letters = [overlay.registered.edges for overlay in overlays]
     assert [edges[1] for edges in letters] == ["P", "L", "L"]
-    assert [edges[3] for edges in letters] == ["F", "F", "P"]
+    assert [edges[3] for edges in letters] == ["I", "I", "P"]
 
 
 def test_two_of_many_gated_volumes_are_shown_with_their_phase() -> None:

@@ -48,7 +48,7 @@ def test_every_number_is_the_states(said: tuple[list[GuidanceState], Ticks]) -> 
         "model_phase",
         "distance_mm",
         "pose_age_s",
-        "tre_bound_mm",
+        "pose_bound_mm",
         "status",
         "supervisor",
     ):

@@ -81,7 +81,7 @@ def test_the_folder_reads_back(replay: Replay, written: Path, run: Path) -> None
     np.testing.assert_allclose(folder.ticks["force_tracker_y_n"], ticks.force_n[:, 1], atol=5.1e-7)
     for name in ("status", "supervisor", "hazards"):
         np.testing.assert_array_equal(folder.ticks[name], getattr(ticks, name))
-    np.testing.assert_array_equal(np.isnan(folder.ticks["tre_bound_mm"]), np.isnan(ticks.tre_bound_mm))
+    np.testing.assert_array_equal(np.isnan(folder.ticks["pose_bound_mm"]), np.isnan(ticks.pose_bound_mm))
     np.testing.assert_allclose(folder.view.r_peaks_s, [p.t_s for p in replay.history.peaks], atol=1e-6)
     poses = folder.view.pose_at(ticks.t_s)
     used = np.isfinite(ticks.mr_from_tracker[:, 0, 0])
@@ -173,7 +173,7 @@ def test_values_at_the_cursor_are_those_of_the_table(opened: Page, run: Path) ->
             "distance_mm",
             "force_tracker_x_n",
             "tip_mr_z_mm",
-            "tre_bound_mm",
+            "pose_bound_mm",
         ):
             assert shown[name] == (float(row[name]) if row[name] else None), name
         force = np.linalg.norm([float(row[f"force_tracker_{axis}_n"]) for axis in "xyz"])
@@ -276,7 +276,7 @@ def test_a_session_is_shown_as_it_runs(window: Page, opened: Page, page_file: Pa
     whole = json.loads(text)
     frames = whole.pop("series")["frames"]
     event = {
-        **dict.fromkeys(("rr_s", "tip_mr_x_mm", "distance_mm", "pose_age_s", "tre_bound_mm")),
+        **dict.fromkeys(("rr_s", "tip_mr_x_mm", "distance_mm", "pose_age_s", "pose_bound_mm")),
         "phi": 0.25,
         "phase_valid": 1,
         "model_phase": 0.3,

@@ -13,7 +13,7 @@ from dvf_ig.cardiac import RPeak
 from dvf_ig.core import FloatArray, PoseMotion, Rigid, Stop, mean_displacement_mm
 from dvf_ig.core.space.pose_motion import UPDATE_MM_PER_S
 from dvf_ig.registration import Gated, PoseChart
-from dvf_ig.replay.result.pose_summary import drift_mm_per_min, suspensions
+from dvf_ig.replay.result.pose import drift_mm_per_min, suspensions
 from dvf_ig.session import DoubtCause, Job, Landmark, PoseUpdate, Refusal, SessionHistory
 from dvf_ig.session import RegistrationRecord as Record
 from dvf_ig.session import RegistrationRequest as Request

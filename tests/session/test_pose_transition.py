@@ -245,7 +245,7 @@ def test_a_first_pose_is_used_once_beats_confirm_it() -> None:
     pose = after(pose, beat())
     assert along(pose) == pytest.approx(1.0)
     assert isinstance(pose, InUse)
-    assert pose.confirmation == Confirmation(NOW_S, pose.estimate.tre_bound_mm)
+    assert pose.confirmation == Confirmation(NOW_S, pose.estimate.pose_bound_mm)
     assert pose.motion.at(NOW_S) is pose.estimate.pose
 
 
@@ -413,12 +413,12 @@ def test_beats_that_do_not_confirm_a_pose_are_counted_once() -> None:
             assert last.confirmation.missed_beats == missed
     confirmed = after(after(IN_USE, BeatMissed()), beat())
     assert isinstance(confirmed, InUse)
-    assert confirmed.confirmation == Confirmation(NOW_S, confirmed.estimate.tre_bound_mm)
+    assert confirmed.confirmation == Confirmation(NOW_S, confirmed.estimate.pose_bound_mm)
 
 
 def test_a_confirmed_pose_lasts_five_seconds_or_three_beats() -> None:
     assert (MAX_AGE_S, MAX_MISSED_BEATS) == (5.0, 3)
-    confirmation = Confirmation(10.0, tre_bound_mm=1.6)
+    confirmation = Confirmation(10.0, pose_bound_mm=1.6)
     for missed in range(MAX_MISSED_BEATS):
         assert confirmation.missed_beats == missed
         assert confirmation.until_s == pytest.approx(15.0)
@@ -428,11 +428,11 @@ def test_a_confirmed_pose_lasts_five_seconds_or_three_beats() -> None:
 
 
 def test_a_pose_whose_bound_passes_the_limit_is_withheld_earlier() -> None:
-    confirmation = Confirmation(10.0, tre_bound_mm=MAX_BOUND_MM - 2.0 * AGEING_MM_PER_S)
+    confirmation = Confirmation(10.0, pose_bound_mm=MAX_BOUND_MM - 2.0 * AGEING_MM_PER_S)
     assert confirmation.until_s == pytest.approx(12.0)
     assert confirmation.bound_mm(12.0) == pytest.approx(MAX_BOUND_MM)
     assert confirmation.changed(MAX_BOUND_MM + 0.1).until_s == -inf
-    assert Confirmation(10.0, tre_bound_mm=1.6).bound_mm(16.0) == pytest.approx(2.6)  # 10 mm a minute
+    assert Confirmation(10.0, pose_bound_mm=1.6).bound_mm(16.0) == pytest.approx(2.6)  # 10 mm a minute
 
 
 def test_a_beat_confirms_only_if_it_would_have_contradicted_a_wrong_pose() -> None:

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 from html.parser import HTMLParser
 
-VOID = {"meta", "img", "br", "hr", "link"}
+VOID = {"meta", "img", "br", "hr", "link", "input"}
 MAY_STAY_OPEN = {"html", "p", "tr", "td", "th"}
 """HTML closes these by itself."""
 

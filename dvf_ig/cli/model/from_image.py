@@ -91,7 +91,13 @@ def _write_evidence(
     write_sidecar(evidence, payload, "model")
     es_phase = int(result.volume_mm3.argmin())
     write_motion_picture(
-        picture, image, result.surfaces, result.quality, ed_phase=request.ed_phase, es_phase=es_phase
+        picture,
+        image,
+        result.surfaces,
+        result.quality,
+        ed_phase=request.ed_phase,
+        es_phase=es_phase,
+        caps=result.model.reference_caps[request.ed_phase],
     )
     wrote(evidence)
     wrote(picture, image.grid.frame)

@@ -166,7 +166,7 @@ def state_message(state: GuidanceState, lost: int) -> Timed:
         [
             *(state.now_s, phase.phi, phase.sigma_phi, phase.rr_s, phase.state, state.model_phase),
             *pose.ravel(),
-            *(state.pose_age_s, state.tre_bound_mm),
+            *(state.pose_age_s, state.pose_bound_mm),
             *tip,
             *state.force_n,
             *state.wanted_n,

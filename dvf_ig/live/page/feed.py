@@ -7,6 +7,7 @@ runs: JSON of a whole heart holds the interpreter for longer than a session may 
 
 import json
 from collections import deque
+from dataclasses import asdict
 from typing import Any, TypeVar
 
 import numpy as np
@@ -15,6 +16,7 @@ from dvf_ig.core import FloatArray
 from dvf_ig.live.loop import Answer
 from dvf_ig.report.viewer import (
     ImageShape,
+    Mark,
     SceneInput,
     frame_event,
     image_shape,
@@ -103,8 +105,9 @@ class PageFeed:
             if newest.usable or waited_s > JUDGED_AFTER_S:
                 self._seen_registration_s = newest.asked_s
                 kind = "registration" if newest.usable else "refused"
-                mark = {"t_s": newest.ready_s, "until_s": None, "kind": kind, "text": newest.reason}
-                self._marks.append(mark)
+                bound_mm = None if newest.result is None else newest.result.tre_bound_mm
+                mark = Mark(newest.ready_s, kind, newest.reason, bound_mm=bound_mm)
+                self._marks.append(asdict(mark))
 
     # ------------------------------------------------------------------ by the page's thread
 

@@ -20,10 +20,9 @@ from dvf_ig.core import (
 from dvf_ig.guidance import Evaluator, Sigmoid
 from dvf_ig.kernels.spline import spline_batch
 from dvf_ig.registration import BoundaryTarget
+from dvf_ig.report.plane_marks import edge_letters, plane_name
 from dvf_ig.report.plane_overlay import AnatomyPlane, PlaneOverlay
 from dvf_ig.session import GatedFrames, Heart
-
-from .plane_names import edge_letters, plane_name
 
 DARK_PERCENT, BRIGHT_PERCENT = 1.0, 99.5
 """Grey levels of the anatomy that are shown black and in full colour."""

@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
-from dvf_ig.core import Stop
-from dvf_ig.registration import LANDMARKS_MM, RegistrationResult
+from dvf_ig.core import HEART_RADIUS_MM, Stop
+from dvf_ig.registration import LANDMARKS_MM, PairEvidence, RegistrationResult
 from dvf_ig.registration.evidence.checks import WRONG_MM
 from dvf_ig.registration.evidence.phase_offset import SUSPICIOUS_LOG_RATIO, SUSPICIOUS_S
 from dvf_ig.report.registration import Check, Outcome
@@ -14,14 +14,17 @@ BOUNDARY_UNSEEN = "no boundary seen"
 
 
 def checks_of(result: RegistrationResult) -> list[Check]:
-    """List every check of a registration; those of another kind of input are not checked."""
+    """List the checks of a registration: those of a heart, or those of a pair of images."""
     touched = result.touched
+    if result.evidence.pair is not None:
+        every = [_overlap(result), _z_score(result), *_disagreements(result), _pair(result.evidence.pair)]
+        every += [_search(result), _geometry(result)]
+        return [check for check in every if check.outcome is not Outcome.NOT_CHECKED]
     return [
         _overlap(result),
         _z_score(result),
         *_disagreements(result),
         _phase_offset(result),
-        _pair(result),
         _at_most(
             "Touched landmarks",
             "mean distance over the heart from the pose that touched landmarks give",
@@ -109,15 +112,12 @@ def _phase_offset(result: RegistrationResult) -> Check:
     )
 
 
-def _pair(result: RegistrationResult) -> Check:
-    pair = result.evidence.pair
+def _pair(pair: PairEvidence) -> Check:
     name = "Self-consistency"
     measures = (
         "log-odds against the pose: from parts of the ultrasound registered on their own, the share of "
         "displaced starts that end here, what the next best pose explains, and the distance moved"
     )
-    if pair is None:
-        return Check(name, measures, "", "", Outcome.NOT_CHECKED)
     value = (
         f"{pair.doubt:.1f} (parts disagree by {pair.parts_mm:.2f} mm, {100 * pair.agreeing_starts:.0f} % of "
         f"the starts agree, the next best pose explains {100 * pair.next_best_share:.0f} %)"
@@ -130,7 +130,7 @@ def _search(result: RegistrationResult) -> Check:
     iterating = result.stop is Stop.MAX_ITERATIONS and result.moved_mm <= limit
     return Check(
         "Distance moved",
-        "mean distance over a heart's size between start and result"
+        f"mean distance between start and result, over a ball of {HEART_RADIUS_MM:g} mm radius"
         + ("; the search had not come to rest when it was stopped" if iterating else ""),
         f"{result.moved_mm:.1f} mm",
         f"at most {limit:.0f} mm",

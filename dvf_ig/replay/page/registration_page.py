@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 import dvf_ig
-from dvf_ig.core import DvfModel, Landmarks
+from dvf_ig.core import HEART_RADIUS_MM, DvfModel, Landmarks
 from dvf_ig.kernels.compiled import thread_count
 from dvf_ig.registration import RegistrationResult, least_constrained_direction
 from dvf_ig.report.plane_overlay import PlaneOverlay
@@ -72,6 +72,7 @@ def registration_page(
             about=f"{shown.about}, dvf_ig {dvf_ig.__version__}",
             usable=result.stop.usable,
             reason=_reason(result, checks),
+            stated=stated_rows(result),
             planes=shown.planes,
             anatomy=shown.anatomy,
             remark=shown.remark,
@@ -140,7 +141,7 @@ def _findings(result: RegistrationResult) -> list[tuple[str, str, str]]:
         (
             "moved by",
             f"{result.moved_mm:.1f} mm, turned by {turned_deg:.1f}°",
-            "from the start pose to the registered one; the distance is the mean over a heart's size",
+            f"from the start pose to the registered one; mean over a ball of {HEART_RADIUS_MM:g} mm radius",
         ),
         (
             "standard deviation",
@@ -166,7 +167,7 @@ def stated_rows(result: RegistrationResult) -> list[tuple[str, str]]:
     unbounded = why if result.evidence.pair is None else "none was calibrated for pairs of organs"
     return [
         ("success probability", why if chance is None else f"{chance:.2f}"),
-        ("error bound", unbounded if bound is None else f"{bound:.1f} mm at 95 %"),
+        ("largest error over the heart", unbounded if bound is None else f"below {bound:.1f} mm, at 95 %"),
     ]
 
 

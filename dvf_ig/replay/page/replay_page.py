@@ -9,7 +9,7 @@ from dvf_ig.core import FloatArray, PhaseState, Signal
 from dvf_ig.guidance import Hazard, SupervisorState
 from dvf_ig.registration import target_errors_mm
 from dvf_ig.replay.engine import Replay
-from dvf_ig.replay.result.pose_summary import suspensions
+from dvf_ig.replay.result.pose import suspensions
 from dvf_ig.replay.result.truth_at_ticks import true_contact, true_phases
 from dvf_ig.replay.table import table
 from dvf_ig.report.plane_overlay import PlaneOverlay
@@ -23,7 +23,7 @@ from dvf_ig.report.replay import (
     replay_html,
 )
 from dvf_ig.report.style import ESTIMATE, FAINT, GUIDE, START, WRONG
-from dvf_ig.session.pose_states import MAX_AGE_S
+from dvf_ig.session.pose_states import AGEING_MM_PER_S, MAX_AGE_S, MAX_BOUND_MM
 from dvf_ig.session.pose_transition import SUSPEND_LOG_RATIO
 
 from .planes import anatomy_of_heart, frame_overlays
@@ -50,11 +50,13 @@ def report_html(replay: Replay, result: dict[str, Any]) -> str:
                 RegistrationMark(a["ready_s"], a["usable"], a["reason"]) for a in result["registrations"]
             ],
             no_force=result["no_force"],
+            without_force_s=result["without_force_s"],
+            lost=_lost(replay, result),
             warnings=[f"{warning['key']}: {warning['sentence']}" for warning in result["warnings"]],
             overlays=_overlays(replay),
             beats=_beats(replay),
             ticks=_ticks(replay, true_phase),
-            supervisor=_supervisor(replay),
+            supervisor=_supervisor(replay, result),
             ecg=_ecg_strip(replay, true_phase),
         )
     )
@@ -121,8 +123,21 @@ def _ticks(replay: Replay, true_phase: FloatArray | None) -> TickTrace:
     )
 
 
-def _supervisor(replay: Replay) -> SupervisorTrace:
-    """Trace the four states, then the hazards, as far as they occurred."""
+def _lost(replay: Replay, result: dict[str, Any]) -> str | None:
+    """Say why no force could be given at the end: no pose, or a latch; None if one could."""
+    ticks, withheld = replay.ticks, result["withheld"]
+    end_s = float(ticks.t_s[-1])
+    if withheld and withheld[-1]["end_s"] == end_s:
+        return f"from {withheld[-1]['begin_s']:.1f} s on {withheld[-1]['why']}"
+    if ticks.supervisor[-1] == int(SupervisorState.LATCHED):
+        latched = np.flatnonzero(ticks.supervisor != int(SupervisorState.LATCHED))
+        since_s = float(ticks.t_s[latched[-1] + 1]) if len(latched) else float(ticks.t_s[0])
+        return f"latched from {since_s:.1f} s on"
+    return None
+
+
+def _supervisor(replay: Replay, result: dict[str, Any]) -> SupervisorTrace:
+    """Trace the four states, then the hazards, as far as they occurred; and the pose's age with its rules."""
     ticks = replay.ticks
     states = [(state.name.lower(), color, ticks.supervisor == state) for state, color in STATE_COLORS]
     hazards = [
@@ -131,7 +146,10 @@ def _supervisor(replay: Replay) -> SupervisorTrace:
         if hazard.name
     ]
     bands = tuple(band for band in (*states, *hazards) if band[2].any())
-    return SupervisorTrace(ticks.t_s, ticks.pose_age_s, MAX_AGE_S, bands)
+    withheld = tuple((span["begin_s"], span["end_s"], span["rule"]) for span in result["withheld"])
+    fresh_bound_mm = ticks.pose_bound_mm - AGEING_MM_PER_S * ticks.pose_age_s
+    limit_s = np.clip((MAX_BOUND_MM - fresh_bound_mm) / AGEING_MM_PER_S, 0.0, MAX_AGE_S)
+    return SupervisorTrace(ticks.t_s, ticks.pose_age_s, limit_s, withheld, bands)
 
 
 def _ecg_strip(replay: Replay, true_phase: FloatArray | None) -> EcgStrip:

@@ -7,9 +7,9 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from dvf_ig.core import AnyArray, BoolArray, FloatArray, Grid, Rigid, TrackedVolume, Volume
+from dvf_ig.report.plane_marks import viewed_upright
 from dvf_ig.report.plane_overlay import PlaneOverlay
 
-from .plane_names import viewed_upright
 from .planes import Anatomy, plane_overlay
 
 PIXELS = 256

@@ -13,7 +13,7 @@ from dvf_ig.session.reasons import no_force
 
 from .errors import ERROR_FIELDS, error_fields, margin_fields
 from .evidence import attempt_fields
-from .pose_fields import age_fields, bound_fields, tip_field, update_fields
+from .pose import age_fields, bound_fields, pose_bound_fields, tip_field, update_fields
 from .schema import SCHEMA, validate
 
 
@@ -55,6 +55,7 @@ def result_of(replay: Replay) -> dict[str, Any]:
         "tip_in_image": tip_field(replay),
         "registrations": [attempt_fields(a) for a in replay.attempts],
         "tre_bound_mm": bound_fields(replay),
+        "pose_bound_mm": pose_bound_fields(replay),
         **dict.fromkeys(ERROR_FIELDS),
     }
     out.update(error_fields(replay))

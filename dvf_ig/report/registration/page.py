@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import html
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from dvf_ig.core.arrays import FloatArray
 from dvf_ig.report.page import html_page, jpeg_tag, section, table
+from dvf_ig.report.plane_marks import LETTERS_NOTE
 from dvf_ig.report.plane_overlay import PlaneOverlay
 from dvf_ig.report.style import MR_ON_GREY, ON_GREY, jpeg_bytes
 
@@ -19,8 +20,11 @@ if TYPE_CHECKING:
 
 STYLE = """
 body { max-width: 1360px; }
-.verdict { font-size: 1.05rem; max-width: 95ch; padding: .6rem 1rem; print-color-adjust: exact; }
-.verdict b { font-size: 1.3rem; display: block; }
+.verdict { font-size: 1.05rem; display: block; padding: .6rem 1rem; print-color-adjust: exact; }
+.verdict b { font-size: 1.3rem; display: block; } .verdict span { display: block; }
+.mix { display: flex; gap: .8rem; align-items: center; max-width: 32rem; margin: .4rem 0 .8rem; }
+.mix input { flex: 1; accent-color: #0072b2; } @media print { .mix { display: none; } }
+.fade { position: relative; } .fade img + img { position: absolute; inset: 0; opacity: var(--mix, 1); }
 .planes { display: grid; grid-template-columns: repeat(4, 1fr); gap: .4rem; }
 @media (max-width: 900px) { .planes { grid-template-columns: repeat(2, 1fr); } }
 .planes figure { margin: 0; } .planes img { width: 100%; display: block; }
@@ -37,8 +41,7 @@ table.matrix td { font-variant-numeric: tabular-nums; text-align: right; border:
 """
 PLANES_NOTE = (
     "If ultrasound and anatomy agree, coloured regions end at the borders of grey ones, and lines continue "
-    "from square to square of the checkerboards. Letters at the edges: right (R) and left (L), front (A) "
-    "and back (P), head (H) and foot (F) of the patient by the pose of that picture."
+    f"from square to square of the checkerboards. {LETTERS_NOTE} by the pose of that picture."
 )
 OUTCOME_CLASS = {Outcome.PASSED: "passed", Outcome.FAILED: "failed"}
 
@@ -72,11 +75,18 @@ def _verdict(page: RegistrationPage) -> str:
         if page.usable
         else ("bad", "✕ REFUSED: this registration must not be used")
     )
-    return f"<p class='verdict {kind}' role=status><b>{head}</b> {html.escape(page.reason)}</p>"
+    lines = (f"{name}: {value}" for name, value in reversed(page.stated))
+    stated = "".join(f"<span>{html.escape(line)}</span>" for line in lines)
+    return f"<p class='verdict {kind}' role=status><b>{head}</b>{stated} {html.escape(page.reason)}</p>"
 
 
 def _planes(page: RegistrationPage) -> str:
-    return _key(page) + "".join(_plane(overlay, page) for overlay in page.planes)
+    slider = (
+        "<label class=mix>ultrasound <input type=range min=0 max=1 step=0.01 value=1 "
+        "oninput=\"document.body.style.setProperty('--mix', value)\"> "
+        f"with {html.escape(page.anatomy)} (registered pose)</label>"
+    )
+    return _key(page) + (slider if page.planes else "") + "".join(_plane(one, page) for one in page.planes)
 
 
 def _key(page: RegistrationPage) -> str:
@@ -99,30 +109,32 @@ def _plane(overlay: PlaneOverlay, page: RegistrationPage) -> str:
     poses = (("start pose", overlay.start, ""), (f"registered{refused}", overlay.registered, refused))
     contours = " and the model's contours" if overlay.registered.distance_mm is not None else ""
     contours = " and its outlines" if overlay.outline_levels else contours
-    figures = [
-        _figure(
-            fused_figure(overlay, anatomy), pose, f"{page.anatomy}{contours} over ultrasound", overlay, mark
-        )
-        for pose, anatomy, mark in poses
-    ] + [
-        _figure(
-            checkerboard_figure(overlay, anatomy),
-            pose,
-            f"checkerboard of ultrasound and {page.anatomy}",
-            overlay,
-            mark,
-        )
+    fused = f"{page.anatomy}{contours} over ultrasound"
+    board = f"checkerboard of ultrasound and {page.anatomy}"
+    figures = []
+    for pose, anatomy, mark in poses:
+        layers = {fused: fused_figure(overlay, anatomy)}
+        if anatomy is overlay.registered:
+            layers = {f"ultrasound{contours}": fused_figure(overlay, anatomy, tinted=False), **layers}
+        figures.append(_figure(layers, pose, overlay, mark))
+    figures += [
+        _figure({board: checkerboard_figure(overlay, anatomy)}, pose, overlay, mark)
         for pose, anatomy, mark in poses
     ]
     heading = ", ".join(part for part in (overlay.name, overlay.plane, overlay.moment) if part)
     return f"<h3>{html.escape(heading)}</h3><div class=planes>{''.join(figures)}</div>"
 
 
-def _figure(figure: Figure, pose: str, shows: str, overlay: PlaneOverlay, mark: str) -> str:
+def _figure(layers: Mapping[str, Figure], pose: str, overlay: PlaneOverlay, mark: str) -> str:
+    """Build a captioned picture from what it shows; of two layers the slider fades the upper one."""
     look = " class=refused" if mark else ""
+    tags = "".join(
+        jpeg_tag(jpeg_bytes(figure), f"{overlay.name}, {pose}: {shows}") for shows, figure in layers.items()
+    )
+    *_, caption = layers
     return (
-        f"<figure>{jpeg_tag(jpeg_bytes(figure), f'{overlay.name}, {pose}: {shows}')}"
-        f"<figcaption{look}>{html.escape(pose)}: {html.escape(shows)}</figcaption></figure>"
+        f"<figure><div class=fade>{tags}</div>"
+        f"<figcaption{look}>{html.escape(pose)}: {html.escape(caption)}</figcaption></figure>"
     )
 
 

@@ -24,9 +24,10 @@ TINT, STAIN = 0.55, 0.6
 """Colour that a bright pre-operative voxel adds to dark ultrasound, and removes from bright ultrasound."""
 
 
-def fused_figure(overlay: PlaneOverlay, anatomy: AnatomyPlane) -> Figure:
-    """Draw ultrasound in grey with the anatomy's grey levels in colour and the model's contours."""
-    figure = _panel(fused_rgb(overlay.image, anatomy.grey), overlay, anatomy)
+def fused_figure(overlay: PlaneOverlay, anatomy: AnatomyPlane, *, tinted: bool = True) -> Figure:
+    """Draw ultrasound in grey with the model's contours; if `tinted`, with the anatomy in colour."""
+    rgb = fused_rgb(overlay.image, anatomy.grey) if tinted else _grey(overlay.image)
+    figure = _panel(rgb, overlay, anatomy)
     axis = figure.axes[0]
     draw_contour(axis, anatomy.blood_mm, overlay.size_mm, "white", width=1.0, dashed=True, casing=True)
     draw_contour(axis, anatomy.distance_mm, overlay.size_mm, ON_GREY, width=1.7)

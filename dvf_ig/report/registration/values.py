@@ -75,6 +75,7 @@ class RegistrationPage:
         about: patient and program version.
         usable: whether the pose may be used.
         reason: for `usable`, in one clause.
+        stated: rows of what is stated about the error, and its value or why there is none.
         planes: ultrasound planes before and after registration.
         anatomy: pre-operative image in the planes, for example "MR".
         remark: a remark on the planes; may be empty.
@@ -90,6 +91,7 @@ class RegistrationPage:
     about: str
     usable: bool
     reason: str
+    stated: Sequence[tuple[str, str]]
     planes: Sequence[PlaneOverlay]
     anatomy: str
     remark: str

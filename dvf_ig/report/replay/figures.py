@@ -39,6 +39,8 @@ THIN = slice(None, None, 5)
 """Slice of the ticks that are drawn."""
 LARGEST_SHOWN_N = 0.65
 GOOD_TRE_MM = 2.0
+RULE_WIDTH = 0.12
+"""Share of the time axis that the name of a rule takes; names that would overlap are left out."""
 
 
 def overlay_figure(overlays: Sequence[PlaneOverlay]) -> Figure | None:
@@ -179,13 +181,31 @@ def supervisor_figure(trace: SupervisorTrace) -> Figure:
     upper.set_yticks(range(rows), [name for name, _, _ in trace.bands], fontsize=8)
     upper.set_ylim(rows - 0.4, -0.6)
     age_s = np.where(np.isfinite(trace.pose_age_s), trace.pose_age_s, np.nan)
-    handles = lower.plot(
+    handles: list[Artist] = lower.plot(
         trace.t_s[THIN], age_s[THIN], color=ESTIMATE, lw=0.8, label="since a beat confirmed the pose"
     )
-    limit = lower.axhline(trace.age_limit_s, color=TRUTH, lw=0.8, ls="--", label="pose withheld from here on")
-    lower.set(ylabel="pose age, s", xlabel="time, s", ylim=(0, 1.6 * trace.age_limit_s))
+    handles += lower.plot(
+        trace.t_s[THIN],
+        trace.age_limit_s[THIN],
+        color=TRUTH,
+        lw=0.8,
+        ls="--",
+        label="pose withheld from here on",
+    )
+    top_s = 1.6 * float(np.nanmax(trace.age_limit_s, initial=1.0))
+    lower.set(ylabel="pose age, s", xlabel="time, s", ylim=(0, top_s))
     lower.set_xlim(float(trace.t_s[0]), float(trace.t_s[-1]))
-    legend_below(figure, [*handles, limit])
+    named_s = -np.inf
+    for begin_s, end_s, rule in trace.withheld:
+        lower.axvspan(begin_s, end_s, color=SUSPENDED, lw=0, zorder=0)
+        if begin_s - named_s > RULE_WIDTH * (trace.t_s[-1] - trace.t_s[0]):
+            lower.annotate(
+                rule, (begin_s, 0.97 * top_s), xytext=(3, 0), textcoords="offset points", va="top", fontsize=8
+            )
+            named_s = begin_s
+    if trace.withheld:
+        handles.append(Patch(color=SUSPENDED, label="pose withheld"))
+    legend_below(figure, handles)
     return figure
 
 

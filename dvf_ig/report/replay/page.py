@@ -6,6 +6,7 @@ import html
 from collections.abc import Sequence
 
 from dvf_ig.report.page import html_page, image_tag, section, table
+from dvf_ig.report.plane_marks import LETTERS_NOTE
 
 from .figures import (
     distance_histogram,
@@ -26,8 +27,7 @@ def replay_html(page: ReplayPage) -> str:
     sections = (
         (
             "Ultrasound and model, before and after registration",
-            "The model's surface in the ultrasound plane at the phase of each frame. Letters at the edges: "
-            "right (R) and left (L), front (A) and back (P), head (H) and foot (F) of the patient.",
+            f"The model's surface in the ultrasound plane at the phase of each frame. {LETTERS_NOTE}.",
             overlay_figure(page.overlays),
         ),
         (
@@ -51,7 +51,9 @@ def replay_html(page: ReplayPage) -> str:
         (
             "Supervisor",
             "When the force was given in full, with a warning or rising (degraded), released (fade), or "
-            "withheld until the operator re-armed (latched); the hazards behind it.",
+            "withheld until the operator re-armed (latched); the hazards behind it. Below: the age of the "
+            "pose, the age at which it is withheld (by its age, or because its 95 % bound has grown too "
+            "large), and the times in which it was withheld, each with the rule that acted.",
             supervisor_figure(page.supervisor),
         ),
         (
@@ -89,15 +91,21 @@ def _warnings(sentences: Sequence[str]) -> str:
 
 
 def _verdict(page: ReplayPage) -> str:
+    """Build the banner: red without any force, amber if none could be given at the end, green otherwise."""
     registrations = page.registrations
     used = any(mark.usable for mark in registrations)
     last = registrations[-1].reason if registrations else "the recording is too short to register"
-    if used and page.no_force is not None:
-        return f"<p class='verdict bad'>No force was given: {html.escape(page.no_force)}</p>"
-    if used and registrations[-1].usable:
-        return "<p class='verdict good'>Registered: force was given in valid state only</p>"
-    if used:
-        text = f"Registered, but not to the end; the last attempt: {last}"
+    without = f"no force for {page.without_force_s:.1f} s of the time since the first pose"
+    if not used:
+        kind, text = "bad", f"Not registered, no force was given: {last}"
+    elif page.no_force is not None:
+        kind, text = "bad", f"No force was given: {page.no_force}"
+    elif page.lost is not None:
+        kind, text = "warn", f"Registered, but lost before the end: {page.lost}; {without}"
+    elif not registrations[-1].usable:
+        kind, text = "warn", f"Registered, but the last registration was refused: {last}; {without}"
+    elif page.without_force_s > 0.0:
+        kind, text = "good", f"Registered to the end; {without}"
     else:
-        text = f"Not registered, no force was given: {last}"
-    return f"<p class='verdict bad'>{html.escape(text)}</p>"
+        kind, text = "good", "Registered to the end; force could be given from the first pose on"
+    return f"<p class='verdict {kind}'>{html.escape(text)}</p>"

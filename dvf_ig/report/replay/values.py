@@ -73,14 +73,16 @@ class SupervisorTrace:
     Attributes:
         t_s: (n,) tick times.
         pose_age_s: (n,) since a heart beat confirmed the pose; infinite before the first.
-        age_limit_s: age from which a pose is withheld.
+        age_limit_s: (n,) age at which the pose would be withheld, by its age or by its bound.
+        withheld: (begin, end, rule) of each time in which it was; s, and the rule in a few words.
         bands: name and colour of a state or hazard, with (n,) ticks in which it was active; only those that
             occurred.
     """
 
     t_s: FloatArray
     pose_age_s: FloatArray
-    age_limit_s: float
+    age_limit_s: FloatArray
+    withheld: tuple[tuple[float, float, str], ...]
     bands: tuple[tuple[str, str, BoolArray], ...]
 
 
@@ -117,6 +119,8 @@ class ReplayPage:
         estimates: rows of quantity, estimate, error against the ground truth.
         registrations: in order.
         no_force: why no force was given, and what to do; None if one was given.
+        without_force_s: time from the first pose on in which the force was released or withheld.
+        lost: why no force could be given at the end of the recording; None if it could.
         warnings: contradictions between the recordings, one sentence each.
         overlays: frames of the last registration in use; may be empty.
         beats: None if no beat was compared.
@@ -131,6 +135,8 @@ class ReplayPage:
     estimates: Sequence[tuple[str, str, str]]
     registrations: Sequence[RegistrationMark]
     no_force: str | None
+    without_force_s: float
+    lost: str | None
     warnings: Sequence[str]
     overlays: Sequence[PlaneOverlay]
     beats: BeatTrace | None

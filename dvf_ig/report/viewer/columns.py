@@ -23,7 +23,7 @@ STEPS: dict[str, float] = {
     "supervisor": 1.0,
     "hazards": 1.0,
     "pose_age_s": 1e-3,
-    "tre_bound_mm": 1e-3,
+    "pose_bound_mm": 1e-3,
     "margin_mm": 1e-4,
 }
 """Rounding step of each column, as in `ticks.csv`; `force_mr` and `shaft_mr` are not in that file."""

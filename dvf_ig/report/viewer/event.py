@@ -40,7 +40,7 @@ def state_event(state: GuidanceState) -> dict[str, Any]:
         **_axes(FORCE_TRACKER, state.force_n),
         **_axes(FORCE_MR, force_mr),
         "pose_age_s": state.pose_age_s,
-        "tre_bound_mm": state.tre_bound_mm,
+        "pose_bound_mm": state.pose_bound_mm,
         "margin_mm": float(state.margin_mm[0]),
     }
     hazards = Hazard(state.supervised.hazards)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -37,6 +37,7 @@ class Mark:
     Attributes:
         kind: "registration", "refused" or "suspended".
         text: a sentence.
+        bound_mm: 95 % bound on the largest error over the heart, of a registration that states one.
         until_s: end of an event that lasted; None for one that did not.
     """
 
@@ -44,6 +45,7 @@ class Mark:
     kind: str
     text: str
     until_s: float | None = None
+    bound_mm: float | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,10 +82,7 @@ def series_payload(series: SeriesInput) -> dict[str, Any]:
         "breathing": _signal(series.breathing),
         "r_peaks_s": series.r_peaks_s.round(6).tolist(),
         "frames": None if series.frames is None else frames_payload(series.frames),
-        "marks": [
-            {"t_s": mark.t_s, "kind": mark.kind, "text": mark.text, "until_s": mark.until_s}
-            for mark in series.marks
-        ],
+        "marks": [asdict(mark) for mark in series.marks],
     }
 
 

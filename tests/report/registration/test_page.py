@@ -46,6 +46,7 @@ def page() -> RegistrationPage:
         about="patient nobody, dvf_ig 0",
         usable=True,
         reason="It converged.",
+        stated=[("success probability", "0.96"), ("largest error over the heart", "below 3.1 mm, at 95 %")],
         planes=[overlay(), overlay(name="frame 9", event_s=None)],
         anatomy="MR",
         remark="",
@@ -66,14 +67,15 @@ def test_the_page_is_one_wellformed_file_that_loads_nothing() -> None:
     text = registration_html(page())
     outline = outline_of(text)
     assert outline.faults == []
-    assert len(outline.loaded) == 8
+    assert len(outline.loaded) == 10
     assert all(entry.startswith("img data:image/jpeg;base64,") for entry in outline.loaded)
     assert "url(" not in text
     assert "http" not in text
     assert "<script" not in text
     alts = [image["alt"] for image in outline.images]
-    assert len(set(alts)) == 8
-    assert alts[1] == "frame 3, registered: MR and the model's contours over ultrasound"
+    assert len(set(alts)) == 10
+    assert alts[1] == "frame 3, registered: ultrasound and the model's contours"  # which the slider uncovers
+    assert alts[2] == "frame 3, registered: MR and the model's contours over ultrasound"
     assert "Registration of &lt;toy&gt;" in text
     assert "distance &lt;of&gt; halves" in text
 
@@ -83,6 +85,7 @@ def test_it_says_whether_the_pose_may_be_used() -> None:
     assert "class='verdict good'" in good
     assert "✓ This registration may be used" in good
     assert "REFUSED" not in good
+    assert good.index("<span>largest error over the heart: below 3.1 mm, at 95 %</span>") < good.index("<h2>")
     assert "class='verdict bad'" in bad
     assert "✕ REFUSED: this registration must not be used" in bad
     assert "may be used" not in bad

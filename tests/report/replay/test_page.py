@@ -23,6 +23,7 @@ from dvf_ig.report.replay.figures import (
     overlay_figure,
     phase_error_figure,
     pose_figure,
+    supervisor_figure,
 )
 
 T_S = np.arange(4000) / 1000.0
@@ -70,6 +71,8 @@ def page() -> ReplayPage:
         estimates=[("tool tip", "(0, 0, 0) mm", "0.1 mm")],
         registrations=[RegistrationMark(1.0, True, "converged"), RegistrationMark(3.0, True, "converged")],
         no_force=None,
+        without_force_s=0.0,
+        lost=None,
         warnings=[],
         overlays=[overlay(), overlay()],
         beats=BeatTrace(
@@ -84,7 +87,8 @@ def page() -> ReplayPage:
         supervisor=SupervisorTrace(
             T_S,
             np.where(T_S < 1.0, np.inf, 0.5),
-            5.0,
+            np.minimum(5.0, 6.0 - T_S),
+            ((3.0, 4.0, "3 beats missed"),),
             (("ok", "#1f6fb4", VALID), ("no pose", "#888888", ~VALID)),
         ),
         ecg=EcgStrip(
@@ -105,7 +109,7 @@ def test_the_page_holds_every_figure_and_is_self_contained() -> None:
     assert text.count("data:image/png;base64,") == 7
     assert "Replay of toy &lt;1&gt;" in text
     assert "<td>tool tip</td><td>(0, 0, 0) mm</td><td>0.1 mm</td>" in text
-    assert "Registered: force was given in valid state only" in text
+    assert "verdict good'>Registered to the end; force could be given from the first pose on" in text
 
 
 def test_without_ground_truth_and_registration_there_is_less() -> None:
@@ -118,16 +122,38 @@ def test_without_ground_truth_and_registration_there_is_less() -> None:
     assert "Not registered, no force was given: the recording is too short to register" in text
 
 
+LOST = "from 17.3 s on 3 heart beats in a row did not confirm the pose"
+
+
 @pytest.mark.parametrize(
-    ("usable", "verdict"),
+    ("usable", "lost", "verdict"),
     [
-        ((True, False), "Registered, but not to the end; the last attempt: &lt;why&gt;"),
-        ((False, False), "Not registered, no force was given: &lt;why&gt;"),
+        (
+            (True, False),
+            None,
+            "warn'>Registered, but the last registration was refused: &lt;why&gt;; no force for",
+        ),
+        (
+            (True, True),
+            LOST,
+            f"warn'>Registered, but lost before the end: {LOST}; no force for 12.7 s of the",
+        ),
+        ((True, True), None, "good'>Registered to the end; no force for 12.7 s"),
+        ((False, False), None, "bad'>Not registered, no force was given: &lt;why&gt;"),
     ],
 )
-def test_the_verdict_is_of_the_last_registration(usable: tuple[bool, bool], verdict: str) -> None:
+def test_the_banner_is_amber_where_the_pose_was_lost(
+    usable: tuple[bool, bool], lost: str | None, verdict: str
+) -> None:
     marks = [RegistrationMark(float(k), good, "<why>") for k, good in enumerate(usable)]
-    assert verdict in replay_html(replace(page(), registrations=marks))
+    shown = replace(page(), registrations=marks, lost=lost, without_force_s=12.7)
+    assert f"verdict {verdict}" in replay_html(shown)
+
+
+def test_the_supervisors_picture_draws_the_rule_that_acted() -> None:
+    _, lower = supervisor_figure(page().supervisor).axes
+    np.testing.assert_array_equal(y_of(lower.lines[1]), np.minimum(5.0, 6.0 - T_S)[::5])
+    assert [text.get_text() for text in lower.texts] == ["3 beats missed"]
 
 
 def test_surfaces_are_drawn_where_the_distance_is_zero() -> None:

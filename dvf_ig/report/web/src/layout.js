@@ -84,7 +84,7 @@ export function legendRows(scene, series) {
   const widened = (series.columns.margin_mm ?? []).some((one) => one > 0);
   return [
     has("organ") && ["organ", COLORS.organ, `${words(has("organ").name)} surface`],
-    has("blood") && ["blood", COLORS.blood, "blood in the chambers"],
+    has("blood") && ["blood", COLORS.blood, "blood in all chambers (blue for contrast)"],
     scene.image && ["plane", COLORS.plane, "ultrasound plane"],
     fixture && ["fixture", COLORS.fixture, `${fixture.name}, ${fixture.label}${widened ? " without margin" : ""}`],
     ...paths.map((one) => ["path", COLORS.fixture, `${one.name || "path"}, line to follow`]),
@@ -97,20 +97,23 @@ export const words = (name) => name.toLowerCase().replaceAll("_", " ");
 
 const sided = (value, [minus, plus]) => `${value < 0 ? minus : plus} ${Math.abs(value).toFixed(1)}`;
 
+const bounded = (mm) => (mm === null || mm === undefined ? "–" : `< ${united(mm, 1, "mm")}`);
+
 /** The numbers of one moment, as HTML rows. */
-export function numberRows(values, scene) {
+export function numberRows(values, scene, registration) {
   if (!values) return "";
   const tip = ["x", "y", "z"].map((axis) => values[`tip_mr_${axis}_mm`]);
   const place = tip.some((one) => one === null) ? "–" : tip.map((one, a) => sided(one, ["RL", "AP", "IS"][a])).join("  ");
   const rate = values.rr_s ? `${(60 / values.rr_s).toFixed(0)} /min` : "–";
   const rows = [
-    ["force", united(values.force_n, 3, "N"), "big"],
-    ["distance", united(values.distance_mm, 2, "mm"), "big"],
-    ["phase of the beat", values.phase_valid ? united(100 * values.phi, 1, "%") : "not locked", ""],
-    ["of the model", values.model_phase === null ? "–" : united(100 * values.model_phase, 1, "%"), ""],
+    ["force", united(values.force_n, 2, "N"), "big"],
+    ["distance", united(values.distance_mm, 1, "mm"), "big"],
+    ["phase of the beat", values.phase_valid ? united(100 * values.phi, 0, "%") : "not locked", ""],
+    ["of the model", values.model_phase === null ? "–" : united(100 * values.model_phase, 0, "%"), ""],
     ["heart rate", rate, ""],
-    ["TRE bound, 95 %", values.tre_bound_mm === null ? "–" : `< ${united(values.tre_bound_mm, 1, "mm")}`, ""],
-    ["pose age", values.pose_age_s === null ? "–" : united(values.pose_age_s, 2, "s"), ""],
+    ["pose error, RMS, 95 %", bounded(values.pose_bound_mm), ""],
+    ["largest, at registration", bounded(registration?.bound_mm), ""],
+    ["pose age", values.pose_age_s === null ? "–" : united(values.pose_age_s, 1, "s"), ""],
     ["margin", united(values.margin_mm, 1, "mm"), ""],
     ["tip, mm", place, "wide"],
   ];

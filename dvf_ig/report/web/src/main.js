@@ -18,7 +18,7 @@ import { localTheme, rememberTheme } from "./theme.js";
 
 class Viewer {
   constructor(scene, heart, series) {
-    Object.assign(this, { scene, heart, series, t: series.begin, playing: false, speed: 1 });
+    Object.assign(this, { scene, heart, series, t: series.firstContact, playing: false, speed: 1 });
     this.$ = layOut(scene);
     this.applyTheme(localTheme());
     this.space = new Space(this.$("space"), scene, heart);
@@ -107,7 +107,7 @@ class Viewer {
     } else {
       this.strips.draw(this.t, values);
       this.overview.draw(this.t);
-      this.$("numbers").innerHTML = numberRows(values, this.scene);
+      this.$("numbers").innerHTML = numberRows(values, this.scene, series.registration(this.t));
       this.texts(values, frame, plane);
     }
     if (this.image) this.picture(frame, { plane, tip, force, margin: values.margin_mm ?? 0, phase: frame < 0 ? null : series.frames.model_phase[frame] });
@@ -163,7 +163,7 @@ class Viewer {
 
   texts(values, frame, plane) {
     const { $, series } = this;
-    $("time").textContent = series.live ? `${this.t.toFixed(1)} s` : `${this.t.toFixed(3)} s of ${series.end.toFixed(1)} s`;
+    $("time").textContent = series.live ? `${this.t.toFixed(1)} s` : `${this.t.toFixed(2)} s of ${series.end.toFixed(1)} s`;
     $("overview").setAttribute("aria-valuenow", this.t.toFixed(3));
     $("overview").setAttribute("aria-valuetext", `${this.t.toFixed(1)} s`);
     $("overview").setAttribute("aria-valuemin", series.begin.toFixed(3));
@@ -261,7 +261,7 @@ async function start() {
   const viewer = new Viewer(scene, heart, series);
   if (series.live) listen(viewer);
   await viewer.seekShown(viewer.t);
-  if (viewer.registration) viewer.view("plane");
+  if (viewer.space.moment?.plane) viewer.view("plane");
   window.dvf = {
     ready: true,
     ready_ms: performance.now(),

@@ -4,6 +4,7 @@ import { unpacked } from "./payload.js";
 
 export const AXES = ["x", "y", "z"];
 const KEPT_S = 60;
+const FELT_N = 0.05;
 const WORDS = ["status", "supervisor", "hazards"];
 
 /** Index of the last entry of `times` that is not after `t`; -1 before the first. */
@@ -40,6 +41,19 @@ export class Series {
 
   get end() {
     return this.t[this.t.length - 1] ?? 0;
+  }
+
+  /** Time at which the page opens: of the first force, else of the first pose, else the begin. */
+  get firstContact() {
+    if (!this.columns.force_tracker_x_n) return this.begin;
+    const felt = this.t.findIndex((_, i) => this.force(i) > FELT_N);
+    const placed = this.columns.tip_mr_x_mm.findIndex((x) => !Number.isNaN(x));
+    return this.t[felt] ?? this.t[placed] ?? this.begin;
+  }
+
+  /** Registration in use at `t`, with the bound that it states; none before the first. */
+  registration(t) {
+    return this.marks.findLast((one) => one.kind === "registration" && one.t_s <= t);
   }
 
   /** Index of the tick at `t`: the nearest one. */
@@ -150,7 +164,7 @@ export const COLUMNS = [
   "distance_mm",
   ...WORDS,
   "pose_age_s",
-  "tre_bound_mm",
+  "pose_bound_mm",
   "margin_mm",
 ];
 

@@ -131,17 +131,6 @@ export class TargetPath {
   }
 }
 
-/** A letter that names a side of the patient; drawn by `Space.retheme`. */
-export function sideMark(letter, place) {
-  const canvas = document.createElement("canvas");
-  canvas.width = canvas.height = 64;
-  const sprite = new Sprite(new SpriteMaterial({ map: new CanvasTexture(canvas), depthTest: false, transparent: true, sizeAttenuation: false }));
-  sprite.position.copy(place);
-  sprite.scale.setScalar(0.028);
-  sprite.renderOrder = 9;
-  return { letter, canvas, group: sprite };
-}
-
 /** A point in a ball of the bound on its error. */
 export function targetMark(target, bound) {
   const group = new Group();

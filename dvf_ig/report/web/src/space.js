@@ -5,7 +5,7 @@ import {
 } from "three";
 import { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
 import { themeColor } from "./colors.js";
-import { ForceArrow, planeEdge, sideMark, surfaceMeshes, TargetPath, targetMark, Tool } from "./shapes.js";
+import { ForceArrow, planeEdge, surfaceMeshes, TargetPath, targetMark, Tool } from "./shapes.js";
 import { UltrasoundSheet } from "./sheet.js";
 
 const SIDES = [
@@ -19,13 +19,11 @@ export class Space {
     this.scene = new Scene();
     this.center = new Vector3(...heart.center);
     this.camera = new PerspectiveCamera(28, 1, 10, 3000);
-    this.camera.up.set(0, 0, 1);
     this.renderer = new WebGLRenderer({ antialias: true, preserveDrawingBuffer: true });
     this.renderer.localClippingEnabled = true;
     host.prepend(this.renderer.domElement);
-    this.controls = new OrbitControls(this.camera, this.renderer.domElement);
+    this.orbit(new Vector3(0, 0, 1));
     this.controls.target.copy(this.center);
-    this.controls.addEventListener("change", () => (this.dirty = true));
     this.half = halfExtents(heart, this.center);
     this.radius = Math.hypot(this.half[0], this.half[1], this.half[2]) / 1.25;
     this.shown = { organ: true, blood: true, fixture: true, plane: true, field: true };
@@ -37,7 +35,7 @@ export class Space {
     this.paths = (scene.fixtures ?? []).filter((one) => one.path_mm).map((one) => this.added(new TargetPath(one)));
     this.tool = this.added(new Tool());
     this.force = this.added(new ForceArrow());
-    this.sides = SIDES.map(([letter, direction]) => this.added(this.markAt(letter, direction)));
+    this.sides = SIDES.map(([letter, direction]) => ({ mark: sideMark(host, letter), direction: new Vector3(...direction) }));
     this.targets = (scene.targets ?? []).map((one) => this.added(targetMark(one, scene.bound_mm)));
     for (const one of scene.planes ?? []) this.added(planeEdge(one, scene.image));
     this.preset("front");
@@ -50,10 +48,12 @@ export class Space {
     return shape;
   }
 
-  /** A letter beyond the heart, at its middle. */
-  markAt(letter, direction) {
-    const axis = direction.findIndex((one) => one !== 0);
-    return sideMark(letter, this.center.clone().addScaledVector(new Vector3(...direction), this.half[axis] + 14));
+  /** Turns about the axis that is up from now on. */
+  orbit(up) {
+    this.controls?.dispose();
+    this.camera.up.copy(up);
+    this.controls = new OrbitControls(this.camera, this.renderer.domElement);
+    this.controls.addEventListener("change", () => (this.dirty = true));
   }
 
   light() {
@@ -68,16 +68,6 @@ export class Space {
   retheme() {
     this.scene.background = new Color(themeColor("space"));
     this.veil = Number(themeColor("veil"));
-    for (const { letter, canvas, group } of this.sides) {
-      const draw = canvas.getContext("2d");
-      draw.clearRect(0, 0, 64, 64);
-      draw.font = "600 44px system-ui, sans-serif";
-      draw.textAlign = "center";
-      draw.textBaseline = "middle";
-      draw.fillStyle = themeColor("mark");
-      draw.fillText(letter, 32, 34);
-      group.material.map.needsUpdate = true;
-    }
     this.dirty = true;
   }
 
@@ -113,19 +103,20 @@ export class Space {
     this.dirty = true;
   }
 
-  /** Views: of the patient, face to face with the plane, close to the tool. */
+  /** Views: of the patient, of the plane as the image panel shows it, close to the tool. */
   preset(name) {
     const toward = { front: [0.35, -1, 0.42], left: [1, -0.25, 0.3], above: [0.1, -0.35, 1], back: [-0.4, 1, 0.4] };
     const { plane, tip, force } = this.moment ?? {};
     let direction = new Vector3(...(toward[name] ?? toward.front)).normalize();
     const target = this.center.clone();
     let distance = 1.1 * this.radius;
+    let up = new Vector3(0, 0, 1);
     if (name === "plane" && plane) {
-      direction = new Vector3(...plane.normal);
-      if (direction.y > 0) direction.negate();
-      direction.addScaledVector(new Vector3(...plane.down).normalize(), -0.12).normalize();
-      distance = 1.05 * this.radius;
+      up = new Vector3(...plane.down).normalize().negate();
+      direction = new Vector3(...plane.normal).negate().addScaledVector(up, 0.12).normalize();
+      distance = 1.2 * this.radius;
     }
+    this.orbit(up);
     if (name === "tool" && tip) {
       const away = new Vector3(...tip).sub(this.center).normalize();
       const across = new Vector3().crossVectors(away, this.camera.up).normalize();
@@ -164,6 +155,20 @@ export class Space {
     return [((p.x + 1) / 2) * this.host.clientWidth, ((1 - p.y) / 2) * this.host.clientHeight];
   }
 
+  /** Letters around the scene; one towards or away from the eye would name no side of what is seen. */
+  placeLetters() {
+    const { clientWidth: width, clientHeight: height } = this.host;
+    const [across, upwards] = [0, 1].map((a) => new Vector3().setFromMatrixColumn(this.camera.matrixWorld, a));
+    const room = [Math.min(width / 2 - 20, height / 2 + 80), height / 2 - 22];
+    for (const { mark, direction } of this.sides) {
+      const [x, y] = [direction.dot(across), -direction.dot(upwards)];
+      const size = Math.hypot(x, y);
+      mark.hidden = size < 0.7;
+      mark.style.left = `${width / 2 + (room[0] * x) / size}px`;
+      mark.style.top = `${height / 2 + (room[1] * y) / size}px`;
+    }
+  }
+
   render() {
     if (!this.dirty) return false;
     this.dirty = false;
@@ -174,9 +179,7 @@ export class Space {
       this.cutPlane.setFromNormalAndCoplanarPoint(new Vector3(...plane.normal), new Vector3(...plane.origin));
       if (this.cutPlane.distanceToPoint(eye) > 0) this.cutPlane.negate();
     }
-    const view = eye.clone().sub(this.controls.target).normalize();
-    // a letter towards the eye would lie over the heart and name no side of what is seen
-    this.sides.forEach(({ group }, i) => (group.visible = Math.abs(view.dot(new Vector3(...SIDES[i][1]))) < 0.7));
+    this.placeLetters();
     for (const { surface, solid, veil } of this.surfaces) {
       const shell = surface.role === "fixture";
       const blood = surface.role === "blood";
@@ -188,6 +191,15 @@ export class Space {
     this.renderer.render(this.scene, this.camera);
     return true;
   }
+}
+
+/** A letter that names a side of the patient. */
+function sideMark(host, letter) {
+  const mark = document.createElement("b");
+  mark.className = "over side";
+  mark.textContent = letter;
+  host.append(mark);
+  return mark;
 }
 
 /** How far the organ reaches from its centre along each axis. */

@@ -32,13 +32,13 @@ export class Strips {
         rows.push({ name: signals[name].label, unit: signals[name].unit, weight: 1.3, signal: name, color: "ink" });
     rows.push(
       { name: "phase", unit: "% of the beat", weight: 0.9, value: column("phi"), range: [0, 1], percent: true, jump: 0.5, color: "blue",
-        shown: (v) => (v.phase_valid ? united(100 * v.phi, 1, "%") : "not locked"), faint: (i) => !this.series.columns.phase_valid[i] },
+        shown: (v) => (v.phase_valid ? united(100 * v.phi, 0, "%") : "not locked"), faint: (i) => !this.series.columns.phase_valid[i] },
       { name: "force", unit: "N", weight: 1.3, value: (i) => this.series.force(i), range: [0, 1.06 * cap], line: cap, color: "force",
-        shown: (v) => united(v.force_n, 3, "N") },
+        shown: (v) => united(v.force_n, 2, "N") },
       { name: "distance", unit: "mm, inside > 0", weight: 1.3, value: column("distance_mm"), range: [-12, 4], line: 0, color: "organ",
-        shown: (v) => united(v.distance_mm, 2, "mm") },
-      { name: "TRE bound", unit: "mm, 95 %", weight: 0.9, value: column("tre_bound_mm"), range: [0, 4], fit: "tre_bound_mm", color: "plane",
-        shown: (v) => (v.tre_bound_mm === null ? "–" : `< ${united(v.tre_bound_mm, 1, "mm")}`) },
+        shown: (v) => united(v.distance_mm, 1, "mm") },
+      { name: "pose error", unit: "mm RMS, 95 % bound", weight: 0.9, value: column("pose_bound_mm"), range: [0, 4], fit: "pose_bound_mm", color: "plane",
+        shown: (v) => (v.pose_bound_mm === null ? "–" : `< ${united(v.pose_bound_mm, 1, "mm")}`) },
       { name: "supervisor", unit: "", weight: 0.6, states: true, shown: (v) => v.supervisor },
     );
     return rows;
