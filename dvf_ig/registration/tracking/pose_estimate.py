@@ -61,7 +61,7 @@ INFORMATIVE_LOG_RATIO = 1.5
 tuning seeds 101 to 103 good poses have 3.1 or more with poor images, 8 with few slices, 15 calm; black images
 have 0, noise and speckle of any grain up to 0.44."""
 TARGET_RADIUS_MM = 82.0
-"""RMS distance of targets (landmarks; corners, edges and faces of the heart's box) from the box's centre: 82 to
+"""RMS distance of targets (landmarks; corners, edges, faces of the heart's box) from the box's centre: 82 to
 83 mm in tuning hearts 101 to 104. A turn moves them by 2.05 times what it moves points at HEART_RADIUS_MM."""
 MEAN_SQUARE_OF_COORDINATES = np.array([2 / 3 * (TARGET_RADIUS_MM / HEART_RADIUS_MM) ** 2] * 3 + [1.0] * 3)
 """Mean square distance over the targets for a unit of each coordinate."""
