@@ -114,7 +114,8 @@ def _draw_plane(
     top = float(np.percentile(grey, 99.5))
     width, height = (high - low).tolist()
     axis.imshow(grey, cmap="gray", vmin=0.0, vmax=max(top, 1e-9), extent=(0.0, width, height, 0.0))
-    parts = [(phases[1], slice(None), ":", FAINT), (phases[0], ~caps, "-", ON_GREY)]
+    whole = np.ones_like(caps)
+    parts = [(phases[1], whole, ":", FAINT), (phases[0], ~caps, "-", ON_GREY)]
     if caps.any():
         parts.append((phases[0], caps, "--", MR_ON_GREY))
     for phase, part, style, colour in parts:

@@ -6,13 +6,19 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
+from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import pytest
 import typer
 from waiting import WITHIN_S, until
 
+from dvf_ig.cli.serve.log import LOG, LogLevel, logged
 from dvf_ig.cli.serve.undrained import MOST_CHARACTERS, queued_stderr
-from dvf_ig.live.sentences import MOST_KINDS, CountedSentences, counted
+from dvf_ig.guidance import SupervisorState
+from dvf_ig.live.sentences import MOST_KINDS, REARM, CountedSentences, Narrator, counted
+from dvf_ig.session import GuidanceState
 
 
 def test_each_kind_is_told_at_once_and_then_counted() -> None:
@@ -110,3 +116,48 @@ def test_a_stream_without_a_file_is_written_too(monkeypatch: pytest.MonkeyPatch)
         with pytest.raises(TypeError, match="text is needed"):
             sys.stderr.write(b"bytes")
     assert stream.getvalue() == "text\n"
+
+
+def test_changes_of_a_session_are_reported_once_and_a_latch_at_once(tmp_path: Path) -> None:
+    said: list[str] = []
+    narrator = Narrator(said.append)
+
+    def step(now_s: float, supervisor: SupervisorState, *reasons: str) -> None:
+        state = SimpleNamespace(
+            now_s=now_s, supervisor=supervisor, reasons=reasons, registration=None, rearmed=None
+        )
+        narrator.state(cast("GuidanceState", state))
+
+    narrator.peers(["127.0.0.1:18944"], None)
+    for now_s in (5.0, 5.2, 5.4, 6.0):
+        step(now_s, SupervisorState.FADE, "the patient is not registered")
+    for now_s in (7.0, 7.1, 7.5):
+        step(now_s, SupervisorState.OK)
+    step(7.6, SupervisorState.FADE, "a flicker")
+    step(7.7, SupervisorState.DEGRADED)
+    step(9.0, SupervisorState.LATCHED, "the tool is lost")
+    narrator.peers([], "127.0.0.1:18944: the peer closed the connection")
+    assert said == [
+        "connected: 127.0.0.1:18944",
+        "the first pose of the tool has come: the session runs",
+        "0.4 s: no force: the patient is not registered",
+        "2.5 s: force is given",
+        f"4.0 s: LATCHED, no force: the tool is lost; {REARM}",
+        "disconnected: 127.0.0.1:18944: the peer closed the connection",
+    ]
+
+
+@pytest.mark.parametrize(("level", "shown"), [(LogLevel.info, ["connected"]), (LogLevel.warning, [])])
+def test_messages_go_to_the_terminal_and_with_times_to_a_file(
+    level: LogLevel, shown: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "serve.log"
+    with logged(level, file):
+        LOG.info("connected")
+        LOG.warning("100 %s of a frame")
+    assert capsys.readouterr().err.splitlines() == shown
+    lines = file.read_text(encoding="utf-8").splitlines()
+    assert [line.split(maxsplit=2)[2] for line in lines] == [
+        *(f"INFO {text}" for text in shown),
+        "WARNING 100 %s of a frame",
+    ]

@@ -3,6 +3,7 @@
 import signal
 import sys
 import threading
+from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
@@ -29,8 +30,9 @@ from dvf_ig.cli.fixture_options import (
     with_margin,
 )
 from dvf_ig.cli.session_argument import ModelOption, require_own_model
-from dvf_ig.cli.shell import JsonFlag, SeedOption, ThreadsOption, command, emit, output_dir, warn
+from dvf_ig.cli.shell import JsonFlag, SeedOption, ThreadsOption, command, emit, output_dir, output_file, warn
 
+from .log import LOG, LogLevel, logged
 from .setup import live_setup
 from .undrained import queued_stderr
 
@@ -99,6 +101,15 @@ def serve(
             "--page", min=0, max=65535, help="Show the session at http://127.0.0.1:PORT; 0 takes a free one."
         ),
     ] = None,
+    log_level: Annotated[
+        LogLevel, typer.Option("--log-level", help="Least severe messages that are shown and logged.")
+    ] = LogLevel.info,
+    log_file: Annotated[
+        Path | None,
+        typer.Option(
+            "--log-file", callback=output_file, help="Append the messages with their times to this file."
+        ),
+    ] = None,
     law: LawOption = None,
     gamma: GammaOption = None,
     delta: DeltaOption = None,
@@ -118,9 +129,10 @@ def serve(
 
     Sends MrFromTracker and ToolForce (TRANSFORM, at most 60 a second), DvfIg (STATUS) and DvfIgState
     (STRING). Other machines are refused unless --allow names them. At the end latency and counts are printed.
+    It reports who connects, registrations, and whenever force is given, released or latched, with the reason.
     In a terminal, r and Enter re-arms after a latch; the network never does.
     """
-    with queued_stderr(), command(threads):
+    with queued_stderr(), command(threads), logged(log_level, log_file):
         from dvf_ig.intake import read_session
         from dvf_ig.live.serve import require_allowed
 
@@ -197,19 +209,22 @@ def _run_session(
     """Until it ends; what it did, as JSON values."""
     from dvf_ig.live.ecg.source import ecg_events
     from dvf_ig.live.page import PageFeed, PageServer
-    from dvf_ig.live.sentences import counted
+    from dvf_ig.live.sentences import Narrator, counted, narrated
     from dvf_ig.live.serve import LiveOptions, live_session
 
     feed = None if page is None else PageFeed(ready.setup, live.ecg.rate_hz, history)
 
+    newest: deque[Answer] = deque(maxlen=1)
+
     def observe(answer: "Answer") -> None:
         summary.add(answer)
+        newest.append(answer)
         if feed is not None:
             feed.observe(answer)
 
     with ExitStack() as stack:
         end_requested = stack.enter_context(_end_requests())
-        tell = stack.enter_context(counted(warn))
+        tell = stack.enter_context(counted(LOG.warning))
         ecg = stack.enter_context(ecg_events(live, ready.files.folder, tell))
         options = LiveOptions(
             live, ready.landmarks, ecg=ecg, observe=observe, tell=tell, history=history, record=record
@@ -218,16 +233,25 @@ def _run_session(
             options = replace(options, watch=feed.event)
         if feed is not None and page is not None:
             server = stack.enter_context(PageServer(feed, page))
-            typer.echo(f"the session is shown at http://127.0.0.1:{server.port}", err=True)
+            LOG.info(f"the session is shown at http://127.0.0.1:{server.port}")
         loop = stack.enter_context(live_session(ready.setup, options))
         _tell_where(live, loop)
+        narrator = Narrator(LOG.info)
+
+        def look() -> None:
+            names = [peer.name for peer in loop.link.peers]
+            narrator.peers(names, loop.link.last_end)
+            if newest:
+                narrator.state(newest[-1].state)
+
+        stack.enter_context(narrated(look))
         _run(loop, seconds, end_requested)
         return summary.result(loop)
 
 
 def _tell_where(live: "LiveConfig", loop: "LiveLoop") -> None:
     where = f"{live.host}:{loop.link.port or live.port}"
-    typer.echo(f"listening at {where}" if live.role == "server" else f"connecting to {where}", err=True)
+    LOG.info(f"listening at {where}" if live.role == "server" else f"connecting to {where}")
 
 
 def _run(loop: "LiveLoop", seconds: float | None, end_requested: Callable[[], bool]) -> None:

@@ -13,7 +13,9 @@ from typing import Any, TypeVar
 import numpy as np
 
 from dvf_ig.core import FloatArray
+from dvf_ig.guidance import SupervisorState
 from dvf_ig.live.loop import Answer
+from dvf_ig.live.sentences import REARM
 from dvf_ig.report.viewer import (
     ImageShape,
     Mark,
@@ -126,6 +128,7 @@ class PageFeed:
         batches, peaks, marks = _taken(self._ecg), _taken(self._peaks), _taken(self._marks)
         state = answer.state
         event = state_event(state)
+        event["reasons"] = [*state.reasons, *([REARM] if state.supervisor is SupervisorState.LATCHED else [])]
         if batches:
             event["ecg"] = self._thinned(batches)
         if peaks:

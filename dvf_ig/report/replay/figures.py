@@ -181,7 +181,8 @@ def supervisor_figure(trace: SupervisorTrace) -> Figure:
     upper.set_yticks(range(rows), [name for name, _, _ in trace.bands], fontsize=8)
     upper.set_ylim(rows - 0.4, -0.6)
     age_s = np.where(np.isfinite(trace.pose_age_s), trace.pose_age_s, np.nan)
-    handles: list[Artist] = lower.plot(
+    handles: list[Artist] = []
+    handles += lower.plot(
         trace.t_s[THIN], age_s[THIN], color=ESTIMATE, lw=0.8, label="since a beat confirmed the pose"
     )
     handles += lower.plot(

@@ -97,10 +97,12 @@ export const words = (name) => name.toLowerCase().replaceAll("_", " ");
 
 const sided = (value, [minus, plus]) => `${value < 0 ? minus : plus} ${Math.abs(value).toFixed(1)}`;
 
+export const escaped = (text) => text.replace(/[&<>]/g, (one) => `&#${one.charCodeAt(0)};`);
+
 const bounded = (mm) => (mm === null || mm === undefined ? "–" : `< ${united(mm, 1, "mm")}`);
 
 /** The numbers of one moment, as HTML rows. */
-export function numberRows(values, scene, registration) {
+export function numberRows(values, scene, registration, reasons) {
   if (!values) return "";
   const tip = ["x", "y", "z"].map((axis) => values[`tip_mr_${axis}_mm`]);
   const place = tip.some((one) => one === null) ? "–" : tip.map((one, a) => sided(one, ["RL", "AP", "IS"][a])).join("  ");
@@ -118,8 +120,8 @@ export function numberRows(values, scene, registration) {
     ["tip, mm", place, "wide"],
   ];
   const told = scene.words.hazards.filter((one) => values.hazards.includes(one.name)).map((one) => one.sentence);
-  if (values.supervisor === "latched") told.unshift("nothing is sent until an operator re-arms");
-  const because = told.length ? told.join("; ") : values.status === "ok" ? "" : words(values.status);
+  if (values.supervisor === "latched" && !reasons) told.unshift("nothing is sent until an operator re-arms");
+  const because = reasons?.length ? escaped(reasons.join("; ")) : told.length ? told.join("; ") : values.status === "ok" ? "" : words(values.status);
   return `<div class="state ${values.supervisor}"><b>${values.supervisor}</b><span>${because}</span></div><dl>${rows
     .map(([name, value, kind]) => `<div class="${kind}"><dt>${name}</dt><dd>${value}</dd></div>`)
     .join("")}</dl>`;

@@ -20,6 +20,8 @@ export function listen(viewer) {
     viewer.series.push(event);
     // the scene was asked for before the first frame, which tells the size of the image
     if (event.frame && !viewer.scene.image && last > RELOAD_MS) location.reload();
+    if (!viewer.opened && viewer.space.moment?.plane) viewer.view("plane");
+    viewer.opened ||= Boolean(viewer.space.moment?.plane);
     tell("live", false);
   };
   source.onerror = () => tell("no connection; trying again …", true);

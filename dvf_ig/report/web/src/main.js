@@ -107,7 +107,7 @@ class Viewer {
     } else {
       this.strips.draw(this.t, values);
       this.overview.draw(this.t);
-      this.$("numbers").innerHTML = numberRows(values, this.scene, series.registration(this.t));
+      this.$("numbers").innerHTML = numberRows(values, this.scene, series.registration(this.t), series.reasons);
       this.texts(values, frame, plane);
     }
     if (this.image) this.picture(frame, { plane, tip, force, margin: values.margin_mm ?? 0, phase: frame < 0 ? null : series.frames.model_phase[frame] });

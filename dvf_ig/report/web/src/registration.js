@@ -1,5 +1,6 @@
 // One registration: its planes as "frames" that are stepped through, and ultrasound beside the anatomy.
 
+import { escaped } from "./layout.js";
 import { COLUMNS } from "./series.js";
 import { Pictures } from "./pictures.js";
 
@@ -26,12 +27,6 @@ export function anatomyPictures(scene) {
   const images = scene.planes.map((one) => one.anatomy);
   return new Pictures({ event_s: images.map((_, i) => i), images, mime: scene.mime });
 }
-
-const escaped = (text) => {
-  const span = document.createElement("span");
-  span.textContent = text;
-  return span.innerHTML;
-};
 
 /** Outcome, and the targets with their bound, as HTML. */
 export function outcomeRows(scene) {

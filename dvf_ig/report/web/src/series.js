@@ -122,6 +122,7 @@ export class Series {
       this[name].t.push(...event[name].t_s);
       this[name].values.push(...event[name].values.map((value) => value ?? NaN));
     }
+    this.reasons = event.reasons;
     this.peaks.push(...(event.r_peaks_s ?? []));
     this.marks.push(...(event.marks ?? []));
     if (event.frame) {
