@@ -184,7 +184,31 @@ def validate(
             _refuse([problem.sentence for problem in wrong])
 
 
+def schema(
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--out", callback=output_file, help="File to write instead of stdout."),
+    ] = None,
+    as_json: JsonFlag = False,
+) -> None:
+    """Write the JSON schema of a session.yaml, with which an editor completes keys and marks mistakes.
+
+    `config init` begins a session.yaml with the line by which an editor finds session.schema.json next to it.
+    """
+    with command(lists_inputs=False):
+        from dvf_ig.intake.write import session_schema
+        from dvf_ig.io import write_json
+
+        described = session_schema()
+        if output is not None:
+            write_json(output, described)
+            wrote(output)
+        if output is None or as_json:
+            emit(described, (), as_json=True)
+
+
 app.command("init", cls=InitCommand)(init)
+app.command("schema")(schema)
 app.command("dump")(dump)
 app.command("validate")(validate)
 

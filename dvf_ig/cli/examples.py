@@ -38,7 +38,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     ),
     "synth stream": ("dvf-ig synth stream demo", "dvf-ig synth stream demo --port 18945 --speed 0.5"),
     "bench": ("dvf-ig bench", "dvf-ig bench --servo 60"),
-    "view": ("dvf-ig view run", "dvf-ig view run -o run.html --recording demo"),
+    "view": ("dvf-ig view run", "dvf-ig view heart.npz", "dvf-ig view run -o run.html --recording demo"),
     "export slicer": (
         "dvf-ig export slicer run -o scene",
         "dvf-ig export slicer registration --recording session.yaml -o scene",
@@ -76,6 +76,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "dvf-ig config init --us-volume ed.nrrd@0.0 --us-volume es.nrrd@0.35 --model heart.npz "
         "--mr cine.nrrd --start start.tfm -o session.yaml",
     ),
+    "config schema": ("dvf-ig config schema -o session.schema.json",),
     "config dump": ("dvf-ig config dump session.yaml", "dvf-ig config dump demo"),
     "config validate": (
         "dvf-ig config validate session.yaml",

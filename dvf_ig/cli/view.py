@@ -11,11 +11,20 @@ from .shell import JsonFlag, ThreadsOption, command, emit, output_file, wrote
 
 
 def view(
-    run: Annotated[Path, typer.Argument(help="Folder that `dvf-ig replay … -o RUN` wrote.")],
+    run: Annotated[
+        Path,
+        typer.Argument(
+            metavar="RUN",
+            help="Folder that `dvf-ig replay … -o RUN` wrote; or a model (.npz).",
+        ),
+    ],
     out: Annotated[
         Path | None,
         typer.Option(
-            "-o", "--out", callback=output_file, help="HTML file to write (default: RUN/view.html)."
+            "-o",
+            "--out",
+            callback=output_file,
+            help="HTML file to write (default: RUN/view.html, or next to the model).",
         ),
     ] = None,
     recording: RecordingOption = None,
@@ -23,7 +32,7 @@ def view(
     as_json: JsonFlag = False,
     threads: ThreadsOption = None,
 ) -> None:
-    """Write a replay as one HTML file that plays in a browser, without a network.
+    """Write a replay, or a model, as one HTML file that plays in a browser, without a network.
 
     It shows the beating heart, ultrasound, tool, force and signals; its numbers are those of RUN/ticks.csv.
     """
@@ -34,8 +43,11 @@ def view(
         from dvf_ig.replay.view import run_payload
         from dvf_ig.report.viewer import viewer_html
 
-        path = out or run / "view.html"
+        path = out or (run.with_suffix(".html") if run.suffix == ".npz" else run / "view.html")
         require_outputs(path)
+        if run.suffix == ".npz":
+            _view_model(run, path, as_json=as_json)
+            return
         recorded = read_run(run)
         source = recording or recorded.view.recording
         require_place("recording", source, run, "--recording FOLDER or session.yaml")
@@ -61,3 +73,17 @@ def view(
         emit(result, rows, as_json=as_json)
         typer.echo(origin, err=True)
         wrote(path)
+
+
+def _view_model(model_file: Path, path: Path, *, as_json: bool) -> None:
+    """Write a model's beating surfaces as one page."""
+    from dvf_ig.io import read_model, write_text
+    from dvf_ig.report.viewer import model_payload, viewer_html
+
+    model = read_model(model_file)
+    page = viewer_html(model_payload(model))
+    write_text(path, page)
+    megabytes = len(page.encode()) / 1e6
+    result = {"file": str(path), "megabytes": round(megabytes, 3), "phases": model.phases}
+    emit(result, [("page", f"{megabytes:.1f} MB, {model.phases} phases")], as_json=as_json)
+    wrote(path, model.frame)

@@ -8,9 +8,12 @@ from dvf_ig.io.yaml_text import yaml_text
 from .parts import PARTS
 from .schema import KEYS, SCHEMA, Key, SessionConfig
 
+SCHEMA_FILE = "session.schema.json"
 HEAD = (
+    f"# yaml-language-server: $schema={SCHEMA_FILE}",
     "# The files of one intervention; names are relative to the folder of this file.",
     "#   dvf-ig config validate session.yaml    opens them all and says what does not fit",
+    f"#   dvf-ig config schema -o {SCHEMA_FILE}    lets an editor complete and check this file",
     "#   dvf-ig register session.yaml -o OUT    where the patient is",
     "#   dvf-ig replay session.yaml -o RUN      from raw streams to force",
     f"schema: {SCHEMA}",
@@ -34,6 +37,19 @@ def session_text(config: SessionConfig, described: Mapping[str, str | None]) -> 
     for name, lines in sections.items():
         blocks.append("\n".join(_block(name, lines, stated, described)))
     return "\n\n".join(blocks) + "\n"
+
+
+def session_schema() -> dict[str, Any]:
+    """JSON schema of a session.yaml, for editors; each key's description is that of its comment."""
+    schema: dict[str, Any] = SessionConfig.model_json_schema(by_alias=True)
+    for name, key in KEYS.items():
+        section, _, entry = name.rpartition(".")
+        held = schema["properties"].get(section, {})
+        kinds = [kind["$ref"].rpartition("/")[2] for kind in (held, *held.get("anyOf", ())) if "$ref" in kind]
+        for place in [schema["$defs"][kind] for kind in kinds] if section else [schema]:
+            if entry in place["properties"]:
+                place["properties"][entry]["description"] = key.note
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": SCHEMA, **schema}
 
 
 def dump_text(config: SessionConfig) -> str:

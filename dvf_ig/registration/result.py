@@ -3,6 +3,7 @@
 from dataclasses import dataclass, replace
 
 from dvf_ig.core import FloatArray, Rigid, Stop, read_only_arrays
+from dvf_ig.core.summary import Rows, summary_html, summary_text
 from dvf_ig.registration.evidence.assessment import ImageStatistics
 from dvf_ig.registration.evidence.checks import Evidence
 from dvf_ig.registration.surface_points.touched import SurfaceDisagreement
@@ -67,6 +68,27 @@ class RegistrationResult:
     matched: Rigid | None = None
     landmarks_mm: float | None = None
     touched: SurfaceDisagreement | None = None
+
+    def __repr__(self) -> str:
+        return summary_text("RegistrationResult", self._rows)
+
+    def _repr_html_(self) -> str:
+        return summary_html("RegistrationResult", self._rows)
+
+    @property
+    def _rows(self) -> Rows:
+        chance, bound = self.success_probability, self.tre_bound_mm
+        return [
+            ("pose", self.target_from_source.name),
+            ("outcome", f"{self.stop.name}, {'may' if self.stop.usable else 'must not'} be used"),
+            ("success probability", "not stated" if chance is None else f"{chance:.2f}"),
+            (
+                "largest error over the heart",
+                "not stated" if bound is None else f"below {bound:.1f} mm (95 %)",
+            ),
+            ("similarity", f"{self.start_similarity:.3f} at the start, {self.similarity:.3f} registered"),
+            ("moved", f"{self.moved_mm:.1f} mm"),
+        ]
 
     def refused(self, stop: Stop) -> "RegistrationResult":
         """Refuse the pose by evidence from outside of the images, such as touched landmarks."""

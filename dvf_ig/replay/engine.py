@@ -16,6 +16,7 @@ import numpy as np
 
 from dvf_ig.cardiac import RetimeMode
 from dvf_ig.core import DvfModel, FloatArray, Progress, Rigid, Scenario, untold
+from dvf_ig.core.summary import Rows, summary_html, summary_text
 from dvf_ig.guidance import FORBIDDEN_SURFACE, FixtureSet
 from dvf_ig.guidance.servo.inputs import VALID_FOR_S
 from dvf_ig.intake.calibrations import Calibrations, calibrate, calibrated
@@ -70,6 +71,25 @@ class Replay:
     findings: tuple[Finding, ...]
     seconds: float
     session_seconds: float
+
+    def __repr__(self) -> str:
+        return summary_text("Replay", self._rows)
+
+    def _repr_html_(self) -> str:
+        return summary_html("Replay", self._rows)
+
+    @property
+    def _rows(self) -> Rows:
+        ticks, usable = self.ticks, sum(attempt.usable for attempt in self.attempts)
+        force_n = np.linalg.norm(ticks.force_n[ticks.valid], axis=1)
+        return [
+            ("scenario", self.scenario.name),
+            ("registrations", f"{usable} of {len(self.attempts)} usable"),
+            ("pose in use", f"from {self.poses[0][0]:.1f} s" if self.poses else "never"),
+            ("ticks", f"{len(ticks)}, {ticks.valid.mean():.0%} valid"),
+            ("force", f"{force_n.max(initial=0.0):.2f} N at most"),
+            ("computing", f"{self.seconds:.1f} s"),
+        ]
 
     @property
     def heart(self) -> Heart:

@@ -74,7 +74,7 @@ def motion_figure(
             name = _draw_plane(axis, image, surfaces, (phase, ed_phase), normal, (low, high), closed)
             percent = 100 * image.timing.fractions[phase]
             axis.set_title(f"{word} ({percent:.0f} % of the cycle)\n{name}", fontsize=9, color=TRUTH)
-    note = "; dashed: closed where the image ends, not imaged" if closed.any() else ""
+    note = "; orange: closed where the image ends, not imaged" if closed.any() else ""
     upper.suptitle(f"propagated surface (dotted: end-diastole{note})", fontsize=10, color=TRUTH)
     bars = lower.subplots(2, 2).ravel()
     _draw_bars(bars, image, quality, es_phase)
@@ -95,7 +95,7 @@ def _draw_plane(
 ) -> str:
     """Draw a plane of voxels in mm as radiologists view it, with its contours; return the plane's name.
 
-    The contour of the phase is drawn through, where it is a cap dashed, and that of end-diastole dotted.
+    The contour of the phase is solid, orange and dashed where it is a cap; that of end-diastole is dotted.
     """
     from matplotlib.collections import LineCollection
 

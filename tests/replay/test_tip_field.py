@@ -4,7 +4,7 @@ from types import SimpleNamespace
 from typing import Any
 
 from dvf_ig.registration import TipSighting
-from dvf_ig.replay.result.pose_fields import tip_field
+from dvf_ig.replay.result.pose import tip_field
 from dvf_ig.session import SessionHistory
 
 

@@ -4,7 +4,7 @@ from pathlib import Path
 from statistics import fmean
 from typing import TYPE_CHECKING, Any
 
-from .output import error_fields, error_row, image_fields, verdict, wire_rows
+from .output import ProbeCalibration, error_fields, error_row, image_fields, verdict, wire_rows
 from .uncertainty import map_rows, rejected_list, rejected_rows, uncertainty
 from .wires import read_wires, segmentation_json, segmentation_rows
 
@@ -24,8 +24,8 @@ def nwire_result(
     picture: Path | None,
     max_residual_mm: float | None,
     rng: Any,
-) -> tuple[dict[str, Any], list[tuple[str, ...]], float]:
-    """Calibrate from an N-wire sweep: JSON, rows to print and the error to save.
+) -> ProbeCalibration:
+    """Calibrate from an N-wire sweep.
 
     Args:
         tables: PLUS results with the wire points of the calibration and of the validation sequence; None
@@ -59,7 +59,8 @@ def nwire_result(
     result["validation_segmentation"] = segmentation_json(validated)
     rows: list[tuple[str, ...]] = [*segmentation_rows(seen, validated)]
     rows += [*_rows(fit, checked[fit.method], result["turned_deg"]), *_variant_rows(result)]
-    return result, rows, (checked[fit.method] or fit.calibration).summary.mean95
+    error_mm = (checked[fit.method] or fit.calibration).summary.mean95
+    return ProbeCalibration(result, rows, error_mm, fit.calibration)
 
 
 def _chosen(variants: "NWireVariants", method: str | None) -> "NWireResult":

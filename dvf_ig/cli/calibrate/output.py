@@ -1,6 +1,7 @@
 """Printing and saving of calibration results: JSON, with PLUS XML and a picture next to it."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -30,6 +31,31 @@ MaxResidualOption = Annotated[
 DeviceSetOption = Annotated[
     Path, typer.Option("--device-set", help="PLUS device-set XML with the phantom and its placement.")
 ]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ProbeCalibration:
+    """Calibration of a probe for printing and saving.
+
+    Attributes:
+        result: JSON fields; rows: to print.
+        error_mm: error that PLUS records.
+        errors: of the calibration's own frames, which are drawn.
+    """
+
+    result: dict[str, Any]
+    rows: list[tuple[str, ...]]
+    error_mm: float
+    errors: "CalibrationErrors"
+
+    def draw(self, png: Path) -> None:
+        """Draw the error of each frame."""
+        from dvf_ig.report import write_residual_picture
+
+        errors = self.errors.errors_mm
+        of_frames = errors.reshape(len(errors), -1).mean(axis=1)
+        title = f"Probe image, {self.result['phantom']}: {error_row(self.errors)}"
+        write_residual_picture(png, of_frames, title=marked(self.result, title), x_label="frame")
 
 
 def save(

@@ -94,10 +94,11 @@ def probe(
             calibrated = nwire_result(
                 sequence, device_set, validate, tables, names, method, picture, max_residual_mm, rng
             )
-        result, rows, error_mm = calibrated
+        result = calibrated.result
         of_plus = phantom is Phantom.nwire and points is not None  # PLUS's own points are of images in MF
         result["image_orientation"] = "MF" if of_plus else image_orientation(sequence)
         matrix = np.array(result["sensor_from_image"])
-        save(output, result, f"{result['sensor_frame']}_from_image", matrix, error_mm)
-        show(result, rows, as_json=as_json)
+        name = f"{result['sensor_frame']}_from_image"
+        save(output, result, name, matrix, calibrated.error_mm, calibrated.draw)
+        show(result, calibrated.rows, as_json=as_json)
         judge(result)

@@ -4,7 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .output import error_fields, error_row, image_fields, vector, verdict
+from .output import ProbeCalibration, error_fields, error_row, image_fields, vector, verdict
 from .uncertainty import map_rows, rejected_list, rejected_rows, uncertainty
 
 if TYPE_CHECKING:
@@ -13,7 +13,6 @@ if TYPE_CHECKING:
     from dvf_ig.io import ProbeNames
 
 METHODS = ("orthogonal", "isotropic")
-Printed = tuple[dict[str, Any], list[tuple[str, ...]], float]
 
 
 def target_result(
@@ -24,7 +23,7 @@ def target_result(
     method: str | None,
     max_residual_mm: float | None,
     rng: Any,
-) -> Printed:
+) -> ProbeCalibration:
     """Calibrate from a fixed target: JSON, rows to print and the error to save.
 
     Args:
@@ -70,7 +69,7 @@ def target_result(
     if checked is not None:
         table.append(("validation", error_row(checked)))
     table += rejected_rows(fit.rejected)
-    return result, table, (checked or fit.held_out).summary.mean95
+    return ProbeCalibration(result, table, (checked or fit.held_out).summary.mean95, fit.calibration)
 
 
 Solved = tuple[

@@ -172,6 +172,9 @@ def _errors(model: "DvfModel", points: int, seed: int) -> "ModelCheck":
 
 def _warn_of_assumptions(model: "DvfModel") -> None:
     if model.timing.timing_assumed:
-        warn(f"phase times are assumed: phase i at i/{model.phases} of the cycle; give --timing")
+        warn(
+            f"phase times are assumed: phase i at i/{model.phases} of the cycle; give the measured ones with "
+            "--timing FILE, or in a timing.json next to the image"
+        )
     if model.timing.rr_assumed:
         warn(f"the RR interval is assumed: {model.timing.rr_s:g} s")

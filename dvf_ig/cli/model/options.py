@@ -51,7 +51,14 @@ EdPhaseOption = Annotated[
     int, typer.Option("--ed-phase", min=0, help="With --image: the phase that is labelled.")
 ]
 MotionOption = Annotated[str, typer.Option("--motion", help="With --image: bspline or demons.")]
-TimingOption = Annotated[Path | None, typer.Option("--timing", help="JSON file of phase times and RR.")]
+TimingOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--timing",
+        help='JSON file of phase times and RR: {"fractions": [0.0, 0.05, ...], "rr_s": 0.86} (default: '
+        "timing.json next to the image).",
+    ),
+]
 PatientOption = Annotated[
     str | None, typer.Option("--patient", help="Patient id (default: from the file's name).")
 ]

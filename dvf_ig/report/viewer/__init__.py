@@ -4,6 +4,7 @@ from .event import shaft_in_tool as shaft_in_tool
 from .event import state_event as state_event
 from .frames import FrameSeries as FrameSeries
 from .frames import frame_event as frame_event
+from .model import model_payload as model_payload
 from .packing import packed as packed
 from .page import live_page as live_page
 from .page import viewer_html as viewer_html

@@ -39,10 +39,10 @@ class SceneInput:
     """Content of a scene.
 
     Attributes:
-        kind: "replay", "live" or "registration".
+        kind: "replay", "live", "registration" or "model".
         title: of the page.
         model: the patient's.
-        fixtures: acting on the tool.
+        fixtures: acting on the tool; None without a tool.
         image: shape of the sent ultrasound; None without ultrasound.
         ecg: label and unit of the ECG; None for a trigger.
         breathing: label and unit of a breathing signal; None without one.
@@ -53,7 +53,7 @@ class SceneInput:
     kind: str
     title: str
     model: DvfModel
-    fixtures: FixtureSet
+    fixtures: FixtureSet | None
     image: ImageShape | None
     ecg: tuple[str, str] | None
     breathing: tuple[str, str] | None = None
@@ -106,8 +106,8 @@ def scene_payload(scene: SceneInput) -> dict[str, Any]:
         "version": dvf_ig.__version__,
         "heart": heart_payload(model, scene.fixtures),
         "distance": distance_payload(model),
-        "fixtures": [_fixture(one) for one in scene.fixtures.fixtures],
-        "fixtures_cap_n": scene.fixtures.joint_cap_n,
+        "fixtures": [] if scene.fixtures is None else [_fixture(one) for one in scene.fixtures.fixtures],
+        "fixtures_cap_n": (scene.fixtures or FixtureSet()).joint_cap_n,
         "image": None if scene.image is None else image_payload(scene.image),
         "signals": {"ecg": _signal(scene.ecg), "breathing": _signal(scene.breathing)},
         "words": words(),

@@ -71,7 +71,8 @@ export function layOut(scene) {
   $("keys").innerHTML = `<h2>Keyboard</h2><table>${rows}</table><p>In the scene: drag turns, right drag or two fingers move, wheel
     zooms. On the strips and the bar below: drag seeks.</p><form method="dialog"><button>Close</button></form>`;
   $("image").hidden = !scene.image;
-  for (const button of $("views").querySelectorAll('[data-view="tool"]')) button.hidden = Boolean(scene.planes);
+  for (const button of $("views").querySelectorAll('[data-view="tool"]')) button.hidden = Boolean(scene.planes) || scene.kind === "model";
+  for (const button of $("views").querySelectorAll('[data-view="plane"]')) button.hidden = scene.kind === "model";
   return $;
 }
 
@@ -88,7 +89,7 @@ export function legendRows(scene, series) {
     scene.image && ["plane", COLORS.plane, "ultrasound plane"],
     fixture && ["fixture", COLORS.fixture, `${fixture.name}, ${fixture.label}${widened ? " without margin" : ""}`],
     ...paths.map((one) => ["path", COLORS.fixture, `${one.name || "path"}, line to follow`]),
-    !scene.planes && ["field", COLORS.force, `force (field: longest ${cap} N)`],
+    !scene.planes && scene.kind !== "model" && ["field", COLORS.force, `force (field: longest ${cap} N)`],
     scene.targets.length > 0 && ["targets", COLORS.force, scene.bound_mm ? `targets, error < ${scene.bound_mm.toFixed(1)} mm` : "targets"],
   ].filter(Boolean);
 }
@@ -98,6 +99,10 @@ export const words = (name) => name.toLowerCase().replaceAll("_", " ");
 const sided = (value, [minus, plus]) => `${value < 0 ? minus : plus} ${Math.abs(value).toFixed(1)}`;
 
 export const escaped = (text) => text.replace(/[&<>]/g, (one) => `&#${one.charCodeAt(0)};`);
+
+/** Names and values as HTML rows. */
+export const namedRows = (rows) =>
+  `<dl>${rows.map(([name, value]) => `<div class="wide"><dt>${escaped(name)}</dt><dd>${escaped(value)}</dd></div>`).join("")}</dl>`;
 
 const bounded = (mm) => (mm === null || mm === undefined ? "–" : `< ${united(mm, 1, "mm")}`);
 

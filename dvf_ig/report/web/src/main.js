@@ -12,7 +12,7 @@ import { anatomyPictures, mixControls, outcomeRows, planesAsSeries } from "./reg
 import { Strips } from "./strips.js";
 import { Overview } from "./overview.js";
 import { connectControls, connectKeys, legend } from "./controls.js";
-import { layOut, numberRows, SPEEDS } from "./layout.js";
+import { layOut, namedRows, numberRows, SPEEDS } from "./layout.js";
 import { listen } from "./live.js";
 import { localTheme, rememberTheme } from "./theme.js";
 
@@ -27,6 +27,7 @@ class Viewer {
     this.strips = new Strips(this.$("strips").querySelector("canvas"), scene, series);
     this.overview = new Overview(this.$("overview"), series, scene.fixtures_cap_n);
     this.registration = scene.kind === "registration";
+    document.body.classList.toggle("model", scene.kind === "model");
     if (this.registration) this.asRegistration();
     legend(this);
     connectControls(this);
@@ -107,7 +108,7 @@ class Viewer {
     } else {
       this.strips.draw(this.t, values);
       this.overview.draw(this.t);
-      this.$("numbers").innerHTML = numberRows(values, this.scene, series.registration(this.t), series.reasons);
+      this.$("numbers").innerHTML = this.scene.kind === "model" ? namedRows(this.scene.rows) : numberRows(values, this.scene, series.registration(this.t), series.reasons);
       this.texts(values, frame, plane);
     }
     if (this.image) this.picture(frame, { plane, tip, force, margin: values.margin_mm ?? 0, phase: frame < 0 ? null : series.frames.model_phase[frame] });
@@ -173,9 +174,9 @@ class Viewer {
     const cycle = phase === null ? "" : `, ${(100 * phase).toFixed(0)} % of the cycle`;
     $("frame").textContent = `${seen}${cycle}${plane || frame < 0 ? "" : " · no pose: the model is not placed"}`;
     const mark = series.marks.findLast((one) => one.t_s <= this.t && this.t < (one.until_s ?? one.t_s + 4));
-    $("event").textContent = mark ? `${mark.t_s.toFixed(1)} s: ${mark.text}` : series.live ? "" : "bar above: force, ▾ registrations, state of the supervisor";
+    $("event").textContent = mark ? `${mark.t_s.toFixed(1)} s: ${mark.text}` : series.live ? "" : this.scene.kind === "model" ? `${(100 * values.model_phase).toFixed(0)} % of the cycle` : "bar above: force, ▾ registrations, state of the supervisor";
     const why = [];
-    if (values.tip_mr_x_mm === null) why.push("No pose in use: tool and ultrasound are not placed.");
+    if (values.tip_mr_x_mm === null && this.scene.kind !== "model") why.push("No pose in use: tool and ultrasound are not placed.");
     if (values.model_phase === null) why.push("Phase not locked: the heart stands still.");
     $("unknown").hidden = !why.length;
     $("unknown").textContent = why.join(" ");
@@ -262,6 +263,7 @@ async function start() {
   if (series.live) listen(viewer);
   await viewer.seekShown(viewer.t);
   if (viewer.space.moment?.plane) viewer.view("plane");
+  if (scene.kind === "model") viewer.play(true);
   window.dvf = {
     ready: true,
     ready_ms: performance.now(),
