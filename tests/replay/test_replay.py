@@ -157,3 +157,23 @@ def test_another_patients_model_is_refused(scenario: Scenario, replay: Replay) -
     foreign = dataclasses.replace(replay.heart.model, patient_id="somebody else")
     with pytest.raises(InvalidInputError, match="the model is of patient 'somebody else'"):
         run_replay(scenario, model=foreign)
+
+
+def test_a_replay_prints_short_and_shows_a_table_in_a_notebook(replay: Replay) -> None:
+    text = repr(replay)
+    assert len(text) < 400
+    assert text.startswith(f"Replay(scenario: {replay.scenario.name}; registrations: ")
+    assert f"<td style='text-align:left'>{len(replay.ticks)}, " in replay._repr_html_()
+    attempt = replay.attempts[-1].result
+    assert attempt is not None
+    assert "outcome: CONVERGED, may be used" in repr(attempt)
+    assert len(repr(attempt)) < 500
+
+
+def test_the_two_bounds_are_shown_under_two_names_with_their_coverage(replay: Replay) -> None:
+    rows = {name: (text, error) for name, text, error in table(result_of(replay))}
+    assert "largest error" in rows["bound of registrations"][0]
+    assert "RMS error" in rows["bound of the pose"][0]
+    assert all(
+        rows[name][1].startswith("held in ") for name in ("bound of registrations", "bound of the pose")
+    )

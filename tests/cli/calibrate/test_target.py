@@ -40,6 +40,7 @@ def test_json_is_as_for_n_wires_and_the_truth_is_met(tmp_path: Path, phantom: st
         assert np.linalg.norm(np.subtract(found["crossing_mm"], truth["crossing_tracker_mm"])) < 0.5
     else:
         assert abs(np.dot(found["wall_normal"], truth["wall_normal_tracker"])) > 0.9999
+    assert out.with_suffix(".png").read_bytes().startswith(b"\x89PNG")
     saved = read_coordinate_definitions(out.with_suffix(".xml"))["probe_from_image"]
     assert saved.tolist() == found["sensor_from_image"]
 

@@ -1,5 +1,6 @@
 """`dvf-ig config init`: a lab's files become a SESSION.yaml that says what is still missing."""
 
+import json
 import re
 from pathlib import Path
 
@@ -7,14 +8,17 @@ import pytest
 import SimpleITK
 import yaml
 from config_runs import errors, run
+from jsonschema import Draft202012Validator
 from spoilt_lab import WRONG, image
 from toy_lab import sweep, write_ecg
-from typer.testing import Result
+from typer.testing import CliRunner, Result
 
+from dvf_ig.cli.main import app
 from dvf_ig.core import UnreadableFileError
 from dvf_ig.intake.fixtures import ForbiddenConfig
-from dvf_ig.intake.schema import SessionConfig
+from dvf_ig.intake.schema import KEYS, SessionConfig
 from dvf_ig.intake.session import open_session, read_session
+from dvf_ig.intake.write import HEAD
 from dvf_ig.io import add_ecg_field, read_ecg, write_sequence
 
 ALL = {
@@ -226,3 +230,21 @@ def test_every_commented_line_says_a_key_that_is_known(lab: Path) -> None:
     assert config.calibration.tip == "tip.json"
     assert config.fixtures
     assert config.fixtures[0] == ForbiddenConfig()
+
+
+def test_the_schema_describes_every_key_and_accepts_what_init_writes(tmp_path: Path) -> None:
+    file = tmp_path / "session.schema.json"
+    done = CliRunner().invoke(app, ["config", "schema", "-o", str(file)])
+    assert done.exit_code == 0, done.output
+    schema = json.loads(file.read_text(encoding="utf-8"))
+    judge = Draft202012Validator(schema)
+    session = {
+        "schema": "dvf_ig.session/1",
+        "preop": {"model": "heart.npz"},
+        "ultrasound": {"file": "us.mha"},
+    }
+    assert judge.is_valid(session)
+    assert not judge.is_valid({**session, "preop": {"modell": "heart.npz"}})
+    preop = schema["$defs"]["PreopConfig"]["properties"]
+    assert preop["model"]["description"] == KEYS["preop.model"].note
+    assert HEAD[0] == f"# yaml-language-server: $schema={file.name}"

@@ -37,12 +37,14 @@ from dvf_ig.report.viewer import (
     frame_event,
     image_shape,
     live_page,
+    model_payload,
     packed,
     scene_payload,
     state_event,
     viewer_html,
 )
 from dvf_ig.report.viewer.columns import STEPS
+from dvf_ig.report.viewer.model import MODEL_STEP_S
 from dvf_ig.report.viewer.page import SLOT
 from dvf_ig.report.viewer.scene import words
 from dvf_ig.report.viewer.surfaces import cycle_surface, fixture_surface, shown_level_mm
@@ -226,3 +228,15 @@ def test_no_text_of_the_data_ends_the_element_that_holds_it() -> None:
     assert "<title>&lt;/script&gt;" in page
     with pytest.raises(InvalidInputError, match="not finite"):
         viewer_html({"title": "", "x": np.nan})
+
+
+def test_a_model_alone_beats_at_its_own_rate(round_ball: DvfModel) -> None:
+    page = model_payload(round_ball)
+    assert (page["kind"], page["image"], page["fixtures"]) == ("model", None, [])
+    ticks = {name: unpacked(column) for name, column in page["series"]["ticks"].items() if name != "t_s"}
+    period = round(round_ball.timing.rr_s / MODEL_STEP_S)
+    phase = ticks["model_phase"][:period]
+    np.testing.assert_allclose(phase, np.arange(period) * MODEL_STEP_S / round_ball.timing.rr_s, atol=1e-6)
+    assert np.isnan(ticks["tip_mr_x_mm"]).all()
+    assert ["phases", f"{round_ball.phases}, RR {round_ball.timing.rr_s:.2f} s"] in page["rows"]
+    assert viewer_html(page).count("<title>") == 1
