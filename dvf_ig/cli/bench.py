@@ -1,4 +1,4 @@
-"""`dvf-ig bench`: how fast and how exact the fixture is beside other ways to the same distance."""
+"""`dvf-ig bench`: how fast and how exact the fixture is, compared with other ways to the same distance."""
 
 from collections.abc import Sequence
 from pathlib import Path

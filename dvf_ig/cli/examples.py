@@ -1,4 +1,4 @@
-"""What `--help` shows of commands and groups: their sections, and examples that a test parses."""
+"""Help of commands and groups: their sections, and examples that a test parses."""
 
 import inspect
 from collections.abc import Sequence
@@ -114,8 +114,10 @@ def show_examples(app: typer.Typer) -> None:
     order = list(section)
     app.info.epilog = _epilog(FIRST)
     app.registered_commands.sort(key=lambda command: order.index(str(command.name)))
-    for one in (*app.registered_commands, *app.registered_groups):
-        one.rich_help_panel = section[str(one.name)]
+    for command in app.registered_commands:
+        command.rich_help_panel = section[str(command.name)]
+    for group in app.registered_groups:
+        group.rich_help_panel = section[str(group.name)]
     _show_examples(app, "")
 
 

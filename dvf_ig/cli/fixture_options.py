@@ -164,7 +164,7 @@ def chosen_fixtures(
         file: of several.
         frame: of the model.
     Raises:
-        typer.BadParameter: options beside a file, or one that does not go with the law.
+        typer.BadParameter: options in addition to a file, or one that the law does not have.
         DvfIgError: a number out of range, or a file that does not fit.
     """
     from dvf_ig.guidance import FixtureSet

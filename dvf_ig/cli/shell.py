@@ -1,4 +1,4 @@
-"""What every command shares: options, exit codes, where output goes.
+"""Parts that all commands share: options, exit codes, where output goes.
 
 Results go to stdout (a table, or one JSON value with --json); messages, progress and the list of written
 files go to stderr.
@@ -97,7 +97,7 @@ _json_due: ContextVar[bool] = ContextVar("json_due", default=False)
 
 @contextmanager
 def command(threads: int | None = None, *, lists_inputs: bool = True) -> Iterator[None]:
-    """Body of a command: limits threads, records what is read, tells what is logged as a warning as a note,
+    """Body of a command: limits threads, records what is read, prints each logged warning as a note,
     and turns a DvfIgError into one sentence and its exit code.
 
     Args:

@@ -98,7 +98,7 @@ def live_session(setup: SessionSetup, options: LiveOptions) -> Iterator[LiveLoop
 
 
 class SessionThread(threading.Thread):
-    """Thread that runs a live session beside its caller.
+    """Thread that runs a live session while its caller goes on.
 
     Its end is an event: in Python 3.11 an exception that a signal raises within `Thread.join` marks a thread
     that still runs as ended (CPython issue 90882).

@@ -119,7 +119,7 @@ def run_replay(
     """Replay a scenario from raw streams to force.
 
     Args:
-        model: this patient's fixture model, where it was built before; else it is built here.
+        model: this patient's fixture model, if it was built before; else it is built here.
         fixtures: that act on the tool.
         retiming: how the beat is mapped to the model's cycle.
         seed: of the random choices in calibration and registration.

@@ -60,7 +60,7 @@ def _landmarks(scenario: Scenario) -> Iterator[Timed]:
 
 
 def _matrices(stream: PoseStream) -> list[FloatArray | None]:
-    """(4, 4) each, read-only; None where the status was not OK."""
+    """(4, 4) each, read-only; None if the status was not OK."""
     matrices = np.tile(np.eye(4), (len(stream), 1, 1))
     matrices[:, :3, :3], matrices[:, :3, 3] = stream.rotations, stream.translations_mm
     matrices.setflags(write=False)

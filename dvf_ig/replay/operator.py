@@ -16,7 +16,7 @@ class SimulatedOperator:
     _clear_since_s: float | None = None
 
     def action(self, state: GuidanceState) -> Rearm | None:
-        """What the operator does now."""
+        """Choose the action of the operator now."""
         if state.supervisor is not SupervisorState.LATCHED or state.supervised.hazards & WITHHOLDING:
             self._clear_since_s = None
             return None

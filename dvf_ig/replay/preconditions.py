@@ -1,4 +1,4 @@
-"""What a recording must hold before it can be replayed: common time, tracked poses and heart beats."""
+"""Requirements on a recording that is to be replayed: common time, tracked poses and heart beats."""
 
 from collections.abc import Sized
 

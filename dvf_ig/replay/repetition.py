@@ -1,6 +1,6 @@
 """A live session repeated from its record: the same events and questions in the same order, bit by bit.
 
-A registration that ran beside the session was there when it was asked for the n-th time; here it is done when
+A registration that ran in a thread was there when it was asked for the n-th time; here it is done when
 it is asked for so often.
 """
 
@@ -23,7 +23,7 @@ T = TypeVar("T")
 
 
 def repeat(session: Session, record: LiveRecord, observe: Callable[[int, GuidanceState], None]) -> None:
-    """Push and ask as the live session did; `observe` is told each state with the number of its moment."""
+    """Push and ask as the live session did; `observe` is called with each state and the number of its moment."""
     number, before_s = -1, -inf
     for step in record.steps:
         if isinstance(step, float):
@@ -64,7 +64,7 @@ class _Recorded(Generic[T]):
 
 
 def recorded_ticks(record: LiveRecord) -> Ticks:
-    """What a live session answered, as it was recorded."""
+    """Return the answers of a live session, as they were recorded."""
     rows = record.last_states
     columns = dict(zip(STATE_COLUMNS, rows.T, strict=True))
 

@@ -1,4 +1,4 @@
-"""What a session said at every tick of a replay, as arrays over time."""
+"""States of a session at every tick of a replay, as arrays over time."""
 
 from dataclasses import dataclass
 
@@ -17,7 +17,7 @@ class Ticks:
     Attributes:
         phase: phase with its state; its times are those of the ticks.
         model_phase: (n,) place in the model's cycle; NaN where the phase is not locked.
-        mr_from_tracker: (n, 3, 4) the pose through which the force came; NaN where there was none.
+        mr_from_tracker: (n, 3, 4) the pose through which the force came; NaN without one.
         pose_age_s: (n,) time since a beat confirmed the pose; infinite before the first.
         pose_bound_mm: (n,) 95 % bound on the RMS error of the pose over the heart; NaN before the first.
         tip_tracker_mm: (n, 3) predicted tip; NaN where the tool is not known.

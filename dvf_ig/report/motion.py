@@ -95,7 +95,7 @@ def _draw_plane(
 ) -> str:
     """Draw a plane of voxels in mm as radiologists view it, with its contours; return the plane's name.
 
-    The contour of the phase is solid, orange and dashed where it is a cap; that of end-diastole is dotted.
+    The contour of the phase is solid, orange and dashed at caps; that of end-diastole is dotted.
     """
     from matplotlib.collections import LineCollection
 

@@ -76,7 +76,7 @@ class QueuedStream(io.TextIOBase):
                     self._size -= len(text)
                 if not self._written(text):
                     return
-        except (OSError, ValueError):  # the terminal, or the pipe's reader, has gone: nobody can be told
+        except (OSError, ValueError):  # the terminal, or the pipe's reader, has gone: nobody reads it
             return
 
     def _written(self, text: str) -> bool:
