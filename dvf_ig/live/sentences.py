@@ -28,7 +28,7 @@ class Narrator:
     say: Callable[[str], None]
     _peers: tuple[str, ...] = ()
     _begin_s: float | None = None
-    _given: str = ""
+    _phrase: str = ""
     _pending: str = ""
     _pending_s: float = 0.0
     _registered_s: float = float("-inf")
@@ -60,21 +60,21 @@ class Narrator:
         if state.rearmed is not None and state.rearmed is not self._rearmed:
             self.say(f"{at}: re-arm: {state.rearmed.value}")
         self._rearmed = state.rearmed
-        given, latched = _given(state.supervisor), state.supervisor is SupervisorState.LATCHED
-        if given != self._pending:
-            self._pending, self._pending_s = given, state.now_s
-        if given == self._given or (not latched and state.now_s - self._pending_s < LASTS_S):
+        phrase, latched = _phrase_of(state.supervisor), state.supervisor is SupervisorState.LATCHED
+        if phrase != self._pending:
+            self._pending, self._pending_s = phrase, state.now_s
+        if phrase == self._phrase or (not latched and state.now_s - self._pending_s < LASTS_S):
             return
-        self._given = given
+        self._phrase = phrase
         why = "; ".join(state.reasons)
-        sentence = f"{at}: {given}" + (f": {why}" if why and given != FORCE_GIVEN else "")
+        sentence = f"{at}: {phrase}" + (f": {why}" if why and phrase != FORCE_GIVEN else "")
         self.say(f"{sentence}; {REARM}" if latched else sentence)
 
 
 FORCE_GIVEN = "force is given"
 
 
-def _given(supervisor: SupervisorState) -> str:
+def _phrase_of(supervisor: SupervisorState) -> str:
     if supervisor is SupervisorState.LATCHED:
         return "LATCHED, no force"
     return "no force" if supervisor is SupervisorState.FADE else FORCE_GIVEN
@@ -104,7 +104,7 @@ class _Kind:
     """Sentences that differ in their numbers alone: how many came, how many were shown, the last one."""
 
     count: int = 0
-    told: int = 0
+    reported: int = 0
     last: str = ""
 
 
@@ -129,15 +129,15 @@ class CountedSentences:
                 return
             kind = self._kinds.setdefault(key, _Kind())
             kind.count, kind.last = kind.count + 1, sentence
-            if kind.count < 10 * kind.told:
+            if kind.count < 10 * kind.reported:
                 return
-            kind.told = kind.count
+            kind.reported = kind.count
         self._tell(_counted(kind))
 
     def finish(self) -> None:
         """Tell how often those came that have come again since."""
         with self._changed:
-            kinds = [kind for kind in self._kinds.values() if kind.count > kind.told]
+            kinds = [kind for kind in self._kinds.values() if kind.count > kind.reported]
         for kind in kinds:
             self._tell(_counted(kind))
         if self._others:

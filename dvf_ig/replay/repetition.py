@@ -23,7 +23,7 @@ T = TypeVar("T")
 
 
 def repeat(session: Session, record: LiveRecord, observe: Callable[[int, GuidanceState], None]) -> None:
-    """Push and ask as the live session did; `observe` is called with each state and the number of its moment."""
+    """Push and ask as the live session did; `observe` is called with each state and its number."""
     number, before_s = -1, -inf
     for step in record.steps:
         if isinstance(step, float):

@@ -116,8 +116,8 @@ def _bound_rows(result: dict[str, Any]) -> list[tuple[str, str, str]]:
     for key, name, meaning in names:
         bound = result[key]
         if bound is not None:
-            held = bound["coverage"]
-            error = "" if held is None else f"held in {held:.0%} of {_bounds_of(result, key)}"
+            coverage = bound["coverage"]
+            error = "" if coverage is None else f"held in {coverage:.0%} of {_bounds_of(result, key)}"
             rows.append((name, f"{bound['median']:.1f} mm: {meaning}", error))
     return rows
 
