@@ -216,7 +216,7 @@ def _registration(pose: Rigid) -> RegistrationResult:
         start=pose,
         stop=Stop.CONVERGED,
         success_probability=1.0,
-        pose_bound_mm=2.0,
+        tre_bound_mm=2.0,
         covariance=covariance,
         noise_covariance=covariance,
         center_mm=CENTER,
