@@ -23,7 +23,7 @@ def model_payload(model: DvfModel) -> dict[str, Any]:
     unknown = np.full(len(t_s), np.nan)
     ticks = dict.fromkeys(STEPS, unknown) | {"t_s": t_s, "phi": phase, "model_phase": phase}
     ticks |= dict.fromkeys(("phase_valid", "status", "supervisor", "hazards"), np.zeros(len(t_s)))
-    beats_s = np.arange(MODEL_BEATS) * model.timing.rr_s
+    beats_s = np.arange(MODEL_BEATS, dtype=np.float64) * model.timing.rr_s
     series = SeriesInput(ticks, None, None, beats_s, None, ())
     rows = [
         ("surface", model.surface_name),
