@@ -19,6 +19,7 @@ from typing import Any
 from scripts import fuzz_cli
 from scripts.fuzz_mutations import damaged, resealed
 from scripts.fuzz_readers import READERS, unfit, write_seeds
+from scripts.fuzz_traits import TRAITS, fuzz_traits
 
 STATE = Path("out/fuzz/state.json")
 FOUND = Path("tests/io/found")
@@ -164,7 +165,7 @@ def smaller(reader: str, name: str, data: bytes, finding: str, seeds: Path) -> b
 def main() -> int:
     parser = argparse.ArgumentParser(prog="scripts/fuzz", description=__doc__)
     parser.add_argument("--minutes", type=float, default=5.0)
-    parser.add_argument("--reader", action="append", choices=[*sorted(READERS), "dicom"], metavar="NAME")
+    parser.add_argument("--reader", action="append", choices=sorted({*READERS, *TRAITS}), metavar="NAME")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument(
         "--once",
@@ -175,9 +176,8 @@ def main() -> int:
     parser.add_argument("--cli", type=int, metavar="N", help="N damaged command lines, and no files")
     parser.add_argument("--kill", type=int, metavar="N", help="N kills of each writing command, and no files")
     parser.add_argument("--command", action="append", metavar="NAME", help="of --kill; default: all")
-    parser.add_argument("--traits", type=int, metavar="N", help="N traits of people's files a reader")
     parser.add_argument(
-        "--lies", type=int, metavar="N", help="N headers that contradict themselves per image reader"
+        "--traits", type=int, metavar="N", help="N files with a trait of people's files a reader"
     )
     parser.add_argument("--forces", type=int, metavar="N", help="N forces at hostile places, and no files")
     for hidden in ("--child", "--seeds"):
@@ -213,24 +213,9 @@ def main() -> int:
         seeds = Path(scratch) / "seeds"
         seeds.mkdir()
         if options.traits:
-            from scripts.fuzz_traits import TRAITS, silent_traits, write_trait_seeds
-
-            write_trait_seeds(seeds)
-            results = [silent_traits(reader, options.seed, options.traits, seeds) for reader in TRAITS]
-            silent = [one for found, _ in results for one in found]
-            changed = sum(count for _, count in results)
-            print("\n".join((*silent, f"{changed} files with a trait, {len(silent)} taken silently")))
-            return 1 if silent else 0
+            chosen = [name for name in options.reader or TRAITS if name in TRAITS]
+            return 1 if fuzz_traits(chosen, options.seed, options.traits, seeds) else 0
         write_seeds(seeds)
-        if options.lies:
-            from scripts.fuzz_lies import LIES, silent_lies
-
-            chosen = options.reader or sorted(LIES)
-            silent = [
-                lie for reader in chosen for lie in silent_lies(reader, options.seed, options.lies, seeds)
-            ]
-            print("\n".join((*silent, f"{options.lies} lies a reader, {len(silent)} taken silently")))
-            return 1 if silent else 0
         return _once(options, seeds) if options.once else _for_minutes(options, seeds)
 
 

@@ -9,7 +9,6 @@ import pytest
 from dvf_ig.core import CycleTiming, InvalidInputError, UnreadableFileError, Volume, VolumeSeries
 from dvf_ig.core.space.volume import Grid
 from dvf_ig.io import read_cine_labels, read_volume, read_volume_series, write_volume, write_volume_series
-from scripts.fuzz_lies import LIES, silent_lies
 from scripts.fuzz_readers import READERS, write_seeds
 
 UNIT = re.compile(rb"(?<![A-Za-z_])(mm|mV|uV|s|rad)(?![A-Za-z_])")
@@ -47,11 +46,6 @@ def test_another_unit_is_refused(seeds: Path, reader: str) -> None:
             read(path)
     finally:
         path.write_bytes(whole)
-
-
-@pytest.mark.parametrize("reader", LIES)
-def test_no_header_that_contradicts_itself_is_taken_silently(seeds: Path, reader: str) -> None:
-    assert silent_lies(reader, 1, 20, seeds) == []
 
 
 def test_labels_of_a_heart_in_cm_are_refused(tmp_path: Path) -> None:

@@ -1,13 +1,15 @@
-"""Well-formed headers of images that contradict themselves: each must be refused, or named in a warning."""
+"""Traits of images: well-formed headers that contradict themselves."""
 
-import logging
 import random
 import re
 import struct
 from collections.abc import Callable
 from pathlib import Path
 
-Lie = Callable[[bytes, random.Random], bytes]
+from scripts.fuzz_readers import READERS
+from scripts.fuzz_readers import write_seeds as write_damage_seeds
+
+from . import Target, Trait
 
 
 def _changed(data: bytes, pattern: str, by: Callable[[re.Match[bytes]], bytes]) -> bytes:
@@ -23,26 +25,26 @@ def _other(text: bytes, rng: random.Random) -> bytes:
     return _scaled(text, rng.choice((0.5, 1.05, 1.5, 2.0)))
 
 
-def _twice(fields: str) -> Lie:
+def _twice(fields: str) -> Trait:
     """Repeat a field with another value."""
     pattern = rf"^({fields})(: | = )(.*[1-9].*)$"
     return lambda data, rng: _changed(data, pattern, lambda m: m[0] + b"\n" + m[1] + m[2] + _other(m[3], rng))
 
 
-def _misspelt(fields: str) -> Lie:
+def _misspelt(fields: str) -> Trait:
     """Drop a letter of a field's name."""
 
-    def lie(data: bytes, rng: random.Random) -> bytes:
+    def trait(data: bytes, rng: random.Random) -> bytes:
         def drop(m: re.Match[bytes]) -> bytes:
             at = rng.randrange(1, len(m[1]))
             return m[1][:at] + m[1][at + 1 :] + m[2]
 
         return _changed(data, rf"^({fields})(:| =)", drop)
 
-    return lie
+    return trait
 
 
-def _units(fields: str) -> Lie:
+def _units(fields: str) -> Trait:
     """Voxel sides in m or um."""
     pattern = rf"^({fields})(: | = )(.*)$"
     return lambda data, rng: _changed(
@@ -50,10 +52,10 @@ def _units(fields: str) -> Lie:
     )
 
 
-def _fewer(field: str) -> Lie:
+def _fewer(field: str) -> Trait:
     """State a voxel less along an axis."""
 
-    def lie(data: bytes, rng: random.Random) -> bytes:
+    def trait(data: bytes, rng: random.Random) -> bytes:
         def less(m: re.Match[bytes]) -> bytes:
             sizes = m[2].split()
             at = rng.randrange(len(sizes))
@@ -62,17 +64,17 @@ def _fewer(field: str) -> Lie:
 
         return _changed(data, rf"^({field})([\d ]+)$", less)
 
-    return lie
+    return trait
 
 
-def _added(line: str, before: str) -> Lie:
+def _added(line: str, before: str) -> Trait:
     return lambda data, rng: _changed(data, rf"^{before}", lambda m: line.encode() + b"\n" + m[0])
 
 
-def _times(unit: str) -> Lie:
+def _times(unit: str) -> Trait:
     """Times of the phases in disorder, or of another scale."""
 
-    def lie(data: bytes, rng: random.Random) -> bytes:
+    def trait(data: bytes, rng: random.Random) -> bytes:
         sizes = re.search(rb"^sizes: ([\d ]+)$", data, re.MULTILINE)
         if sizes is None:
             return data
@@ -87,16 +89,16 @@ def _times(unit: str) -> Lie:
         text = f'units: "" "" "" "{unit}"\naxis 3 index values:={" ".join(map(str, times))}'
         return _added(text, "encoding")(data, rng)
 
-    return lie
+    return trait
 
 
-def _nifti(change: Callable[[bytearray, random.Random], None]) -> Lie:
-    def lie(data: bytes, rng: random.Random) -> bytes:
+def _nifti(change: Callable[[bytearray, random.Random], None]) -> Trait:
+    def trait(data: bytes, rng: random.Random) -> bytes:
         out = bytearray(data)
         change(out, rng)
         return bytes(out)
 
-    return lie
+    return trait
 
 
 def _second_geometry(out: bytearray, rng: random.Random) -> None:
@@ -136,7 +138,7 @@ def _step(out: bytearray, rng: random.Random) -> None:
         out[123] = 10
 
 
-_NRRD: tuple[Lie, ...] = (
+_NRRD: tuple[Trait, ...] = (
     _twice("sizes|space origin|space directions|type"),
     _misspelt("space origin|space directions|endian"),
     _units("space directions"),
@@ -146,7 +148,7 @@ _NRRD: tuple[Lie, ...] = (
     _added("old min: -5", "encoding"),
     _added('space units: "m" "m" "m"', "encoding"),
 )
-_META: tuple[Lie, ...] = (
+_META: tuple[Trait, ...] = (
     _twice("Offset|ElementSpacing|TransformMatrix|DimSize"),
     _misspelt("Offset|ElementSpacing|TransformMatrix|CompressedData|DimSize"),
     _units("ElementSpacing"),
@@ -199,8 +201,7 @@ def _dicom(path: Path) -> object:
 
 
 _NIFTI = tuple(map(_nifti, (_second_geometry, _without_codes, _fewer_voxels, _other_unit)))
-LIES: dict[str, tuple[str, tuple[Lie, ...]]] = {
-    "dicom": ("cine/series0/IM0003", (_tag,)),
+_FILES: dict[str, tuple[str, tuple[Trait, ...]]] = {
     "volume-nrrd": ("volume.nrrd", _NRRD),
     "series-nrrd": ("series.nrrd", (*_NRRD, _times("ms"), _times("%"))),
     "volume-mha": ("volume.mha", _META),
@@ -209,50 +210,16 @@ LIES: dict[str, tuple[str, tuple[Lie, ...]]] = {
     "series-nifti": ("series.nii", (*_NIFTI, _nifti(_step))),
     "labels": ("volume.nrrd", _NRRD),
 }
-"""Files and lies of each reader."""
+TRAITS = {
+    name: Target(f"images/{file}", READERS[name][1], traits, contradicts=True)
+    for name, (file, traits) in _FILES.items()
+} | {"dicom": Target("images/cine/series0/IM0003", _dicom, (_tag,), contradicts=True)}
 
 
-class _Warnings(logging.Handler):
-    """Count of warnings."""
+def write_seeds(folder: Path) -> None:
+    """Write the valid files."""
+    from tests.io.dicom.test_cine import write
 
-    def __init__(self) -> None:
-        super().__init__(logging.WARNING)
-        self.count = 0
-
-    def emit(self, record: logging.LogRecord) -> None:
-        self.count += 1
-
-
-def silent_lies(reader: str, seed: int, count: int, seeds: Path) -> list[str]:
-    """Read `count` lies and list those that were accepted without a word."""
-    from dvf_ig.core.errors import DvfIgError
-    from scripts.fuzz_readers import READERS
-
-    name, lies = LIES[reader]
-    read = _dicom if reader == "dicom" else READERS[reader][1]
-    if reader == "dicom":
-        from tests.io.dicom.test_cine import write
-
-        write(seeds / "cine")
-    path, warnings, silent = seeds / name, _Warnings(), []
-    whole = path.read_bytes()
-    logging.getLogger("dvf_ig").addHandler(warnings)
-    try:
-        for number in range(count):
-            rng = random.Random(f"lie {seed} {reader} {number}")
-            which = rng.randrange(len(lies))
-            data = lies[which](whole, rng)
-            if data == whole:
-                continue
-            path.write_bytes(data)
-            before = warnings.count
-            try:
-                read(path)
-            except DvfIgError:
-                continue
-            if warnings.count == before:
-                silent.append(f"{reader} {number}: lie {which}")
-    finally:
-        path.write_bytes(whole)
-        logging.getLogger("dvf_ig").removeHandler(warnings)
-    return silent
+    (folder / "images").mkdir()
+    write_damage_seeds(folder / "images")
+    write(folder / "images" / "cine")
