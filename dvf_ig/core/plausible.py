@@ -21,10 +21,18 @@ PERIOD_S = (1e-4, 1.0)
 """Time between poses or images: 10 kHz to one a second. 50 images a second in ms have 20 "seconds"."""
 SURFACE_MM = (10.0, 1e3)
 """Longest side of the box around a surface: a newborn's chamber has 15 mm; a heart in m 0.1, in inches 4."""
+HEART_MM = (60.0, 200.0)
+"""Usual longest side of the box around a heart: a small left ventricle; a dilated heart with its vessels."""
+POSSIBLE_HEART_MM = (25.0, 500.0)
+"""Possible ones: a newborn's heart has 40 mm; one in cm, inches or m has 20 at most."""
 PIXEL_MM = (0.005, 2.0)
 """Smallest and largest side of an ultrasound pixel: probes of 50 MHz have 0.01 mm; an inverse map has 5."""
 TIP_MM = (0.6, 1000.0)
 """Distance of a tool's tip from its marker, unless it is 0; a tip in m has 0.05 to 0.5."""
+USUAL_TIP_MM = 2.0
+"""Distance from the marker below which a tip is unusual."""
+IMAGE_MM = 300.0
+"""Largest usual distance of an image's middle from its probe's marker: transthoracic probes have 50 to 150."""
 LAG_S = 5.0
 """Largest latency of images: frame grabbers take 0.03 to 0.5 s; a latency in ms has 30 to 500."""
 PHANTOM_MM = (5.0, 1000.0)

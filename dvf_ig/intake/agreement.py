@@ -5,6 +5,15 @@ from collections.abc import Iterator
 import numpy as np
 
 from dvf_ig.core.arrays import AnyArray, FloatArray
+from dvf_ig.core.plausible import (
+    HEART_MM,
+    IMAGE_MM,
+    MARKER_MM,
+    PERIOD_S,
+    POSSIBLE_HEART_MM,
+    TIP_MM,
+    USUAL_TIP_MM,
+)
 from dvf_ig.core.recordings.scenario import Preop
 from dvf_ig.core.recordings.stream import PoseStream
 from dvf_ig.core.space.image_map import ImageMap
@@ -18,22 +27,8 @@ from .preop import PreopFiles, heart_surfaces
 from .problems import Use
 from .readers import Sweep
 
-HEART_MM = (60.0, 200.0)
-"""Longest side of the box about its surfaces: a small left ventricle; a dilated heart with its vessels."""
-POSSIBLE_HEART_MM = (25.0, 500.0)
-"""Outside it is no heart: a newborn's has 40 mm, and one that is in cm, inches or m 20 at most."""
-NEAREST_MM = 10.0
-"""No marker is this near to the origin of a tracker or to another marker; 10 m are beyond every tracker."""
-FARTHEST_MM = 10_000.0
-PERIOD_S = (1e-4, 1.0)
-"""Between samples of poses or images: 10 kHz to one a second. 12 images a second in ms have 83 'seconds'."""
 STILL_MM = 1.0
 """A tracker's noise over a recording (0.25 mm RMS) moves a tool that lies still by less."""
-LONGEST_TOOL_MM = 1000.0
-TIP_IN_M_MM, SHORTEST_TOOL_MM = 0.6, 2.0
-"""Tips calibrated in m lie 0.05 to 0.5 from the marker; a tip that is the marker's origin lies at 0."""
-PROBE_MM = 300.0
-"""Transthoracic probes hold their marker 50 to 150 mm from the middle of the image."""
 SAME_IMAGE_MM = 1.0
 """Two calibrations of one probe agree to less."""
 SAME_MM = 1e-6
@@ -104,16 +99,16 @@ def _range(stream: PoseStream, key: str, hinders: Use) -> Iterator[Finding]:
     if not len(at_mm):
         return
     farthest_mm = float(np.linalg.norm(at_mm, axis=1).max())
-    if farthest_mm < NEAREST_MM and np.ptp(at_mm, axis=0).any():
+    if farthest_mm < MARKER_MM[0] and np.ptp(at_mm, axis=0).any():
         yield finding(Disagreement.POSES_NOT_IN_MM, key, hinders, stream=stream.name, mm=farthest_mm)
-    elif farthest_mm > FARTHEST_MM:
+    elif farthest_mm > MARKER_MM[1]:
         yield finding(
             Disagreement.POSES_OUT_OF_REACH,
             key,
             hinders,
             stream=stream.name,
             mm=farthest_mm,
-            most=FARTHEST_MM,
+            most=MARKER_MM[1],
         )
     elif key == "tool" and (moved_mm := float(np.ptp(at_mm, axis=0).max())) < STILL_MM:
         yield finding(Disagreement.TOOL_STILL, key, hinders, stream=stream.name, mm=moved_mm)
@@ -130,11 +125,11 @@ def _stamps(t_s: FloatArray, what: str, key: str, hinders: Use) -> Iterator[Find
 def _tip(tip: Points) -> Iterator[Finding]:
     length_mm = float(np.linalg.norm(tip.xyz_mm[0]))
     key = "calibration.tip"
-    if length_mm > LONGEST_TOOL_MM:
-        yield finding(Disagreement.TIP_OUT_OF_REACH, key, "replay", mm=length_mm, most=LONGEST_TOOL_MM)
-    elif 0.0 < length_mm < TIP_IN_M_MM:
+    if length_mm > TIP_MM[1]:
+        yield finding(Disagreement.TIP_OUT_OF_REACH, key, "replay", mm=length_mm, most=TIP_MM[1])
+    elif 0.0 < length_mm < TIP_MM[0]:
         yield finding(Disagreement.TIP_NOT_IN_MM, key, "replay", mm=length_mm)
-    elif 0.0 < length_mm < SHORTEST_TOOL_MM:
+    elif 0.0 < length_mm < USUAL_TIP_MM:
         yield finding(Disagreement.TIP_NEAR_MARKER, key, "replay", mm=length_mm)
 
 
@@ -143,7 +138,7 @@ def _image(probe: ImageMap, images: AnyArray | None) -> Iterator[Finding]:
         return
     rows, columns = images.shape[1:]
     middle = probe.apply_pixels(np.array([[columns / 2, rows / 2]]))
-    if (away_mm := float(np.linalg.norm(middle.xyz_mm))) > PROBE_MM:
+    if (away_mm := float(np.linalg.norm(middle.xyz_mm))) > IMAGE_MM:
         yield finding(Disagreement.IMAGE_FAR_FROM_PROBE, "calibration.probe", mm=away_mm)
 
 

@@ -10,8 +10,9 @@ live:
   reference: ReferenceToTracker       # leave out where poses are relative to what is to stand still
   image: Image_Tracker
   image_orientation: MF               # how the images come, if not as the probe was calibrated
-  calibrated_orientation: MF
+  calibrated_orientation: MF          # only for a calibration that does not state it
   ecg: {field: EcgData, rate_hz: 500} # or {lsl: STREAM, rate_hz: 500}, or {tail: FILE.csv, rate_hz: 500}
+  # ecg.lead: II                      # names of leads, separated by commas; default: all named as an ECG
 """
 
 from typing import Annotated, Any, Literal
@@ -21,6 +22,8 @@ from pydantic import Discriminator, Field, Tag
 from dvf_ig.io.yaml_config import KIND, Section
 
 DeviceName = Annotated[str, Field(strict=True, min_length=1, max_length=64)]
+Leads = Annotated[str, Field(strict=True, min_length=1)]
+"""Names of leads, separated by commas, in place of those that are named as an ECG."""
 RateHz = Annotated[float, Field(strict=True, ge=50.0, le=100_000.0)]
 Orientation = Literal["MF", "UF", "MN", "UN"]
 
@@ -30,21 +33,23 @@ class EcgFieldConfig(Section):
 
     field: DeviceName = "EcgData"
     rate_hz: RateHz
+    lead: Leads | None = None
 
 
 class EcgStreamConfig(Section):
-    """An ECG of the Lab Streaming Layer, by its stream's name; `channels` counts from 0, empty takes all."""
+    """An ECG of the Lab Streaming Layer, by its stream's name."""
 
     lsl: DeviceName
     rate_hz: RateHz
-    channels: tuple[Annotated[int, Field(strict=True, ge=0, le=255)], ...] = ()
+    lead: Leads | None = None
 
 
 class EcgTailConfig(Section):
-    """An ECG in a file that grows: CSV with a line a sample (other columns are leads), or EDF."""
+    """An ECG in a file that grows: CSV with a line a sample, or EDF."""
 
     tail: Annotated[str, Field(strict=True, min_length=1)]
     rate_hz: RateHz
+    lead: Leads | None = None
 
 
 def _ecg_kind(value: Any) -> str | None:
@@ -72,5 +77,10 @@ class LiveConfig(Section):
     reference: DeviceName | None = None
     image: DeviceName = "Image_Tracker"
     image_orientation: Orientation = "MF"
-    calibrated_orientation: Orientation = "MF"
+    calibrated_orientation: Orientation | None = None
     ecg: EcgLive
+
+    @property
+    def used_orientation(self) -> Orientation:
+        """Orientation to which images are turned: the one that the probe was calibrated with."""
+        return self.calibrated_orientation or "MF"

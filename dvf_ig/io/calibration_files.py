@@ -164,6 +164,18 @@ def read_probe(
         return _image_map(calibration, sensor)
 
 
+def read_image_orientation(path: Path) -> str | None:
+    """Read the orientation of the images that a probe was calibrated with; None if unstated, MF for PLUS.
+
+    Raises:
+        UnreadableFileError: absent, or not a calibration of this kind.
+    """
+    if path.suffix.lower() == ".xml":
+        return "MF"
+    orientation = _read(ProbeFile, path, "a probe calibration", "probe", allow_refused=True).image_orientation
+    return None if orientation is None else orientation[:2]
+
+
 def _image_map(calibration: ProbeFile, sensor: str) -> ImageMap:
     """Build the map from its factors, which keep every digit, if the file has them."""
     limits.require_lengths(calibration.sensor_from_image, "sensor_from_image")

@@ -163,13 +163,13 @@ def require_allowed(config: LiveConfig) -> None:
 
 def device_names(config: LiveConfig) -> DeviceNames:
     """The names that the configuration gives."""
-    flips = flips_between(config.image_orientation, config.calibrated_orientation)
+    flips = flips_between(config.image_orientation, config.used_orientation)
     return DeviceNames(config.probe, config.tool, config.image, config.reference, flips)
 
 
 def _ecg_of_peers(config: LiveConfig) -> EcgField | None:
     ecg = config.ecg
-    return EcgField(ecg.field, ecg.rate_hz) if isinstance(ecg, EcgFieldConfig) else None
+    return EcgField(ecg.field, ecg.rate_hz, ecg.lead) if isinstance(ecg, EcgFieldConfig) else None
 
 
 def _touched(options: LiveOptions) -> tuple[Landmark, ...]:

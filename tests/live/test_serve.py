@@ -141,7 +141,7 @@ def test_files_that_disagree_are_refused_as_a_replay_refuses_them(
 
 def test_what_is_doubtful_is_warned_of_as_a_replay_warns() -> None:
     of, setup = ready(LiveConfig(ecg=EcgFieldConfig(rate_hz=250.0))).files, toy_setup()
-    held, near = setup.calibrations, Points("tool", np.array([[0.0, 0.0, 0.15]]))
+    held, near = setup.calibrations, Points("tool", np.array([[0.0, 0.0, 1.5]]))
     files = of.with_model(setup.heart.model)
     (found,) = require_live_fit(files.with_calibrations(held.probe_from_image, held.lag_s, near))
     assert found.key == "calibration.tip"

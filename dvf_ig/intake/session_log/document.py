@@ -152,7 +152,7 @@ def document_of_live(
         tracked_against=against,
         beats=BeatsEntry(kind="ecg", rate_hz=live.ecg.rate_hz),
         has_timestamps=True,
-        orientation=live.calibrated_orientation,
+        orientation=live.used_orientation,
         preop=preop,
         **_of_patient(files, image, lag_s, tip),
     )

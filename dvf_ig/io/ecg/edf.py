@@ -57,10 +57,7 @@ def read_edf(path: Path, lead: str | None = None) -> Signal:
             file, no ECG, or leads of different rates.
     """
     data = read_bytes(path, "an EDF file")
-    bdf = data[:8] == b"\xffBIOSEMI"
-    if len(data) < 256 or not (bdf or data[:8].strip() == b"0"):
-        raise UnreadableFileError(f"{path} is not a readable EDF or BDF file; export it again")
-    duration_s, leads = _number(path, data, "duration"), _leads(path, data, bits=24 if bdf else 16)
+    duration_s, leads, bdf = _header(path, data)
     size = sum(lead.samples for lead in leads)
     records = _records(path, data, size * (3 if bdf else 2), duration_s, len(leads))
     limits.require_count(records * size, limits.SAMPLES, "samples")
@@ -68,8 +65,7 @@ def read_edf(path: Path, lead: str | None = None) -> Signal:
     table = _samples(data, begin, records * size, bdf=bdf).reshape(records, size)
     interrupted = data[192:236].decode("latin-1")[1:].startswith("DF+D")
     _require_continuous(path, table, leads, duration_s, interrupted=interrupted)
-    signals = [lead for lead in leads if not _ANNOTATIONS.fullmatch(lead.label)]
-    channels = [Channel(lead.label, lead.unit, lead.samples / duration_s) for lead in signals]
+    signals, channels = _channels(leads, duration_s)
     chosen = choose_leads(path, channels, lead)
     columns = [
         _physical(path, one, table[:, one.begin : one.begin + one.samples])
@@ -79,6 +75,60 @@ def read_edf(path: Path, lead: str | None = None) -> Signal:
     rate_hz = signals[chosen[0]].samples / duration_s
     left_out = tuple(channel.label for i, channel in enumerate(channels) if i not in chosen)
     return Signal(samples, rate_hz, 0.0, tuple(signals[i].label for i in chosen), unit, left_out)
+
+
+@dataclass(frozen=True, slots=True)
+class EdfRecords:
+    """ECG leads in the records of an EDF or BDF file that grows.
+
+    Attributes:
+        begin: first byte of the first record.
+        size_bytes: of a record.
+        rate_hz: of the leads.
+    """
+
+    begin: int
+    size_bytes: int
+    rate_hz: float
+    _leads: tuple[_Lead, ...]
+    _bdf: bool
+
+    @classmethod
+    def of(cls, path: Path, head: bytes, lead: str | None) -> "EdfRecords":
+        """Read a header, and choose the leads as `read_edf` does.
+
+        Raises:
+            UnreadableFileError: no EDF, a header that contradicts itself, or no ECG.
+        """
+        duration_s, leads, bdf = _header(path, head)
+        signals, channels = _channels(leads, duration_s)
+        chosen = tuple(signals[i] for i in choose_leads(path, channels, lead))
+        for one in chosen:
+            _require_range(path, one)
+        size = sum(one.samples for one in leads) * (3 if bdf else 2)
+        return cls(256 * (len(leads) + 1), size, chosen[0].samples / duration_s, chosen, bdf)
+
+    def samples(self, data: bytes) -> FloatArray:
+        """Convert whole records to (n, leads) in the file's units."""
+        table = _samples(data, 0, len(data) // (3 if self._bdf else 2), bdf=self._bdf)
+        table = table.reshape(len(data) // self.size_bytes, -1)
+        return np.column_stack(
+            [_scaled(one, table[:, one.begin : one.begin + one.samples]) for one in self._leads]
+        )
+
+
+def _header(path: Path, data: bytes) -> tuple[float, list[_Lead], bool]:
+    """Read duration of a record in s and its signals, and whether samples have 24 bits."""
+    bdf = data[:8] == b"\xffBIOSEMI"
+    if len(data) < 256 or not (bdf or data[:8].strip() == b"0"):
+        raise UnreadableFileError(f"{path} is not a readable EDF or BDF file; export it again")
+    return _number(path, data, "duration"), _leads(path, data, bits=24 if bdf else 16), bdf
+
+
+def _channels(leads: list[_Lead], duration_s: float) -> tuple[list[_Lead], list[Channel]]:
+    """Return the signals that are no annotations."""
+    signals = [lead for lead in leads if not _ANNOTATIONS.fullmatch(lead.label)]
+    return signals, [Channel(lead.label, lead.unit, lead.samples / duration_s) for lead in signals]
 
 
 def _samples(data: bytes, begin: int, count: int, *, bdf: bool) -> AnyArray:
@@ -196,16 +246,9 @@ def _real(path: Path, what: str, text: str) -> float:
 
 
 def _physical(path: Path, lead: _Lead, counts: AnyArray) -> FloatArray:
-    """Convert counts to (n,) values in the lead's unit, as multiples of the step that the ranges give.
-
-    A step with few decimals, such as 0.0025 mV, is used as that decimal, not as the quotient of the ranges,
-    and its multiples are rounded to decimals: samples digitised in such steps come back bit for bit.
-    """
-    (low, high), (digital_low, digital_high) = lead.physical, lead.digital
-    if low == high or digital_low >= digital_high:
-        raise UnreadableFileError(
-            f"{path}: {lead.label} has the same smallest and largest value in the header; export it again"
-        )
+    """Convert counts to (n,) values in the lead's unit, and warn of those outside the header's range."""
+    _require_range(path, lead)
+    digital_low, digital_high = lead.digital
     outside = float(((counts < digital_low) | (counts > digital_high)).mean())
     if outside:
         log.warning(
@@ -214,6 +257,24 @@ def _physical(path: Path, lead: _Lead, counts: AnyArray) -> FloatArray:
             100 * outside,
             lead.label,
         )
+    return _scaled(lead, counts)
+
+
+def _require_range(path: Path, lead: _Lead) -> None:
+    """Refuse a lead whose ranges give no step."""
+    if lead.physical[0] == lead.physical[1] or lead.digital[0] >= lead.digital[1]:
+        raise UnreadableFileError(
+            f"{path}: {lead.label} has the same smallest and largest value in the header; export it again"
+        )
+
+
+def _scaled(lead: _Lead, counts: AnyArray) -> FloatArray:
+    """Convert counts to (n,) values in the lead's unit, as multiples of the step that the ranges give.
+
+    A step with few decimals, such as 0.0025 mV, is used as that decimal, not as the quotient of the ranges,
+    and its multiples are rounded to decimals: samples digitised in such steps come back bit for bit.
+    """
+    (low, high), (digital_low, digital_high) = lead.physical, lead.digital
     step = (high - low) / (digital_high - digital_low)
     steps = counts.reshape(-1).astype(np.float64) - digital_high
     plain = f"{step:.12g}"

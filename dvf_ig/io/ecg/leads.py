@@ -82,12 +82,12 @@ class Channel:
 
 
 def choose_leads(
-    path: Path, channels: Sequence[Channel], lead: str | None = None, *, declared: bool = False
+    source: Path | str, channels: Sequence[Channel], lead: str | None = None, *, declared: bool = False
 ) -> list[int]:
     """Choose the channels that are ECG leads, and report those that are left out.
 
     Args:
-        path: the file, for messages.
+        source: the file or stream, for messages.
         channels: every channel of the recording except times.
         lead: labels to take instead, separated by commas.
         declared: whether the file calls all of them an ECG, so that a label without meaning is a lead.
@@ -98,21 +98,23 @@ def choose_leads(
             one whose unit is not that of a voltage; leads of several rates.
     """
     if not channels:
-        raise UnreadableFileError(f"{path} holds no channel of samples; needed an ECG")
-    chosen = _named(path, channels, lead) if lead is not None else _by_kind(path, channels, declared=declared)
+        raise UnreadableFileError(f"{source} holds no channel of samples; needed an ECG")
+    chosen = (
+        _named(source, channels, lead) if lead is not None else _by_kind(source, channels, declared=declared)
+    )
     rates = {channels[i].rate_hz for i in chosen}
     if len(rates) > 1:
         raise UnreadableFileError(
-            f"{path}: leads do not share one rate ({_listed(channels, chosen)}); choose leads of one rate",
+            f"{source}: leads do not share one rate ({_listed(channels, chosen)}); choose leads of one rate",
             settings=("ecg.lead",),
         )
     left = [i for i in range(len(channels)) if i not in chosen]
     if left:
-        log.warning("%s: ECG is %s; left out: %s", path, _listed(channels, chosen), _listed(channels, left))
+        log.warning("%s: ECG is %s; left out: %s", source, _listed(channels, chosen), _listed(channels, left))
     return chosen
 
 
-def _by_kind(path: Path, channels: Sequence[Channel], *, declared: bool) -> list[int]:
+def _by_kind(source: Path | str, channels: Sequence[Channel], *, declared: bool) -> list[int]:
     """Take what is named as an ECG; else the only channel that may be one."""
     kinds = [channel.kind for channel in channels]
     leads: tuple[Kind, ...] = ("ecg", "unknown") if declared else ("ecg",)
@@ -123,7 +125,7 @@ def _by_kind(path: Path, channels: Sequence[Channel], *, declared: bool) -> list
         candidates = [i for i, other in enumerate(kinds) if other == kind]
         if len(candidates) > 1:
             raise UnreadableFileError(
-                f"{path} names no channel as an ECG, and {len(candidates)} may be one: "
+                f"{source} names no channel as an ECG, and {len(candidates)} may be one: "
                 f"{_listed(channels, candidates)}; name the lead",
                 settings=("ecg.lead",),
             )
@@ -131,17 +133,17 @@ def _by_kind(path: Path, channels: Sequence[Channel], *, declared: bool) -> list
             if len(channels) > 1 or kind == "cardiac":
                 log.warning(
                     "%s: no channel is named as an ECG; %s is taken as one, which a pulse wave must not be",
-                    path,
+                    source,
                     channels[candidates[0]].described,
                 )
             return candidates
     raise UnreadableFileError(
-        f"{path} has no channel of an ECG, only {_listed(channels, range(len(channels)))}; needed a lead in "
-        "mV, uV or V"
+        f"{source} has no channel of an ECG, only {_listed(channels, range(len(channels)))}; needed a "
+        "lead in mV, uV or V"
     )
 
 
-def _named(path: Path, channels: Sequence[Channel], lead: str) -> list[int]:
+def _named(source: Path | str, channels: Sequence[Channel], lead: str) -> list[int]:
     """Take the channels with these labels."""
     chosen: list[int] = []
     labels = [_key(channel.label) for channel in channels]
@@ -150,19 +152,19 @@ def _named(path: Path, channels: Sequence[Channel], lead: str) -> list[int]:
         same = [i for i, label in enumerate(labels) if label == _key(name)]
         if not same:
             raise UnreadableFileError(
-                f"{path} has no lead '{name.strip()}'; it has {_listed(channels, range(len(channels)))}",
+                f"{source} has no lead '{name.strip()}'; it has {_listed(channels, range(len(channels)))}",
                 settings=("ecg.lead",),
             )
         chosen += [i for i in same if i not in chosen]
     for channel in (channels[i] for i in chosen):
         if channel.unit.strip().lower() not in (*IN_ONE_MV, *UNSTATED):
             raise UnreadableFileError(
-                f"{path}: {channel.label} is in '{channel.unit}', which is no voltage; needed a lead in mV, "
-                f"uV or V among {_listed(channels, range(len(channels)))}",
+                f"{source}: {channel.label} is in '{channel.unit}', which is no voltage; needed a lead "
+                f"in mV, uV or V among {_listed(channels, range(len(channels)))}",
                 settings=("ecg.lead",),
             )
         if channel.kind == "other":
-            log.warning("%s: %s is taken as an ECG, though its name says otherwise", path, channel.label)
+            log.warning("%s: %s is taken as an ECG, though its name says otherwise", source, channel.label)
     return sorted(chosen)
 
 

@@ -85,12 +85,14 @@ class Table:
         values: (n, columns); NaN for empty cells.
         clocks: indices of columns with times of day or elapsed times, converted to s.
         rate_hz: sampling rate that the preamble states.
+        mark: mark between cells.
     """
 
     columns: tuple[Column, ...] | None
     values: FloatArray
     clocks: tuple[int, ...]
     rate_hz: float | None
+    mark: str
 
 
 def parse_table(path: Path, text: str) -> Table:
@@ -129,7 +131,23 @@ def parse_table(path: Path, text: str) -> Table:
             Column(heading, unit, f"{heading} [{unit}]") if unit else Column.of(heading)
             for heading, unit in zip(headings, units, strict=True)
         )
-    return Table(columns, values, clocks, _stated_hz(path, [*comments, *(line for _, line in preamble)]))
+    stated_hz = _stated_hz(path, [*comments, *(line for _, line in preamble)])
+    return Table(columns, values, clocks, stated_hz, mark)
+
+
+def first_rows(text: str, rows: int) -> str | None:
+    """Return the preamble and first rows of numbers of a table that grows; None if it has fewer rows yet."""
+    lines = [line for line in text.split("\n") if line.strip()]
+    mark = _separator([line for line in lines if not line.lstrip().startswith("#")])
+    numbers = [i for i, line in enumerate(lines) if _is_row(line, mark)][:rows]
+    return "\n".join([*lines[: numbers[0]], *(lines[i] for i in numbers)]) if len(numbers) == rows else None
+
+
+def numbers_of(line: str, mark: str) -> list[float]:
+    """Return the numbers of a row; NaN for a cell that has none."""
+    cells = _cells(line, mark)
+    cells = [cell.replace(",", ".") for cell in cells] if mark != "," else cells
+    return [float(cell) if _is_plain_number(cell) else np.nan for cell in cells]
 
 
 def _separator(lines: list[str]) -> str:

@@ -5,7 +5,7 @@ import io
 import logging
 import zlib
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +23,7 @@ from .clock_times import past_midnight
 from .even_rate import even_rate_hz
 from .leads import IN_ONE_MV, UNKNOWN_UNIT, Channel, choose_leads, in_millivolts, swing_of
 from .pmu_log import is_pmu_log, read_pmu_log
-from .table_text import IN_ONE_SECOND, Column, Table, parse_table
+from .table_text import IN_ONE_SECOND, Column, Table, numbers_of, parse_table
 
 log = logging.getLogger(__name__)
 
@@ -83,14 +83,8 @@ def read_ecg_table(path: Path, rate_hz: float | None = None, lead: str | None = 
     if is_pmu_log(text):
         return read_pmu_log(path, text, rate_hz)
     table, start_s = _with_sidecar(path, parse_table(path, text))
-    columns = table.columns or tuple(Column(f"column {i + 1}") for i in range(table.values.shape[1]))
-    empty = [i for i, column in enumerate(columns) if not column.name and np.isnan(table.values[:, i]).all()]
-    times, counts = _time_columns(table), _count_column(table)
-    others = [i for i in range(len(columns)) if i not in (*times, counts, *empty)]
-    chosen = [
-        others[i]
-        for i in choose_leads(path, [Channel(columns[i].name, columns[i].unit) for i in others], lead)
-    ]
+    columns, times, others = _channels(table)
+    chosen = _leads(path, columns, others, lead)
     labels = tuple(columns[i].name for i in chosen)
     samples, unit = _in_one_unit(path, table.values[:, chosen], [columns[i] for i in chosen])
     stated_hz = _agreed(path, table.rate_hz, rate_hz)
@@ -116,6 +110,59 @@ def read_ecg_table(path: Path, rate_hz: float | None = None, lead: str | None = 
         unit = UNKNOWN_UNIT
     left_out = tuple(columns[i].name for i in others if i not in chosen)
     return Signal(samples, stated_hz, start_s, labels, unit, left_out)
+
+
+@dataclass(frozen=True, slots=True)
+class LeadColumns:
+    """Columns of the ECG leads in a table that grows, whose first rows are known.
+
+    Attributes:
+        mark: mark between cells.
+        width: number of cells in a row.
+        chosen: indices of the leads.
+    """
+
+    mark: str
+    width: int
+    chosen: tuple[int, ...]
+
+    @classmethod
+    def of(cls, path: Path, head: str, lead: str | None) -> "LeadColumns":
+        """Choose the leads as `read_ecg_table` does.
+
+        Args:
+            path: the file, for messages.
+            head: preamble and first rows (`first_rows`).
+            lead: names of the leads to take instead, separated by commas.
+        Raises:
+            UnreadableFileError: no table of numbers, or no ECG among its columns.
+        """
+        table = parse_table(path, head)
+        columns, _, others = _channels(table)
+        return cls(table.mark, len(columns), tuple(_leads(path, columns, others, lead)))
+
+    def samples(self, lines: Sequence[str]) -> FloatArray:
+        """Return (n, leads) samples of rows; NaN for a row that is not one, as a gap keeps its time."""
+        samples = np.full((len(lines), len(self.chosen)), np.nan)
+        for i, line in enumerate(lines):
+            numbers = numbers_of(line, self.mark)
+            if len(numbers) == self.width:
+                samples[i] = [numbers[at] for at in self.chosen]
+        return samples
+
+
+def _channels(table: Table) -> tuple[tuple[Column, ...], list[int], list[int]]:
+    """Return the columns, those of times, and those that may be leads."""
+    columns = table.columns or tuple(Column(f"column {i + 1}") for i in range(table.values.shape[1]))
+    empty = [i for i, column in enumerate(columns) if not column.name and np.isnan(table.values[:, i]).all()]
+    times, counts = _time_columns(table), _count_column(table)
+    return columns, times, [i for i in range(len(columns)) if i not in (*times, counts, *empty)]
+
+
+def _leads(path: Path, columns: Sequence[Column], others: list[int], lead: str | None) -> list[int]:
+    """Choose the columns that are ECG leads."""
+    channels = [Channel(columns[i].name, columns[i].unit) for i in others]
+    return [others[i] for i in choose_leads(path, channels, lead)]
 
 
 def _text(path: Path) -> str:

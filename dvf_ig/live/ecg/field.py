@@ -8,6 +8,7 @@ import numpy as np
 
 from dvf_ig.core import FloatArray, InvalidInputError
 from dvf_ig.io import limits
+from dvf_ig.io.ecg.leads import Channel, choose_leads
 from dvf_ig.live.igtl import Message, Text
 from dvf_ig.session import EcgSamples
 
@@ -25,10 +26,14 @@ class EcgField:
     Args:
         name: name of the field or of the STRING's device.
         rate_hz: samples a second.
+        lead: names of the leads, separated by commas; None takes all but those that are named as something
+            else.
     """
 
-    def __init__(self, name: str, rate_hz: float) -> None:
-        self._name, self._clock = name, BatchClock(rate_hz)
+    def __init__(self, name: str, rate_hz: float, lead: str | None = None) -> None:
+        self._name, self._lead, self._clock = name, lead, BatchClock(rate_hz)
+        self._labels: list[str] = []
+        self._chosen: list[int] = []
         self._longest = round(LONGEST_S * rate_hz)
         self._last: tuple[str, str | None] | None = None
 
@@ -39,7 +44,7 @@ class EcgField:
             seen_s: the message's stamp by the session's clock.
             offset_s: the peer's clock minus the session's.
         Raises:
-            InvalidInputError: a value or a time that is not a number.
+            InvalidInputError: a value or a time that is not a number, or leads of which none is an ECG.
         """
         text = message.fields.get(self._name)
         if text is None and isinstance(message.content, Text) and message.device == self._name[:20]:
@@ -50,8 +55,8 @@ class EcgField:
         if (text, stamp) == self._last and stamp is not None:
             return None
         self._last = (text, stamp)
-        leads = len((message.fields.get(f"{self._name}Leads") or "one").split())
-        values = _numbers(text, leads)
+        labels = (message.fields.get(f"{self._name}Leads") or "").split() or [""]
+        values = _numbers(text, len(labels))[:, self._leads(labels)]
         if len(values) > self._longest:
             raise InvalidInputError(
                 f"an ECG batch has {len(values)} samples a lead; needed at most {LONGEST_S:g} s of them: "
@@ -63,6 +68,14 @@ class EcgField:
         if not abs(first_s) <= limits.TIME_S:
             raise InvalidInputError(f"{self._name}Timestamp is '{stamp}'; needed seconds")
         return EcgSamples(first_s, values)
+
+    def _leads(self, labels: list[str]) -> list[int]:
+        """Choose the leads, again if their names change."""
+        if labels != self._labels:
+            channels = [Channel(label) for label in labels]
+            self._chosen = choose_leads(f"the field {self._name}", channels, self._lead, declared=True)
+            self._labels = labels
+        return self._chosen
 
 
 def _numbers(text: str, leads: int) -> FloatArray:

@@ -2,13 +2,14 @@
 
 import importlib
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
-from dvf_ig.core.errors import MissingDependencyError, install_extra
+from dvf_ig.core.errors import InvalidInputError, MissingDependencyError, install_extra
+from dvf_ig.io.ecg.leads import Channel, choose_leads
 from dvf_ig.session import EcgSamples
 
 from .batches import plausible
@@ -16,6 +17,7 @@ from .batches import plausible
 FIND_WITHIN_S = 5.0
 CORRECT_EVERY_S = 5.0
 MOST_SAMPLES = 1 << 16
+ECG_TYPES = ("ECG", "EKG")
 GAP_SAMPLES = 1.5
 """Distance of stamps, in samples, from which they are a gap that starts a new batch."""
 
@@ -26,7 +28,8 @@ class LslEcg:
     Args:
         name: name of the stream.
         rate_hz: samples a second.
-        channels: channels that are leads; empty takes all.
+        lead: labels of the leads, separated by commas; None takes those that are named as an ECG, or every
+            channel without a telling label if the stream's type is ECG.
         tell: called with messages about problems.
     Raises:
         MissingDependencyError: pylsl, or the library that it needs, is absent.
@@ -36,14 +39,15 @@ class LslEcg:
         self,
         name: str,
         rate_hz: float,
-        channels: Sequence[int],
+        lead: str | None,
         tell: Callable[[str], None],
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._lsl = _pylsl()
-        self._name, self._rate_hz, self._channels = name, rate_hz, list(channels)
+        self._name, self._rate_hz, self._lead = name, rate_hz, lead
         self._tell, self._clock = tell, clock
         self._inlet: Any = None
+        self._chosen: list[int] = []
         self._correction_s, self._corrected_s = 0.0, float("-inf")
 
     def read(self) -> list[EcgSamples]:
@@ -61,9 +65,7 @@ class LslEcg:
             return []
         if not stamps:
             return []
-        values = plausible(np.array(rows, dtype=np.float64))
-        if self._channels:
-            values = values[:, self._channels]
+        values = plausible(np.array(rows, dtype=np.float64)[:, self._chosen])
         offset_s = self._clock() - self._lsl.local_clock() + self._correction_s
         return batches(np.array(stamps) + offset_s, values, self._rate_hz)
 
@@ -72,11 +74,28 @@ class LslEcg:
         if not streams:
             self._tell(f"no LSL stream is named '{self._name}' yet")
             return
-        info = streams[0]
-        if max(self._channels, default=0) >= info.channel_count():
-            self._tell(f"the LSL stream '{self._name}' has {info.channel_count()} channels")
-            return
-        self._inlet, self._corrected_s = self._lsl.StreamInlet(info, recover=False), float("-inf")
+        inlet = self._lsl.StreamInlet(streams[0], recover=False)
+        try:
+            info = inlet.info(FIND_WITHIN_S)
+            declared = info.type().upper() in ECG_TYPES
+            source = f"the LSL stream '{self._name}'"
+            self._chosen = choose_leads(source, _channels(info), self._lead, declared=declared)
+        except (self._lsl.util.LostError, self._lsl.util.TimeoutError):
+            self._tell(f"the LSL stream '{self._name}' does not describe itself; searching for it again")
+        except InvalidInputError as error:
+            self._tell(str(error))
+        else:
+            self._inlet, self._corrected_s = inlet, float("-inf")
+
+
+def _channels(info: Any) -> list[Channel]:
+    """Read label and unit of each channel; those without a label are counted from 1."""
+    channels, element = list[Channel](), info.desc().child("channels").child("channel")
+    for number in range(1, info.channel_count() + 1):
+        label = element.child_value("label") or f"channel {number}"
+        channels.append(Channel(label, element.child_value("unit")))
+        element = element.next_sibling("channel")
+    return channels
 
 
 def batches(t_s: Any, values: Any, rate_hz: float) -> list[EcgSamples]:

@@ -16,7 +16,7 @@ from dvf_ig.live.timed import LiveEvent
 from dvf_ig.session import EcgSamples
 
 from .lsl import LslEcg
-from .tail import CsvTail, EdfTail
+from .tail import EcgTail
 
 MOST_BATCHES = 4096
 EVERY_S = 0.01
@@ -79,10 +79,8 @@ def ecg_events(
         return
     reader: EcgReader
     if isinstance(ecg, EcgStreamConfig):
-        reader = LslEcg(ecg.lsl, ecg.rate_hz, ecg.channels, tell)
+        reader = LslEcg(ecg.lsl, ecg.rate_hz, ecg.lead, tell)
     else:
-        path = folder / ecg.tail
-        kind = EdfTail if path.suffix.lower() == ".edf" else CsvTail
-        reader = kind(path, ecg.rate_hz, tell)
+        reader = EcgTail(folder / ecg.tail, ecg.rate_hz, ecg.lead, tell)
     with gathered(reader) as events:
         yield events

@@ -1,191 +1,140 @@
 """ECG from a file that another program is writing: CSV, a line a sample, or EDF, a record at a time.
 
-Times in the file are not used: a sample was taken just before it appeared (`batches`). The file may appear
-later, and is read from its start again when it becomes shorter; its first content is skipped.
+Times in the file are not used: a sample was taken just before it appeared (`batches`). Leads are chosen as in
+a recording. The file may appear later; when it becomes shorter it is another one. What a file holds when it
+is opened is skipped, and so are the first rows of a table.
 """
 
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from pathlib import Path
+from typing import BinaryIO
 
-import numpy as np
-
-from dvf_ig.core import FloatArray, InvalidInputError
+from dvf_ig.core import FloatArray, InvalidInputError, UnreadableFileError
+from dvf_ig.io.ecg.edf import EdfRecords
+from dvf_ig.io.ecg.table_text import first_rows
+from dvf_ig.io.ecg.text_table import LeadColumns
+from dvf_ig.io.reading import decode_text
 from dvf_ig.session import EcgSamples
 
 from .batches import BatchClock, plausible
 
 PIECE_BYTES = 1 << 20
 LONGEST_LINE = 1 << 16
-_TIMES = ("t", "t_s", "time", "time_s", "timestamp", "seconds")
-"""Headings of columns that are not leads."""
-_EDF_HEADER, _EDF_SIGNAL = 256, 256
+HEAD_ROWS = 10
+"""Rows of a table by which its columns of times and leads are found."""
+MOST_HEADER_BYTES = 256 * 513
+"""Size of the largest EDF header, of 512 signals."""
+EDF_ENDINGS = (".edf", ".bdf")
+
+Split = Callable[[bytes], tuple[FloatArray | None, bytes]]
+"""Converts new bytes to (n, leads) samples, None if they hold none, and returns the bytes not used yet."""
 
 
-@dataclass(slots=True)
-class _GrowingFile:
-    """File that another program is still writing, with the clock of its samples.
+class EcgTail:
+    """Reader of what is appended to an ECG file; it reports why a file cannot be read.
 
     Args:
         path: path of the file, which need not exist yet.
         rate_hz: samples a second.
+        lead: names of the leads, separated by commas; None takes those that are named as an ECG.
         tell: called with messages about unusable content.
         clock: this machine's monotonic clock.
     """
 
-    path: Path
-    rate_hz: float
-    tell: Callable[[str], None]
-    clock: Callable[[], float] = time.monotonic
-    _times: BatchClock = field(init=False)
-
-    def __post_init__(self) -> None:
-        self._times = BatchClock(self.rate_hz)
-
-    def _just_read(self, values: FloatArray) -> list[EcgSamples]:
-        """Stamp (n, leads) samples, the last of which was taken just before now."""
-        return [EcgSamples(self._times.first_s(len(values), self.clock()), plausible(values))]
-
-
-@dataclass(slots=True)
-class CsvTail(_GrowingFile):
-    """Reader of new lines of a growing CSV; every numeric column is a lead, except one named time."""
-
-    _at: int | None = field(default=None, init=False)
-    _rest: bytes = field(default=b"", init=False)
-    _columns: list[int] | None = field(default=None, init=False)
+    def __init__(
+        self,
+        path: Path,
+        rate_hz: float,
+        lead: str | None,
+        tell: Callable[[str], None],
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._path, self._rate_hz, self._lead, self._tell, self._clock = path, rate_hz, lead, tell, clock
+        self._split: Split | None = None
+        self._times, self._at, self._rest = BatchClock(rate_hz), 0, b""
 
     def read(self) -> list[EcgSamples]:
-        """Return samples of the lines completed since the last call."""
+        """Return samples that were completed since the last call, the last of which was taken just now."""
         try:
-            data = self._new_bytes()
-        except OSError:
-            return []
-        *lines, self._rest = (self._rest + data).split(b"\n")
-        if len(self._rest) > LONGEST_LINE:
-            self.tell(f"{self.path} has a line of more than {LONGEST_LINE} characters; it is skipped")
-            self._rest = b""
-        values = self._values(lines)
-        return [] if values is None else self._just_read(values)
-
-    def _new_bytes(self) -> bytes:
-        size = self.path.stat().st_size
-        with self.path.open("rb") as file:
-            if self._at is None:
-                self._columns = _columns(file.readline(LONGEST_LINE))
-                self._at = size
-            elif size < self._at:
-                self._at, self._rest = 0, b""
-            file.seek(self._at)
-            data = file.read(PIECE_BYTES)
-        self._at += len(data)
-        return data
-
-    def _values(self, lines: list[bytes]) -> FloatArray | None:
-        """Parse (n, leads) values; NaN for an invalid line, as a gap keeps its time."""
-        rows = [_numbers(line, self._columns) for line in lines if line.strip()]
-        leads = max((len(row) for row in rows), default=0)
-        if not leads:
-            return None
-        values = np.full((len(rows), leads), np.nan)
-        for i, row in enumerate(rows):
-            if len(row) == leads:
-                values[i] = row
-        return values
-
-
-@dataclass(slots=True)
-class EdfTail(_GrowingFile):
-    """Reader of new records of a growing EDF with one rate; it reports why another file cannot be read."""
-
-    _layout: "_EdfLayout | None" = field(default=None, init=False)
-    _at: int = field(default=0, init=False)
-
-    def read(self) -> list[EcgSamples]:
-        """Return samples of the records completed since the last call."""
-        try:
-            size = self.path.stat().st_size
-            with self.path.open("rb") as file:
-                if self._layout is None:
-                    self._layout = _edf_layout(file.read(_EDF_HEADER + 64 * _EDF_SIGNAL), self.rate_hz)
-                    self._at = self._layout.begin + (size - self._layout.begin) // self._layout.bytes * (
-                        self._layout.bytes
-                    )
-                file.seek(self._at)
-                data = file.read(PIECE_BYTES)
+            with self._path.open("rb") as file:
+                samples = self._new(file)
         except OSError:
             return []
         except InvalidInputError as error:
-            self.tell(f"{self.path}: {error}")
+            self._tell(str(error))
             return []
-        whole = len(data) - len(data) % self._layout.bytes
-        self._at += whole
-        if not whole:
+        if samples is None:
             return []
-        return self._just_read(self._layout.values(data[:whole]))
+        return [EcgSamples(self._times.first_s(len(samples), self._clock()), plausible(samples))]
 
+    def _new(self, file: BinaryIO) -> FloatArray | None:
+        size = file.seek(0, 2)
+        if self._split is None or size < self._at:
+            self._split, self._rest, self._times = None, b"", BatchClock(self._rate_hz)
+            if self._path.suffix.lower() in EDF_ENDINGS:
+                self._split, self._at = self._open_edf(file, size)
+            else:
+                self._split, self._at = self._open_table(file, size)
+        if self._split is None:
+            return None
+        file.seek(self._at)
+        data = file.read(PIECE_BYTES)
+        self._at += len(data)
+        samples, self._rest = self._split(self._rest + data)
+        return samples
 
-class _EdfLayout:
-    """Positions of samples in a record, and their scale."""
+    def _open_edf(self, file: BinaryIO, size: int) -> tuple[Split, int]:
+        """Read the header; return the converter of records and the first byte after the whole ones.
 
-    def __init__(self, begin: int, leads: int, samples: int, gain: FloatArray, offset: FloatArray) -> None:
-        self.begin, self.bytes = begin, 2 * leads * samples
-        self._leads, self._samples, self._gain, self._offset = leads, samples, gain, offset
+        Raises:
+            UnreadableFileError: not an EDF, no ECG, or another rate than was stated.
+        """
+        file.seek(0)
+        records = EdfRecords.of(self._path, file.read(MOST_HEADER_BYTES), self._lead)
+        if not math.isclose(records.rate_hz, self._rate_hz, rel_tol=1e-3):
+            raise UnreadableFileError(
+                f"{self._path} has {records.rate_hz:g} samples a second, but live.ecg.rate_hz is "
+                f"{self._rate_hz:g} Hz; correct it"
+            )
+        whole = max(size - records.begin, 0) // records.size_bytes * records.size_bytes
 
-    def values(self, data: bytes) -> FloatArray:
-        """Convert a record to (n, leads) in the file's unit."""
-        raw = np.frombuffer(data, dtype="<i2").reshape(-1, self._leads, self._samples)
-        return np.asarray(raw.transpose(0, 2, 1).reshape(-1, self._leads) * self._gain + self._offset)
+        def split(data: bytes) -> tuple[FloatArray | None, bytes]:
+            used = len(data) // records.size_bytes * records.size_bytes
+            return records.samples(data[:used]) if used else None, data[used:]
 
+        return split, records.begin + whole
 
-def _edf_layout(head: bytes, rate_hz: float) -> _EdfLayout:
-    """Read the layout from the header of an EDF.
+    def _open_table(self, file: BinaryIO, size: int) -> tuple[Split | None, int]:
+        """Read the first rows; return the converter of lines and where to begin; None if rows are too few.
 
-    Raises:
-        InvalidInputError: not an EDF, signals of several rates, or another rate than was stated.
-    """
-    try:
-        begin, seconds = int(head[184:192]), float(head[244:252])
-        leads = int(head[252:256])
+        Raises:
+            UnreadableFileError: not text, no table, or no ECG.
+        """
+        file.seek(0)
+        head = file.read(LONGEST_LINE)
+        if head.startswith((b"\xff\xfe", b"\xfe\xff")):
+            raise UnreadableFileError(
+                f"{self._path} is UTF-16 text, which is not read while it grows; let its program write UTF-8"
+            )
+        try:
+            text, _ = decode_text(head[: head.rfind(b"\n") + 1])
+        except UnicodeDecodeError as exc:
+            raise UnreadableFileError(f"{self._path} is no text table; name an EDF .edf") from exc
+        rows = first_rows(text, HEAD_ROWS)
+        if rows is None:
+            return None, 0
+        columns = LeadColumns.of(self._path, rows, self._lead)
+        file.seek(max(size - LONGEST_LINE, 0))
+        last = file.read(min(size, LONGEST_LINE))
 
-        def numbers(first: int, size: int) -> FloatArray:
-            at = _EDF_HEADER + first * leads
-            return np.array([float(head[at + i * size : at + (i + 1) * size]) for i in range(leads)])
+        def split(data: bytes) -> tuple[FloatArray | None, bytes]:
+            *lines, rest = data.split(b"\n")
+            if len(rest) > LONGEST_LINE:
+                self._tell(f"{self._path} has a line of more than {LONGEST_LINE} characters; it is skipped")
+                rest = b""
+            texts = [line.decode("utf-8", "replace") for line in lines if line.strip()]
+            return columns.samples(texts) if texts else None, rest
 
-        low, high = numbers(104, 8), numbers(112, 8)
-        least, most = numbers(120, 8), numbers(128, 8)
-        samples = numbers(216, 8)
-    except ValueError as exc:
-        raise InvalidInputError(f"it is not an EDF ({exc}); the file may be a CSV: name it .csv") from exc
-    ok = 1 <= leads <= 64 and seconds > 0 and len(set(samples.tolist())) == 1 and (most > least).all()
-    if not ok or not math.isclose(samples[0] / seconds, rate_hz, rel_tol=1e-3):
-        raise InvalidInputError(
-            f"its {leads} signals have {samples.tolist()[:4]} samples in {seconds:g} s; needed one rate, "
-            f"{rate_hz:g} Hz"
-        )
-    gain = (high - low) / (most - least)
-    return _EdfLayout(begin, leads, int(samples[0]), gain, low - gain * least)
-
-
-def _columns(first_line: bytes) -> list[int] | None:
-    """Find the columns that are leads by a table's heading; None without a heading: all of them."""
-    cells = first_line.decode("utf-8", "replace").replace(";", ",").strip().split(",")
-    if all(_is_number(cell) for cell in cells):
-        return None
-    return [i for i, cell in enumerate(cells) if cell.strip().lower() not in _TIMES]
-
-
-def _numbers(line: bytes, columns: list[int] | None) -> list[float]:
-    cells = line.decode("utf-8", "replace").replace(";", ",").split(",")
-    chosen = cells if columns is None else [cells[i] for i in columns if i < len(cells)]
-    return [float(cell) if _is_number(cell) else math.nan for cell in chosen]
-
-
-def _is_number(cell: str) -> bool:
-    try:
-        float(cell)
-    except ValueError:
-        return False
-    return True
+        return split, size - (len(last) - (last.rfind(b"\n") + 1))
