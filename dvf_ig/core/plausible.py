@@ -32,7 +32,7 @@ TIP_MM = (0.6, 1000.0)
 USUAL_TIP_MM = 2.0
 """Distance from the marker below which a tip is unusual."""
 IMAGE_MM = 300.0
-"""Largest usual distance of an image's middle from its probe's marker: transthoracic probes have 50 to 150."""
+"""Farthest usual middle of an image from the marker of its probe: transthoracic probes have 50 to 150."""
 LAG_S = 5.0
 """Largest latency of images: frame grabbers take 0.03 to 0.5 s; a latency in ms has 30 to 500."""
 PHANTOM_MM = (5.0, 1000.0)
