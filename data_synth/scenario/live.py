@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from data_synth.heart.respiration import seen_at_rest
+from data_synth.breathing.motion import seen_at_rest
 from data_synth.heart.tissue import Tissue
 from data_synth.operator.contact import tool_truth
 from data_synth.operator.contact_sites import contact_sites

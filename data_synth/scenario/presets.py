@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 from typing import get_args
 
-from data_synth.heart.breaths import BreathSpec
+from data_synth.breathing.breaths import BreathSpec
 from data_synth.heart.heart_spec import STANDARD_HEART, HeartSeeds, HeartSpec
 from data_synth.heart.motion import MotionPreset
 from data_synth.operator.probe_path import SweepSpec

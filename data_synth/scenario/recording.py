@@ -6,9 +6,10 @@ from typing import Any
 
 import numpy as np
 
+from data_synth.breathing.breaths import Breaths, draw_breaths
+from data_synth.breathing.recorded import recorded_breathing
 from data_synth.cine_heart.anatomy import CineHeart, cine_anatomy
 from data_synth.heart.anatomy import PhantomAnatomy, phantom_anatomy
-from data_synth.heart.breaths import Breaths, draw_breaths
 from data_synth.heart.heart_spec import HeartSpec
 from data_synth.mr.cine import cine_preop
 from data_synth.operator.hand import reframed
@@ -19,7 +20,6 @@ from data_synth.phantoms.pivot import pivot_recording
 from data_synth.phantoms.watertank import watertank_recording
 from data_synth.seeds import child_rng, child_seed
 from data_synth.signals.ecg import synthetic_ecg
-from data_synth.signals.respiration import recorded_breathing
 from data_synth.signals.rhythm import beat_series
 from data_synth.signals.tracker import PosePath
 from data_synth.surfaces.anatomy import surface_anatomy

@@ -4,10 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from data_synth.breathing.breaths import Breaths
+from data_synth.breathing.motion import Breathing, breathing_of
 from data_synth.heart.beating_anatomy import BeatingAnatomy
-from data_synth.heart.breaths import Breaths
 from data_synth.heart.clock import HeartClock
-from data_synth.heart.respiration import Breathing, breathing_of
 from data_synth.heart.tissue import Tissue
 from data_synth.operator.contact import MovingSurface
 from data_synth.operator.probe_path import (

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from data_synth.heart.breaths import BreathKind, Breaths, BreathSpec, draw_breaths
-from data_synth.heart.respiration import Breathing, breathing_of
+from data_synth.breathing.breaths import BreathKind, Breaths, BreathSpec, draw_breaths
+from data_synth.breathing.motion import Breathing, breathing_of
 from data_synth.operator.contact import MovingSurface
 from data_synth.operator.pose_path import composed
 from data_synth.scenario.displacement import random_displacement

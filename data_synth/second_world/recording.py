@@ -6,10 +6,11 @@ from typing import Any, get_args
 
 import numpy as np
 
-from data_synth.heart.breaths import BreathKind, BreathSpec
+from data_synth.breathing.breaths import BreathKind, BreathSpec
+from data_synth.breathing.motion import seen_at_rest
+from data_synth.breathing.recorded import recorded_breathing
 from data_synth.heart.heart_spec import HeartKind, HeartSpec
 from data_synth.heart.motion import MotionPreset
-from data_synth.heart.respiration import seen_at_rest
 from data_synth.operator.contact import tool_truth
 from data_synth.operator.contact_sites import contact_sites
 from data_synth.operator.hand import perpendicular
@@ -20,7 +21,6 @@ from data_synth.phantoms.pivot import pivot_recording
 from data_synth.phantoms.watertank import WaterTankSpec, watertank_recording
 from data_synth.scenario.displacement import random_displacement
 from data_synth.signals.ecg import EcgSpec, synthetic_ecg
-from data_synth.signals.respiration import recorded_breathing
 from data_synth.signals.tracker import TrackerSpec, sampling_times, tracked
 from dvf_ig.core import (
     CycleTiming,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from data_synth import PRESETS, Preset, ScenarioSpec, describe_faults, preset_name
-from data_synth.heart.breaths import BreathSpec
+from data_synth.breathing.breaths import BreathSpec
 from data_synth.scenario.displacement import Displacement
 from data_synth.signals.ecg import EcgSpec
 from data_synth.signals.occlusion import OcclusionSpec

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from data_synth.heart.breaths import BreathSpec, draw_breaths, with_backlash
-from data_synth.heart.respiration import Breathing, ShapedAnatomy, breathing_of
+from data_synth.breathing.breaths import BreathSpec, draw_breaths, with_backlash
+from data_synth.breathing.motion import Breathing, ShapedAnatomy, breathing_of
 from dvf_ig.core import FloatArray, InvalidInputError
 
 CENTER = np.array([10.0, -20.0, 30.0])

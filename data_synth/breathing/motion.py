@@ -10,14 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from data_synth.heart.beating_anatomy import BeatingAnatomy
+from data_synth.heart.motion import PullBack
+from data_synth.heart.reference import ReferenceMap
 from data_synth.operator.pose_path import composed, inverted
 from data_synth.signals.tracker import PosePath
 from dvf_ig.core import BreathingTruth, FloatArray, Landmarks, ToolTruth, read_only_arrays
 
-from .beating_anatomy import BeatingAnatomy
 from .breaths import GRID_S, WARM_UP_S, Breaths, BreathSpec, lagged, with_backlash
-from .motion import PullBack
-from .reference import ReferenceMap
 
 DIRECTION = np.array([0.0, -0.29, -0.957])
 """Unit direction towards end-inspiration in LPS: down, and a little forward."""

@@ -4,12 +4,12 @@ from typing import Any
 
 import numpy as np
 
-from data_synth.heart.breaths import GRID_S, Breaths, lagged
-from data_synth.heart.respiration import Breathing
 from data_synth.operator.pose_path import composed, inverted
+from data_synth.signals.tracker import PosePath, TrackerSpec, sampling_times, tracked
 from dvf_ig.core import FloatArray, PoseStream, Respiration, Signal
 
-from .tracker import PosePath, TrackerSpec, sampling_times, tracked
+from .breaths import GRID_S, Breaths, lagged
+from .motion import Breathing
 
 VENTILATOR_HZ = 50.0
 VENTILATOR_LATE_S = 0.05
