@@ -15,8 +15,8 @@ VENTILATOR_HZ = 50.0
 VENTILATOR_LATE_S = 0.05
 CHANNELS = ("pressure_cmh2o", "flow_l_per_s", "volume_ml")
 TIDAL_ML = 450.0
-PEEP, ELASTANCE, RESISTANCE = 5.0, 10.0, 6.0
-"""cmH2O; cmH2O and cmH2O·s for one ordinary breath."""
+PEEP, ELASTANCE, RESISTANCE = 5.0, 10.0, 1.5
+"""cmH2O; cmH2O and cmH2O·s for one ordinary breath, of the trachea behind the tube."""
 NOISE = (0.3, 0.01, 5.0)
 """SD of each channel."""
 CHEST_TRACKER = TrackerSpec(rate_hz=20.0, position_mm=0.25, rotation_deg=0.3, dropouts_per_min=1.0)
