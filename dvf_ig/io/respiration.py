@@ -27,7 +27,7 @@ Table = tuple[FloatArray, tuple[str, ...], FloatArray]
 """Times (n,) s, names of k columns, values (n, k) with NaN for empty cells."""
 
 _BREATH = re.compile(r"resp|rsp|breath|thor|abdom|chest|volume|pressure|paw|flow|cvp", re.IGNORECASE)
-_TIME = re.compile(r"(t|time|times|timestamp|elapsed)\W*(s|sec|ms)?\W*", re.IGNORECASE)
+_TIME = re.compile(r"(t|time|times|timestamp|elapsed)[\W_]*(s|sec|ms)?\W*", re.IGNORECASE)
 _MOST_STEP_S = 0.5
 """Slower samples than 2 Hz do not show a breath; longer steps in a table are taken as ms."""
 
