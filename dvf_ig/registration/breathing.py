@@ -11,8 +11,10 @@ import numpy as np
 
 from dvf_ig.core import BoolArray, FloatArray, InvalidInputError, read_only_arrays
 
+from .tracking.pose_estimate import MEAN_SQUARE_OF_COORDINATES
+
 FEATURES = 4
-CONSTANT_MM = 50.0
+CONSTANT_MM = 20.0
 """Prior SD of the constant part of ξ, and of its change with each other feature at unit SD."""
 MOTION_MM = 8.0
 LEAST_BEATS = 12
@@ -24,20 +26,20 @@ BEYOND = 1.25
 
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
-class BeatPoses:
-    """Beats from which the pose in breathing is learnt.
+class BreathBeat:
+    """One beat from which the pose in breathing is learnt.
 
     Attributes:
-        features: (n, 4) mean of s over each beat's frames.
-        xi_mm: (n, 6) pose of each in a `PoseChart`.
-        noise_mm: (n,) SD of its coordinates.
-        breath: (n,) number of the breath it belongs to.
+        features: (4,) mean of s over its frames; frames: (m, 4) of the single ones.
+        information: (6, 6) J of its pose ξ in a `PoseChart`, 1/mm²; offset_information: (6,) J ξ.
+        breath: number of the breath it belongs to.
     """
 
     features: FloatArray
-    xi_mm: FloatArray
-    noise_mm: FloatArray
-    breath: FloatArray
+    frames: FloatArray
+    information: FloatArray
+    offset_information: FloatArray
+    breath: int
 
 
 @read_only_arrays
@@ -47,8 +49,8 @@ class BreathingPose:
 
     Attributes:
         b_mm: (4, 6) B, transposed.
-        covariance: (4, 4) of every column of B, mm².
-        own_mm2: (6,) variance that the beats' poses have beyond their noise: the model's own error.
+        covariance: (4, 6, 4, 6) of it, mm².
+        own_mm2: variance of each coordinate that the beats have beyond their noise: the model's own error.
         center: (4,), whitening: (4, 4): of the features it was learnt from.
         radius: largest whitened distance of a frame's features that counts as learnt.
         held_out_mm: RMS over the heart of what held-out breaths missed, beyond their noise.
@@ -57,7 +59,7 @@ class BreathingPose:
 
     b_mm: FloatArray
     covariance: FloatArray
-    own_mm2: FloatArray
+    own_mm2: float
     center: FloatArray
     whitening: FloatArray
     radius: float
@@ -70,8 +72,8 @@ class BreathingPose:
 
     def covariance_mm2(self, features: FloatArray) -> FloatArray:
         """Compute (n, 6, 6) covariance of ξ: of the parameters, and of the model's own error."""
-        of_parameters = np.einsum("ni,ij,nj->n", features, self.covariance, features)
-        return np.asarray(of_parameters[:, None, None] * np.eye(6) + np.diag(self.own_mm2))
+        of_parameters = np.einsum("ni,ikjl,nj->nkl", features, self.covariance, features)
+        return np.asarray(of_parameters + self.own_mm2 * np.eye(6))
 
     def knows(self, features: FloatArray) -> BoolArray:
         """Return whether each of (n, 4) features lies in the ellipsoid of what was learnt; False for NaN."""
@@ -79,73 +81,75 @@ class BreathingPose:
         return np.asarray(np.linalg.norm(apart, axis=1) <= self.radius)
 
 
-def learn_breathing(beats: BeatPoses, frames: FloatArray) -> BreathingPose | None:
+def learn_breathing(beats: tuple[BreathBeat, ...]) -> BreathingPose | None:
     """Learn B by Bayesian ridge; None from fewer than LEAST_BEATS beats or three breaths.
 
-    Args:
-        frames: (m, 4) features of the single frames, which span what was learnt.
     Raises:
-        InvalidInputError: rows that do not match, or not finite.
+        InvalidInputError: a beat that is not finite.
     """
-    n = len(beats.features)
-    if beats.features.shape != (n, FEATURES) or beats.xi_mm.shape != (n, 6):
-        raise InvalidInputError(
-            f"beats have {beats.features.shape} features, {beats.xi_mm.shape} poses; needed (n, 4), (n, 6)"
-        )
-    if not (np.isfinite(beats.features).all() and np.isfinite(beats.xi_mm).all()):
+    if any(not np.isfinite(beat.features).all() or not np.isfinite(beat.information).all() for beat in beats):
         raise InvalidInputError("a beat's features or pose are not finite; leave the beat out")
-    breaths = np.unique(beats.breath)
-    if n < LEAST_BEATS or len(breaths) < 3:
+    breaths = sorted({beat.breath for beat in beats})
+    if len(beats) < LEAST_BEATS or len(breaths) < 3:
         return None
-    b_mm, covariance = _ridge(beats, np.ones(n, dtype=np.bool_))
-    missed = beats.xi_mm - beats.features @ b_mm
-    own = _own_variance(missed, beats.noise_mm, FEATURES / n)
-    covariance = covariance * max(
-        1.0, float(((missed / beats.noise_mm[:, None]) ** 2).mean() * n / (n - FEATURES))
-    )
+    own = 0.0
+    for _ in range(3):  # the model's own error widens every beat, which changes the fit a little
+        b_mm, covariance = _ridge(beats, own)
+        own = _own_variance(beats, b_mm)
+    frames = np.concatenate([beat.frames for beat in beats])
     center = frames.mean(axis=0)
     spread = np.cov((frames - center)[:, 1:].T)
-    root = np.linalg.cholesky(np.linalg.inv(spread + 1e-4 * np.eye(FEATURES - 1)))
     whitening = np.zeros((FEATURES, FEATURES))
-    whitening[1:, 1:] = root
+    whitening[1:, 1:] = np.linalg.cholesky(np.linalg.inv(spread + 1e-4 * np.eye(FEATURES - 1)))
     reach = np.linalg.norm((frames - center) @ whitening, axis=1)
+    radius = BEYOND * float(np.quantile(reach, 0.995))
     return BreathingPose(
-        b_mm,
-        covariance,
-        own,
-        center,
-        whitening,
-        BEYOND * float(np.quantile(reach, 0.995)),
-        _held_out_mm(beats, breaths),
-        len(breaths),
+        b_mm, covariance, own, center, whitening, radius, _held_out_mm(beats, breaths, own), len(breaths)
     )
 
 
-def _ridge(beats: BeatPoses, used: BoolArray) -> tuple[FloatArray, FloatArray]:
-    """Solve for B (4, 6) and the covariance (4, 4) of its columns from the beats used."""
-    features, noise = beats.features, beats.noise_mm
+def _ridge(beats: tuple[BreathBeat, ...], own_mm2: float) -> tuple[FloatArray, FloatArray]:
+    """Solve for B (4, 6) and its covariance (4, 6, 4, 6); ξ of a beat varies by `own_mm2` beyond noise."""
+    features = np.array([beat.features for beat in beats])
     scale = np.concatenate([[1.0], np.maximum(features[:, 1:].std(axis=0), 1e-6)])
-    x = features[used] / scale / noise[used][:, None]
+    normal, right = np.zeros((FEATURES, 6, FEATURES, 6)), np.zeros((FEATURES, 6))
+    for beat in beats:
+        widened = np.linalg.inv(np.eye(6) + own_mm2 * beat.information)
+        f, j, h = beat.features / scale, widened @ beat.information, widened @ beat.offset_information
+        normal += np.einsum("i,j,kl->ikjl", f, f, 0.5 * (j + j.T))
+        right += np.outer(f, h)
     prior = np.concatenate([[CONSTANT_MM], np.full(FEATURES - 1, MOTION_MM)])
-    covariance = np.linalg.inv(x.T @ x + np.diag(prior**-2.0))
-    b_mm = covariance @ (x.T @ (beats.xi_mm[used] / noise[used][:, None]))
-    return b_mm / scale[:, None], covariance / np.outer(scale, scale)
+    size = FEATURES * 6
+    matrix = normal.reshape(size, size) + np.diag(np.repeat(prior**-2.0, 6))
+    covariance = np.linalg.inv(matrix).reshape(FEATURES, 6, FEATURES, 6)
+    b_mm = np.einsum("ikjl,jl->ik", covariance, right)
+    covariance = covariance / scale[:, None, None, None] / scale[None, None, :, None]
+    return b_mm / scale[:, None], covariance
 
 
-def _own_variance(missed: FloatArray, noise_mm: FloatArray, fitted: float) -> FloatArray:
-    """Estimate (6,) variance of (n, 6) residuals beyond the noise, of which the fit absorbed a share."""
-    excess = (missed**2).mean(axis=0) - float((noise_mm**2).mean()) * (1.0 - fitted)
-    return np.full(6, max(0.0, float(excess.mean())))
+def _own_variance(beats: tuple[BreathBeat, ...], b_mm: FloatArray) -> float:
+    """Estimate the variance of a coordinate beyond the noise, of which the fit absorbs a share."""
+    missed, widths = _missed(beats, b_mm)
+    return max(0.0, (missed - 6.0 * (len(beats) - FEATURES)) / widths)
 
 
-def _held_out_mm(beats: BeatPoses, breaths: FloatArray) -> float:
+def _missed(beats: tuple[BreathBeat, ...], b_mm: FloatArray) -> tuple[float, float]:
+    """Sum Mahalanobis squares of the beats' residuals, and the traces of their information."""
+    square, trace = 0.0, 0.0
+    for beat in beats:
+        xi = np.linalg.lstsq(beat.information, beat.offset_information, rcond=1e-9)[0]
+        apart = xi - beat.features @ b_mm
+        square += float(apart @ beat.information @ apart)
+        trace += float(np.trace(beat.information))
+    return square, trace
+
+
+def _held_out_mm(beats: tuple[BreathBeat, ...], breaths: list[int], own_mm2: float) -> float:
     """Learn without each block of breaths in turn, and measure what it misses of them beyond the noise."""
-    total, count = 0.0, 0
-    for block in np.array_split(breaths, min(FOLDS, len(breaths))):
-        out = np.isin(beats.breath, block)
-        b_mm, _ = _ridge(beats, ~out)
-        missed = beats.xi_mm[out] - beats.features[out] @ b_mm
-        total += float((missed**2).sum() - 6.0 * (beats.noise_mm[out] ** 2).sum())
-        count += int(out.sum())
-    # over the heart a unit of each of the three turns moves by two thirds of its square
-    return float(np.sqrt(max(0.0, total / count / 6.0) * (3.0 + 2.0)))
+    square, trace, count = 0.0, 0.0, 0
+    for block in np.array_split(np.array(breaths), min(FOLDS, len(breaths))):
+        out = tuple(beat for beat in beats if beat.breath in block)
+        b_mm, _ = _ridge(tuple(beat for beat in beats if beat.breath not in block), own_mm2)
+        missed, width = _missed(out, b_mm)
+        square, trace, count = square + missed, trace + width, count + len(out)
+    return float(np.sqrt(max(0.0, (square - 6.0 * count) / trace) * MEAN_SQUARE_OF_COORDINATES.sum()))

@@ -35,6 +35,34 @@ class EcgSamples:
         object.__setattr__(self, "samples", samples)
 
 
+@read_only_arrays
+@dataclass(frozen=True, slots=True, eq=False)
+class RespirationSamples:
+    """Consecutive samples of what follows the breath.
+
+    Attributes:
+        t_s: (n,) increasing, n >= 1.
+        values: (n, columns), finite: one of a channel, three (mm) of a marker.
+    """
+
+    t_s: FloatArray
+    values: FloatArray
+
+    def __post_init__(self) -> None:
+        times = frozen_floats(self.t_s, "times of breathing", (None,))
+        values = frozen_floats(self.values, "samples of breathing", (len(times), None))
+        if not len(times) or (np.diff(times) <= 0).any():
+            raise InvalidInputError("samples of breathing have no times, or ones that do not increase")
+        _require_time(float(times[-1]), "samples of breathing")
+        object.__setattr__(self, "t_s", times)
+        object.__setattr__(self, "values", values)
+
+    @property
+    def start_s(self) -> float:
+        """Time of the first."""
+        return float(self.t_s[0])
+
+
 @dataclass(frozen=True, slots=True)
 class Trigger:
     """A pulse of a hardware trigger, which replaces the ECG; it fired at `t_s`."""
@@ -123,7 +151,7 @@ class Rearm:
         _require_time(self.t_s, "a re-arm")
 
 
-Event = EcgSamples | Trigger | TrackedFrame | ToolPose | Landmark | Rearm
+Event = EcgSamples | RespirationSamples | Trigger | TrackedFrame | ToolPose | Landmark | Rearm
 
 
 def _require_time(t_s: float, what: str) -> None:

@@ -174,6 +174,12 @@ class BreathClock:
             out[i] = (1.0, rho, *lags)
         return out
 
+    def rest_features(self, share: float) -> FloatArray:
+        """Return the mean (4,) row of `features` over the lowest `share` of ρ that is remembered."""
+        table = self._table[: self._count]
+        low = table[table[:, 1] <= self.low_share(share)]
+        return np.concatenate([[1.0], low[:, 1:].mean(axis=0)])
+
     def low_share(self, share: float) -> float:
         """Return ρ below which breathing was for `share` of the remembered time; NaN in INIT."""
         table = self._table[: self._count]
