@@ -7,7 +7,7 @@ from operator import itemgetter
 import numpy as np
 
 from dvf_ig.core import FloatArray, PoseStream, Scenario, TriggerTimes
-from dvf_ig.session import EcgSamples, Event, Landmark, RespirationSamples, ToolPose, TrackedFrame, Trigger
+from dvf_ig.session import EcgSamples, Event, Landmark, RespirationSample, ToolPose, TrackedFrame, Trigger
 
 from .preconditions import tool_of
 
@@ -39,8 +39,8 @@ def _breaths(scenario: Scenario) -> Iterator[Timed]:
     recorded = scenario.respiration
     if recorded is None:
         return
-    for i, t_s in enumerate(recorded.t_s.tolist()):
-        yield t_s, RespirationSamples(recorded.t_s[i : i + 1], recorded.values[i : i + 1])
+    for t_s, values in zip(recorded.t_s.tolist(), recorded.values, strict=True):
+        yield t_s, RespirationSample(t_s, values)
 
 
 def _frames(scenario: Scenario) -> Iterator[Timed]:

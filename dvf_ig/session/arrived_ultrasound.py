@@ -115,7 +115,7 @@ class ArrivedUltrasound:
         seed: of a registration's random choices.
         clock: seconds of computing time, from any origin.
         threads: for evaluating beats.
-        breathing: of the patient.
+        breathing: of the patient; None: nothing follows it.
     """
 
     buffer: FrameBuffer
@@ -127,7 +127,7 @@ class ArrivedUltrasound:
     clock: Callable[[], float]
     threads: SliceThreads
     executor: Executor
-    breathing: BreathingTracker
+    breathing: BreathingTracker | None = None
 
     def register(self, request: RegistrationRequest, known_s: float) -> Job[RegistrationRecord]:
         """Gate the frames now, and register them when the executor has time."""
@@ -188,6 +188,8 @@ class ArrivedUltrasound:
             peaks,
             self.calibrations,
             self.retiming,
-            self.breathing.frames(ultrasound.t_s + self.calibrations.lag_s),
+            None
+            if self.breathing is None
+            else self.breathing.frames(ultrasound.t_s + self.calibrations.lag_s),
             tested,
         )

@@ -20,7 +20,7 @@ from dvf_ig.cardiac.respiration import (
     BreathReading,
     BreathState,
 )
-from dvf_ig.core import HEART_RADIUS_MM, BoolArray, FloatArray, PoseMotion, read_only_arrays
+from dvf_ig.core import HEART_RADIUS_MM, BoolArray, FloatArray, IntArray, PoseMotion, read_only_arrays
 from dvf_ig.registration import (
     MEAN_SQUARE_OF_COORDINATES,
     BeatMeasurement,
@@ -31,7 +31,7 @@ from dvf_ig.registration import (
 )
 
 from .clocks import StampOrder
-from .events import RespirationSamples
+from .events import RespirationSample
 
 REST_SHARE = 0.3
 """Lowest share of ρ, in which the heart rests."""
@@ -71,7 +71,7 @@ class FrameBreathing:
         """(n,) frames of the resting heart, or that can be moved to it."""
         return np.asarray(self.known if self.learnt else self.resting)
 
-    def part(self, chosen: BoolArray | slice | FloatArray) -> "FrameBreathing":
+    def part(self, chosen: IntArray | slice) -> "FrameBreathing":
         """Choose frames."""
         parts = (self.features[chosen], self.resting[chosen], self.xi_mm[chosen], self.known[chosen])
         return FrameBreathing(*parts, self.learnt)
@@ -104,7 +104,7 @@ class BreathingTracker:
         self.order = StampOrder()
         self._center_mm = center_mm
         self._clock = BreathClock()
-        self._waiting: deque[RespirationSamples] = deque()
+        self._waiting: deque[RespirationSample] = deque()
         self._beats: deque[BreathBeat] = deque()
         self._model: BreathingPose | None = None
         self._learnt = False
@@ -122,23 +122,19 @@ class BreathingTracker:
         """The model that forces follow; None before it is learnt."""
         return self._model if self._learnt else None
 
-    def push(self, samples: RespirationSamples) -> bool:
-        """Add samples; False if their stamps are not later than those before."""
-        if not self.order.accepts(float(samples.t_s[-1])):
+    def push(self, sample: RespirationSample) -> bool:
+        """Add a sample; False if its stamp is not later than those before."""
+        if not self.order.accepts(sample.t_s):
             return False
-        self._waiting.append(samples)
+        self._waiting.append(sample)
         return True
 
     def advance(self, now_s: float) -> None:
         """Take the samples until now."""
-        while self._waiting and self._waiting[0].t_s[0] <= now_s:
-            first = self._waiting.popleft()
-            due = int(np.searchsorted(first.t_s, now_s, side="right"))
-            later = first.t_s[:due] > self._clock.latest_s if self._clock.latest_s > -inf else slice(None)
-            self._clock.push(first.t_s[:due][later], first.values[:due][later])
-            if due < len(first.t_s):
-                self._waiting.appendleft(RespirationSamples(first.t_s[due:], first.values[due:]))
-                break
+        self.order.advance(now_s)
+        while self._waiting and self._waiting[0].t_s <= now_s:
+            sample = self._waiting.popleft()
+            self._clock.push(np.array([sample.t_s]), sample.values[None])
         onsets = self._clock.onsets_s
         if onsets and onsets[-1] > self._last_onset_s:
             self._last_onset_s = onsets[-1]
@@ -191,11 +187,10 @@ class BreathingTracker:
         if not self._model.knows(features[:1])[0] or not np.isfinite(features).all():
             return resting
         now, then = self._xi_mm(self._model, features)
-        poses = [
-            PoseChart(resting.at(at_s), self._center_mm).pose(xi)
-            for at_s, xi in ((now_s, now), (now_s + AHEAD_S, then))
-        ]
-        return PoseMotion.between(*poses, now_s, now_s + AHEAD_S, self._center_mm)
+        end_s = now_s + AHEAD_S
+        start = PoseChart(resting.at(now_s), self._center_mm).pose(now)
+        end = PoseChart(resting.at(end_s), self._center_mm).pose(then)
+        return PoseMotion.between(start, end, now_s, end_s, self._center_mm)
 
     def covariance_mm2(self, now_s: float) -> FloatArray:
         """Return (6, 6) covariance of the motion from rest now; zero without a model in use."""

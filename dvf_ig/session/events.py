@@ -37,30 +37,20 @@ class EcgSamples:
 
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
-class RespirationSamples:
-    """Consecutive samples of what follows the breath.
+class RespirationSample:
+    """One sample of what follows the breath.
 
     Attributes:
-        t_s: (n,) increasing, n >= 1.
-        values: (n, columns), finite: one of a channel, three (mm) of a marker.
+        t_s: when it was taken.
+        values: (columns,), finite: one of a channel, three (mm) of a marker.
     """
 
-    t_s: FloatArray
+    t_s: float
     values: FloatArray
 
     def __post_init__(self) -> None:
-        times = frozen_floats(self.t_s, "times of breathing", (None,))
-        values = frozen_floats(self.values, "samples of breathing", (len(times), None))
-        if not len(times) or (np.diff(times) <= 0).any():
-            raise InvalidInputError("samples of breathing have no times, or ones that do not increase")
-        _require_time(float(times[-1]), "samples of breathing")
-        object.__setattr__(self, "t_s", times)
-        object.__setattr__(self, "values", values)
-
-    @property
-    def start_s(self) -> float:
-        """Time of the first."""
-        return float(self.t_s[0])
+        _require_time(self.t_s, "a sample of breathing")
+        object.__setattr__(self, "values", frozen_floats(self.values, "a sample of breathing", (None,)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,7 +141,7 @@ class Rearm:
         _require_time(self.t_s, "a re-arm")
 
 
-Event = EcgSamples | RespirationSamples | Trigger | TrackedFrame | ToolPose | Landmark | Rearm
+Event = EcgSamples | RespirationSample | Trigger | TrackedFrame | ToolPose | Landmark | Rearm
 
 
 def _require_time(t_s: float, what: str) -> None:

@@ -34,7 +34,7 @@ from .events import (
     Event,
     Landmark,
     Rearm,
-    RespirationSamples,
+    RespirationSample,
     ToolPose,
     TrackedFrame,
     Trigger,
@@ -133,7 +133,7 @@ class Session:
             event = accepted
         if isinstance(event, EcgSamples | Trigger):
             return self._clock.push(event)
-        if isinstance(event, RespirationSamples):
+        if isinstance(event, RespirationSample):
             return self._breathing.push(event)
         if isinstance(event, ToolPose):
             self._tip.push(event)

@@ -64,4 +64,5 @@ def track_breathing(
         onsets.update(clock.onsets_s)
         if i % 100 == 0:
             progress(i / len(times))
-    return BreathTrack(times, *rows.T, *codes.T, np.array(sorted(onsets)))
+    rho, sigma, phase, period = rows.T
+    return BreathTrack(times, rho, sigma, phase, period, codes[:, 0], codes[:, 1], np.array(sorted(onsets)))
