@@ -1,4 +1,4 @@
-"""Breathing in a session: frames moved to rest exactly, the motion learnt from beats, and withheld in time."""
+"""Breathing in a session: frames moved to rest exactly, motion learnt from beats, withheld in time."""
 
 from dataclasses import dataclass, replace
 
@@ -65,7 +65,7 @@ def beat(tracker: BreathingTracker, breathing: Breathing, begin_s: float, rng: n
 def follow(
     events: tuple[tuple[str, float], ...] = (), until_s: float = STOP_S
 ) -> tuple[FloatArray, FloatArray, FloatArray, BreathingTracker]:
-    """Follow a world: (n,) times every 0.1 s, errors over the heart (mm), and whether the pose was withheld."""
+    """Follow a world: (n,) times every 0.1 s, errors over the heart (mm), whether the pose was withheld."""
     breathing, recorded = world(events)
     tracker, rng, pushed, next_beat_s = BreathingTracker(CENTER), np.random.default_rng(5), 0, 14.0
     times, errors, withheld = [], [], []
