@@ -8,7 +8,7 @@ All other parts of a session see the heart at rest, which is end-expiration.
 
 from collections import deque
 from dataclasses import dataclass
-from math import inf
+from math import inf, nan
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -34,7 +34,7 @@ from .clocks import StampOrder
 from .events import RespirationSample
 
 REST_SHARE = 0.3
-"""Lowest share of ρ, in which the heart rests."""
+"""Share of the time in which ρ and its lags are lowest, and the heart rests."""
 FIRST_BREATHS, TRUSTED_BREATHS = 4, 10
 """Breaths from which a model helps to compare the next beats, and from which forces may follow it."""
 MAX_HELD_OUT_MM = 2.0
@@ -77,6 +77,17 @@ class FrameBreathing:
         return FrameBreathing(*parts, self.learnt)
 
 
+@read_only_arrays
+@dataclass(frozen=True, slots=True, eq=False)
+class _Moment:
+    """What holds from one sample to the next: whether the pose is withheld, and how well it is known."""
+
+    changed_s: float
+    withheld: bool
+    covariance_mm2: FloatArray
+    bound_mm: float
+
+
 def moved_to_rest(
     rotations: FloatArray, translations_mm: FloatArray, xi_mm: FloatArray, chart: PoseChart
 ) -> tuple[FloatArray, FloatArray]:
@@ -111,6 +122,8 @@ class BreathingTracker:
         self._rest = np.array([1.0, 0.0, 0.0, 0.0])
         self._breath = 0
         self._last_onset_s = -inf
+        self._rest_level, self._rest_level_s = nan, -inf
+        self._known = _Moment(nan, False, np.zeros((6, 6)), 0.0)
 
     @property
     def follows(self) -> bool:
@@ -135,6 +148,8 @@ class BreathingTracker:
         while self._waiting and self._waiting[0].t_s <= now_s:
             sample = self._waiting.popleft()
             self._clock.push(np.array([sample.t_s]), sample.values[None])
+        if now_s >= self._rest_level_s + 1.0:
+            self._rest_level, self._rest_level_s = self._clock.rest_level(REST_SHARE), now_s
         onsets = self._clock.onsets_s
         if onsets and onsets[-1] > self._last_onset_s:
             self._last_onset_s = onsets[-1]
@@ -150,7 +165,7 @@ class BreathingTracker:
         if not self.follows:
             return None
         features = self._clock.features(event_s)
-        resting = np.asarray(features[:, 1] <= self._clock.low_share(REST_SHARE))
+        resting = np.asarray(features[:, 1:].max(axis=1) <= self._rest_level)
         if self._model is None:
             nothing = np.zeros(len(event_s), dtype=np.bool_)
             return FrameBreathing(features, resting, np.zeros((len(event_s), 6)), nothing, False)
@@ -194,35 +209,44 @@ class BreathingTracker:
 
     def covariance_mm2(self, now_s: float) -> FloatArray:
         """Return (6, 6) covariance of the motion from rest now; zero without a model in use."""
-        if self._model is None or not self._learnt:
-            return np.zeros((6, 6))
-        features = self._clock.features(np.array([now_s]))
-        if not np.isfinite(features).all():
-            return np.zeros((6, 6))
-        return np.asarray(self._model.covariance_mm2(features - self._rest)[0])
+        return self._moment(now_s).covariance_mm2
 
     def bound_mm(self, now_s: float) -> float:
         """Return twice the RMS error of that motion over the heart."""
-        variance = np.diag(self.covariance_mm2(now_s))
-        return float(2.0 * np.sqrt(MEAN_SQUARE_OF_COORDINATES @ variance))
+        return self._moment(now_s).bound_mm
 
     def changed_s(self, now_s: float) -> float:
         """Return when what `motion` and `withheld` give last changed: the latest sample, or its loss."""
         if not self.follows:
             return -inf
         latest_s = self._clock.latest_s
-        return latest_s if now_s - latest_s <= LOST_S or latest_s != latest_s else latest_s + LOST_S
+        return latest_s + LOST_S if now_s - latest_s > LOST_S else latest_s
 
     def withheld(self, now_s: float) -> bool:
         """Whether the pose of the moment is not known: beyond what was learnt, or before it, not at rest."""
+        return self._moment(now_s).withheld
+
+    def _moment(self, now_s: float) -> "_Moment":
+        """Return what holds since the latest sample, computed once."""
+        changed_s = self.changed_s(now_s)
+        if changed_s != self._known.changed_s:
+            self._known = self._evaluated(changed_s, now_s)
+        return self._known
+
+    def _evaluated(self, changed_s: float, now_s: float) -> "_Moment":
+        nothing = np.zeros((6, 6))
         if not self.follows:
-            return False
+            return _Moment(changed_s, False, nothing, 0.0)
         reading, features = self._clock.reading(now_s), self._clock.features(np.array([now_s]))
         if reading.state in (BreathState.INIT, BreathState.LOST) or not np.isfinite(features).all():
-            return True
-        if self._model is not None and self._learnt:
-            return bool(reading.event in _UNKNOWN or not self._model.knows(features)[0])
-        return not features[0, 1] <= self._clock.low_share(REST_SHARE)
+            return _Moment(changed_s, True, nothing, 0.0)
+        model = self.model
+        if model is None:
+            return _Moment(changed_s, not features[0, 1:].max() <= self._rest_level, nothing, 0.0)
+        covariance = model.covariance_mm2(features - self._rest)[0]
+        bound_mm = float(2.0 * np.sqrt(MEAN_SQUARE_OF_COORDINATES @ np.diag(covariance)))
+        withheld = bool(reading.event in _UNKNOWN or not model.knows(features)[0])
+        return _Moment(changed_s, withheld, covariance, bound_mm)
 
     def _xi_mm(self, model: BreathingPose, features: FloatArray) -> FloatArray:
         """Compute the motion from rest at (n, 4) features."""

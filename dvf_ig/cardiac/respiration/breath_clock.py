@@ -174,16 +174,21 @@ class BreathClock:
             out[i] = (1.0, rho, *lags)
         return out
 
-    def rest_features(self, share: float) -> FloatArray:
-        """Return the mean (4,) row of `features` over the lowest `share` of ρ that is remembered."""
-        table = self._table[: self._count]
-        low = table[table[:, 1] <= self.low_share(share)]
-        return np.concatenate([[1.0], low[:, 1:].mean(axis=0)])
+    def rest_level(self, share: float) -> float:
+        """Return the level below which ρ and both of its lags were for `share` of the remembered time.
 
-    def low_share(self, share: float) -> float:
-        """Return ρ below which breathing was for `share` of the remembered time; NaN in INIT."""
-        table = self._table[: self._count]
-        return float(np.quantile(table[:, 1], share)) if self._count else math.nan
+        The lags keep out the beginning of expiration, when an airway pressure is low but the heart still
+        moves. NaN in INIT.
+        """
+        if not self._count:
+            return math.nan
+        return float(np.quantile(self._table[: self._count, 1:].max(axis=1), share))
+
+    def rest_features(self, share: float) -> FloatArray:
+        """Return the mean (4,) row of `features` below that level."""
+        rows = self._table[: self._count, 1:]
+        low = rows[rows.max(axis=1) <= self.rest_level(share)]
+        return np.concatenate([[1.0], low.mean(axis=0)])
 
     def _learn(self, at_s: float, value: FloatArray) -> None:
         """Wait until the scale can be learnt, then take up what was waiting."""
