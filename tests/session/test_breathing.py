@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from data_synth.breathing.breaths import BreathSpec, draw_breaths
 from data_synth.breathing.motion import Breathing, breathing_of
 from data_synth.breathing.recorded import recorded_breathing
-from dvf_ig.core import HEART_RADIUS_MM, FloatArray, PoseMotion, Respiration, Rigid
+from dvf_ig.core import HEART_RADIUS_MM, BoolArray, FloatArray, PoseMotion, Respiration, Rigid
 from dvf_ig.registration import BeatMeasurement, PoseChart
 from dvf_ig.session import RespirationSample
 from dvf_ig.session.breathing import BreathingTracker, FrameBreathing, moved_to_rest
@@ -59,12 +59,12 @@ def beat(tracker: BreathingTracker, breathing: Breathing, begin_s: float, rng: n
     assert frames is not None
     left = (true_xi_mm(breathing, t_s) - frames.xi_mm).mean(axis=0) + NOISE_MM * rng.standard_normal(6)
     measured = Measured(np.eye(6) / NOISE_MM**2, left / NOISE_MM**2)
-    tracker.add_beat(measured, frames)  # type: ignore[arg-type]
+    tracker.add_beat(measured, frames)
 
 
 def follow(
     events: tuple[tuple[str, float], ...] = (), until_s: float = STOP_S
-) -> tuple[FloatArray, FloatArray, FloatArray, BreathingTracker]:
+) -> tuple[FloatArray, FloatArray, BoolArray, BreathingTracker]:
     """Follow a world: (n,) times every 0.1 s, errors over the heart (mm), whether the pose was withheld."""
     breathing, recorded = world(events)
     tracker, rng, pushed, next_beat_s = BreathingTracker(CENTER), np.random.default_rng(5), 0, 14.0
