@@ -86,6 +86,7 @@ def test_a_pose_is_compared_with_the_one_that_was_true_then() -> None:
 def test_a_breathing_heart_is_scored_where_it_is_at_the_moment() -> None:
     true = Rigid.from_rotation_vector([0.2, -0.4, 0.1], [10.0, 20.0, 30.0], "mr", "tracker")
     truth, t_s = truth_of((0.0, true)), np.array([0.0, 0.5, 1.0])
+    truth.mr_from_tracker_at = lambda _: true
     down = np.array([0.0, 0.0, -10.0])
     truth.breathing = BreathingTruth(
         np.array([0.0, 1.0]),
