@@ -129,27 +129,30 @@ def _ridge(beats: tuple[BreathBeat, ...], own_mm2: float) -> tuple[FloatArray, F
 
 def _own_variance(beats: tuple[BreathBeat, ...], b_mm: FloatArray) -> float:
     """Estimate the variance of a coordinate beyond the noise, of which the fit absorbs a share."""
-    missed, widths = _missed(beats, b_mm)
-    return max(0.0, (missed - 6.0 * (len(beats) - FEATURES)) / widths)
+    missed, widths, seen = _missed(beats, b_mm)
+    return max(0.0, (missed - seen * (1.0 - FEATURES / len(beats))) / widths)
 
 
-def _missed(beats: tuple[BreathBeat, ...], b_mm: FloatArray) -> tuple[float, float]:
-    """Sum Mahalanobis squares of the beats' residuals, and the traces of their information."""
-    square, trace = 0.0, 0.0
+def _missed(beats: tuple[BreathBeat, ...], b_mm: FloatArray) -> tuple[float, float, float]:
+    """Sum squared residuals over their noise, the traces of the information, and the directions seen."""
+    square, trace, seen = 0.0, 0.0, 0.0
     for beat in beats:
         xi = np.linalg.lstsq(beat.information, beat.offset_information, rcond=1e-9)[0]
         apart = xi - beat.features @ b_mm
         square += float(apart @ beat.information @ apart)
         trace += float(np.trace(beat.information))
-    return square, trace
+        seen += float(
+            np.trace(beat.information @ np.linalg.inv(beat.information + np.eye(6) / CONSTANT_MM**2))
+        )
+    return square, trace, seen
 
 
 def _held_out_mm(beats: tuple[BreathBeat, ...], breaths: list[int], own_mm2: float) -> float:
     """Learn without each block of breaths in turn, and measure what it misses of them beyond the noise."""
-    square, trace, count = 0.0, 0.0, 0
+    square, trace, seen = 0.0, 0.0, 0.0
     for block in np.array_split(np.array(breaths), min(FOLDS, len(breaths))):
         out = tuple(beat for beat in beats if beat.breath in block)
         b_mm, _ = _ridge(tuple(beat for beat in beats if beat.breath not in block), own_mm2)
-        missed, width = _missed(out, b_mm)
-        square, trace, count = square + missed, trace + width, count + len(out)
-    return float(np.sqrt(max(0.0, (square - 6.0 * count) / trace) * MEAN_SQUARE_OF_COORDINATES.sum()))
+        of_block = _missed(out, b_mm)
+        square, trace, seen = square + of_block[0], trace + of_block[1], seen + of_block[2]
+    return float(np.sqrt(max(0.0, (square - seen) / trace) * MEAN_SQUARE_OF_COORDINATES.sum()))
