@@ -141,9 +141,8 @@ def _missed(beats: tuple[BreathBeat, ...], b_mm: FloatArray) -> tuple[float, flo
         apart = xi - beat.features @ b_mm
         square += float(apart @ beat.information @ apart)
         trace += float(np.trace(beat.information))
-        seen += float(
-            np.trace(beat.information @ np.linalg.inv(beat.information + np.eye(6) / CONSTANT_MM**2))
-        )
+        total = beat.information + np.eye(6) / CONSTANT_MM**2
+        seen += float(np.trace(np.linalg.solve(total, beat.information)))
     return square, trace, seen
 
 
