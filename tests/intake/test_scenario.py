@@ -118,6 +118,7 @@ def test_layout(tmp_path: Path, make_scenario: Make) -> None:
         *("calibration/nwire_points.xml", "calibration/latency_tracker.igs.mha"),
         *("calibration/latency_video.igs.mha", "calibration/latency_lines.xml"),
         *("truth/truth.json", "truth/r_peaks.csv", "truth/tool.npz", "truth/surface.npz"),
+        "truth/breathing.npz",
     }
     assert [p.name for p in tmp_path.iterdir()] == ["s"], "a temporary folder stayed behind"
 
