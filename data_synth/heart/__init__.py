@@ -1,1 +1,1 @@
-"""Beating heart: anatomy, motion, breathing, mismatch between MR and patient."""
+"""Beating heart: anatomy, motion, mismatch between MR and patient."""

@@ -5,11 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from data_synth.breathing.motion import DIRECTION
 from data_synth.heart.anatomy import PhantomAnatomy
 from data_synth.heart.clock import two_segment_phase
 from data_synth.heart.motion import PullBack
 from data_synth.heart.reference import ReferenceMap
-from data_synth.heart.respiration import DIRECTION
 from data_synth.threads import for_each
 from dvf_ig.core import CycleTiming, FloatArray, Grid, InvalidInputError, VolumeSeries, read_only_arrays
 

@@ -1,7 +1,5 @@
 """Rigid motions as functions of time, composed like transforms."""
 
-from collections.abc import Callable
-
 import numpy as np
 
 from data_synth.signals.tracker import PosePath
@@ -28,13 +26,3 @@ def inverted(path: PosePath) -> PosePath:
         return back, -np.einsum("nij,nj->ni", back, translations)
 
     return inverse
-
-
-def moved(path: PosePath, shift_mm: Callable[[FloatArray], FloatArray]) -> PosePath:
-    """Shift a path's translations by `shift_mm`: times (n,) to (n, 3) mm in the target frame."""
-
-    def result(t_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-        rotations, translations = path(t_s)
-        return rotations, translations + shift_mm(t_s)
-
-    return result

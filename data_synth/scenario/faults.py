@@ -13,7 +13,8 @@ def describe_faults(preset: Preset) -> tuple[str, ...]:
         (bool(ecg.lead_off_s), "ECG electrodes come off for a while."),
         (bool(ecg.noise_bursts_s), "Bursts of noise cover the ECG."),
         (bool(ecg.missed_beats), "Some beats leave no trace in the ECG."),
-        (preset.respiration_mm > 0, "The heart moves with respiration."),
+        (preset.respiration.moves, "The heart moves with respiration."),
+        (bool(preset.respiration.events), "Breathing does not stay the same."),
         (
             preset.occlusion.losses_per_min > 0 or any(t.lost_s for t in trackers),
             "The tracker loses sight of probe and tool for seconds.",

@@ -6,11 +6,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from data_synth.breathing.motion import seen_at_rest
 from data_synth.heart.tissue import Tissue
 from data_synth.operator.contact import tool_truth
 from data_synth.operator.contact_sites import contact_sites
 from data_synth.operator.hand import perpendicular
-from data_synth.operator.pose_path import composed, inverted, moved
+from data_synth.operator.pose_path import composed, inverted
 from data_synth.operator.tool_path import tip_path, tool_path
 from data_synth.seeds import child_seed
 from data_synth.signals.occlusion import losses_in_contact
@@ -53,7 +54,7 @@ class ToolTask:
 
 def tool_task(world: World) -> ToolTask:
     """Draw the operator's task on the beating, breathing heart; the hand follows the breathing."""
-    spec, breath = world.spec, world.breathing
+    spec, breathing, held = world.spec, world.breathing, world.truth.tip_in_tool
     rng = world.rng("tool path")
     access = perpendicular(world.window, ANTERIOR_LEFT)
     options = world.options.tool
@@ -62,8 +63,10 @@ def tool_task(world: World) -> ToolTask:
     heart_from_tool = tool_path(tip, access, world.truth.tip_in_tool, rng)
     ticks_s = np.arange(round(spec.seconds * TICK_HZ)) / TICK_HZ
     met = tool_truth(world.surface, world.clock, ticks_s, tip(ticks_s))
-    contact = replace(met, tip_mr_mm=met.tip_mr_mm + breath(ticks_s))
-    return ToolTask(moved(heart_from_tool, breath), contact, world.truth.tip_in_tool)
+    if breathing is None:
+        return ToolTask(heart_from_tool, met, held)
+    path = breathing.carried(heart_from_tool, held.xyz_mm[0])
+    return ToolTask(path, breathing.carried_contact(met), held)
 
 
 def tracked_tool(world: World, task: ToolTask) -> tuple[PoseStream, PoseStream | None]:
@@ -88,10 +91,10 @@ def tracked_ultrasound(
     """
     spec, options, rng = world.spec, world.options, world.rng("ultrasound")
     stamp_s, taken_s = _image_times(world, rng)
-    heart_from_plane = moved(mr_from_plane, lambda t_s: -world.breathing(t_s))
-    poses = [Rigid("mr", "plane", r, t) for r, t in zip(*heart_from_plane(taken_s), strict=True)]
+    rest_from_plane, anatomies = seen_at_rest(world.breathing, mr_from_plane, world.anatomy, taken_s)
+    poses = [Rigid("mr", "plane", r, t) for r, t in zip(*rest_from_plane(taken_s), strict=True)]
     images = simulate_sequence(
-        world.anatomy,
+        anatomies,
         world.probe,
         poses,
         _line_phases(world, taken_s),
@@ -123,12 +126,13 @@ def _with_tool(
     rotations, places = composed(inverted(mr_from_plane), task.mr_from_tool)(taken_s)
     tip = task.tip.xyz_mm[0]
     shaft = rotations @ (-tip / np.linalg.norm(tip))
-    turns, apex = moved(mr_from_plane, lambda t_s: -world.breathing(t_s))(taken_s)
+    rest_from_plane, anatomies = seen_at_rest(world.breathing, mr_from_plane, world.anatomy, taken_s)
+    turns, apex = rest_from_plane(taken_s)
     phases = world.clock.model_phase(taken_s)
 
     def hidden(i: int, points: FloatArray) -> BoolArray:
         rays = points[:, None] * _ALONG_RAY[:, None]
-        met = world.anatomy.tissue((rays @ turns[i].T + apex[i]).reshape(-1, 3), float(phases[i]))
+        met = anatomies[i].tissue((rays @ turns[i].T + apex[i]).reshape(-1, 3), float(phases[i]))
         return np.asarray(np.isin(met.reshape(rays.shape[:2]), _HIDING).any(axis=1))
 
     return with_tool(

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 from typing import get_args
 
+from data_synth.breathing.breaths import BreathSpec
 from data_synth.heart.heart_spec import STANDARD_HEART, HeartSeeds, HeartSpec
 from data_synth.heart.motion import MotionPreset
 from data_synth.operator.probe_path import SweepSpec
@@ -48,8 +49,7 @@ class Preset:
         video_jitter_s: SD of the instants at which images are taken, about the regular grid.
         video_drift_ppm: drift by which the video clock is slower than the tracker's.
         start_mm, start_deg: error of the coarse start.
-        respiration_mm, respiration_per_min: excursion of the heart from end-expiration to end-inspiration,
-            and breaths a minute; none by default, as with high-frequency ventilation.
+        respiration: breathing; none by default, as with high-frequency ventilation.
     """
 
     rhythm: RhythmSpec = field(default_factory=RhythmSpec)
@@ -90,8 +90,7 @@ class Preset:
     video_drift_ppm: float = 0.0
     start_mm: float = 10.0
     start_deg: float = 8.0
-    respiration_mm: float = 0.0
-    respiration_per_min: float = 14.0
+    respiration: BreathSpec = field(default_factory=BreathSpec)
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.mismatch_mm <= 8.0:
@@ -104,11 +103,6 @@ class Preset:
         if abs(self.video_drift_ppm) > 5000.0:
             raise InvalidInputError(
                 f"the video clock drifts {self.video_drift_ppm:g} ppm; needed ±5000 at most"
-            )
-        if not 0.0 <= self.respiration_mm <= 40.0 or not 2.0 <= self.respiration_per_min <= 60.0:
-            raise InvalidInputError(
-                f"respiration is {self.respiration_mm:g} mm, {self.respiration_per_min:g} a minute; "
-                "needed 0 to 40 mm and 2 to 60 a minute"
             )
         if min(self.start_mm, self.start_deg, self.video_jitter_s) < 0:
             raise InvalidInputError("the coarse start's offset or the video's jitter is negative")
@@ -146,6 +140,12 @@ PRESETS: dict[str, Preset] = {
         other_probe_deg=4.0,
     ),
     "tool-unseen": Preset(looks=LookSpec(for_s=3.0)),
+    "ventilated": Preset(respiration=BreathSpec("ventilated", excursion_mm=10.0)),
+    "breathing": Preset(
+        respiration=BreathSpec(
+            "spontaneous", excursion_mm=6.0, tilt_deg=1.5, stretch_mm=0.35, nonrigid_mm=0.2
+        )
+    ),
 }
 """calm: about 72 beats/min with mild variability, low noise, short drop-outs. Every other one is calm except:
 tachycardia: the rate climbs from 60 to 120 beats/min between 8 and 52 s.
@@ -166,6 +166,9 @@ late-ecg: the ECG is stamped 0.3 s late from the beginning.
 tool-in-view: images show the tool, and the operator turns them to it for 3 s every 8 s.
 tool-elsewhere: the same with the calibrations of wrong-calibration.
 tool-unseen: the same looks, at a tool that images do not show.
+ventilated: a ventilator moves the heart by 10 mm, 14 times a minute; its channels and a marker on the chest
+    are recorded.
+breathing: the patient breathes, 6 mm, 14 times a minute and unevenly; a chest marker is recorded.
 """
 
 

@@ -2,9 +2,12 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
+from data_synth.breathing.breaths import Breaths, draw_breaths
+from data_synth.breathing.recorded import recorded_breathing
 from data_synth.cine_heart.anatomy import CineHeart, cine_anatomy
 from data_synth.heart.anatomy import PhantomAnatomy, phantom_anatomy
 from data_synth.heart.heart_spec import HeartSpec
@@ -93,9 +96,8 @@ def phantom_scenario(
         InvalidInputError: `imaged` is another heart.
     """
     anatomy = scenario_heart(spec) if imaged is None else imaged.of(spec)
-    beats = beat_series(spec.options.rhythm, -3.0, spec.seconds + 3.0, child_rng(spec.seed, "rhythm"))
-    ecg = synthetic_ecg(beats, spec.seconds, spec.options.ecg, child_rng(spec.seed, "ecg"))
-    world = make_world(spec, anatomy, beats.r_peaks_s)
+    breaths, peaks_s, ecg = _signals(spec)
+    world = make_world(spec, anatomy, peaks_s, breaths)
     _report_progress(progress, 0.12)
     sweep = sweeping_path(
         world.outline, world.window, spec.options.sweep, world.rng("probe path"), world.standoff_mm
@@ -148,7 +150,7 @@ def surface_scenario(
         )
     seed = child_seed(spec.seeds.mismatch, "anatomy")
     anatomy = surface_anatomy(surfaces, mismatch_mm=spec.mismatch, seed=seed)
-    world = make_world(spec, anatomy, np.asarray(r_peaks_s, dtype=np.float64))
+    world = make_world(spec, anatomy, np.asarray(r_peaks_s, dtype=np.float64), _breaths(spec))
     _report_progress(progress, 0.12)
     view = central_view(world.outline, world.window, world.central_standoff_mm)
     mr_from_mean_probe = view @ world.truth.probe_from_plane.inverse()
@@ -170,15 +172,27 @@ def cine_scenario(spec: ScenarioSpec, heart: CineHeart, progress: Report | None 
     """
     seed = child_seed(spec.seeds.mismatch, "anatomy")
     anatomy = cine_anatomy(heart, mismatch_mm=spec.mismatch, seed=seed)
-    beats = beat_series(spec.options.rhythm, -3.0, spec.seconds + 3.0, child_rng(spec.seed, "rhythm"))
-    ecg = synthetic_ecg(beats, spec.seconds, spec.options.ecg, child_rng(spec.seed, "ecg"))
-    world = make_world(spec, anatomy, beats.r_peaks_s)
+    breaths, peaks_s, ecg = _signals(spec)
+    world = make_world(spec, anatomy, peaks_s, breaths)
     _report_progress(progress, 0.12)
     sweep = sweeping_path(
         world.outline, world.window, spec.options.sweep, world.rng("probe path"), world.standoff_mm
     )
     name = f"real cine of {heart.patient_id}, {spec.preset}, seed {spec.seed}"
     return _assembled(name, world, heart.preop(), ecg, sweep, with_start=True, progress=progress)
+
+
+def _breaths(spec: ScenarioSpec) -> Breaths:
+    return draw_breaths(spec.options.respiration, spec.seconds, child_rng(spec.seed, "breaths"))
+
+
+def _signals(spec: ScenarioSpec) -> tuple[Breaths, FloatArray, Signal]:
+    """Draw breaths, R peaks, and the ECG, which breathing modulates."""
+    breaths, options = _breaths(spec), spec.options
+    volume = breaths.volume_at if options.respiration.moves else None
+    beats = beat_series(options.rhythm, -3.0, spec.seconds + 3.0, child_rng(spec.seed, "rhythm"), volume)
+    ecg = synthetic_ecg(beats, spec.seconds, options.ecg, child_rng(spec.seed, "ecg"), volume)
+    return breaths, beats.r_peaks_s, ecg
 
 
 def _assembled(
@@ -230,10 +244,20 @@ def _assembled(
         landmarks_tracker=touched_landmarks(landmarks, truth.mr_from_tracker, world.rng("landmarks")),
         seed=spec.seed,
         tool_after_restart=tool_after_restart,
+        **_breathing_recorded(world),
         truth=_truth(world, preop, task.contact),
     )
     _report_progress(progress, 1.0)
     return scenario
+
+
+def _breathing_recorded(world: World) -> dict[str, Any]:
+    """Record the breath as fields of a scenario."""
+    if world.breathing is None:
+        return {}
+    return recorded_breathing(
+        world.breathing, world.patient, world.spec.seconds, world.rng("breathing recorded")
+    )
 
 
 def _nwire(world: World) -> NWireRecording:
@@ -250,7 +274,7 @@ def _nwire(world: World) -> NWireRecording:
 
 def _truth(world: World, preop: Preop, contact: ToolTruth) -> ScenarioTruth:
     """Collect the ground truth, with the surface at TRUTH_PHASES phases."""
-    anatomy, truth, surface = world.anatomy, world.truth, world.surface
+    anatomy, truth, surface, breathing = world.anatomy, world.truth, world.surface, world.breathing
     moving = SurfaceSeries(
         preop.surface,
         "mr",
@@ -275,7 +299,8 @@ def _truth(world: World, preop: Preop, contact: ToolTruth) -> ScenarioTruth:
         later_probe_from_image=world.image_maps()[1:],
         calibrated_probe_from_image=world.calibrated if other else None,
         video_drift_ppm=options.video_drift_ppm,
-        respiration_mm=options.respiration_mm,
+        respiration_mm=options.respiration.excursion_mm,
+        breathing=None if breathing is None else breathing.truth(anatomy.targets(), world.spec.seconds),
     )
 
 

@@ -4,9 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from data_synth.breathing.breaths import Breaths
+from data_synth.breathing.motion import Breathing, breathing_of
 from data_synth.heart.beating_anatomy import BeatingAnatomy
 from data_synth.heart.clock import HeartClock
-from data_synth.heart.respiration import Breathing, breathing
 from data_synth.heart.tissue import Tissue
 from data_synth.operator.contact import MovingSurface
 from data_synth.operator.probe_path import (
@@ -41,7 +42,7 @@ class World:
         patient: mr_from_tracker over time.
         mount: probe_from_plane over time.
         calibrated: image calibration of the probe in the calibration recordings.
-        breathing: displacement of the heart, frame "mr".
+        breathing: motion of the heart in breathing; None without.
     """
 
     spec: ScenarioSpec
@@ -55,7 +56,7 @@ class World:
     patient: DisplacedPose
     mount: DisplacedPose
     calibrated: ImageMap
-    breathing: Breathing
+    breathing: Breathing | None
 
     @property
     def options(self) -> Preset:
@@ -88,11 +89,12 @@ class World:
         )
 
 
-def make_world(spec: ScenarioSpec, anatomy: BeatingAnatomy, r_peaks_s: FloatArray) -> World:
+def make_world(spec: ScenarioSpec, anatomy: BeatingAnatomy, r_peaks_s: FloatArray, breaths: Breaths) -> World:
     """Draw everything that does not depend on the paths of probe and tool.
 
     Args:
         r_peaks_s: true beats on the tracker's clock.
+        breaths: course of breathing.
     """
     surface = MovingSurface.of(anatomy)
     resting = surface.vertices_mm[0]
@@ -137,9 +139,7 @@ def make_world(spec: ScenarioSpec, anatomy: BeatingAnatomy, r_peaks_s: FloatArra
             child_rng(spec.seed, "probe slip"),
         ),
         calibrated=_other_probe(truth.probe_from_image, options, middle, child_rng(spec.seed, "other probe")),
-        breathing=breathing(
-            options.respiration_mm, options.respiration_per_min, child_rng(spec.seed, "breathing")
-        ),
+        breathing=breathing_of(options.respiration, breaths, center, child_rng(spec.seed, "breathing")),
     )
 
 

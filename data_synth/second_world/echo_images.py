@@ -1,6 +1,6 @@
 """Images of the second world from scan lines' echoes: bloom, reverberation, gain, drop-out, grey curve."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,10 +12,9 @@ from data_synth.seeds import child_rng, child_seed
 from data_synth.threads import in_order
 from data_synth.ultrasound.probe import SectorProbe
 from data_synth.ultrasound.scan_conversion import ScanConverter
-from data_synth.ultrasound.scan_lines import envelope_lines
+from data_synth.ultrasound.scan_lines import AcousticAnatomy, envelope_lines
 from dvf_ig.core import FloatArray, Rigid, read_only_arrays
 
-from .changed_heart import ChangedHeart
 from .drawn import Drawn
 from .probes import insonified
 
@@ -111,7 +110,7 @@ def _dropout(probe: SectorProbe, drawn: Drawn, number: int) -> Dropout:
 
 
 def echo_images(
-    heart: ChangedHeart,
+    hearts: Sequence[AcousticAnatomy],
     probe: SectorProbe,
     poses: list[Rigid],
     phases: FloatArray,
@@ -122,6 +121,7 @@ def echo_images(
     """Simulate (n, rows, columns) images.
 
     Args:
+        hearts: the heart at each image.
         poses: mr_from_plane of each image.
         phases: (n, lines) model phase of each line.
         t_s: (n,) times of the images.
@@ -130,10 +130,9 @@ def echo_images(
     true_probe = insonified(probe, drawn["image.sound_speed"])
     seed = child_seed(drawn.seed, "second world speckle")
     persistence = np.float32(drawn["image.persistence"])
-    _ = heart.loaded_vertices_mm  # cached values are filled before threads share them
 
     def make(i: int) -> Echoes:
-        level = envelope_lines(heart, true_probe, poses[i], phases[i], seed, i)
+        level = envelope_lines(hearts[i], true_probe, poses[i], phases[i], seed, i)
         return display.grey(level, float(t_s[i]))
 
     out = np.empty((len(poses), probe.rows, probe.columns), dtype=np.uint8)

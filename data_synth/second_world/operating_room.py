@@ -5,6 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from data_synth.breathing.breaths import BreathKind, Breaths, BreathSpec, draw_breaths
+from data_synth.breathing.motion import Breathing, breathing_of
 from data_synth.operator.contact import MovingSurface
 from data_synth.operator.pose_path import composed
 from data_synth.scenario.displacement import random_displacement
@@ -44,6 +46,7 @@ class OperatingRoom:
         lag_s: t_tracker(event) = t_video(event) + lag_s.
         field: the tracker's distorted field.
         drawn: every value of this heart.
+        breathing: motion of the heart in breathing; None without.
     """
 
     heart: RestingHeart
@@ -63,6 +66,7 @@ class OperatingRoom:
     lag_s: float
     field: DistortedField
     drawn: Drawn
+    breathing: Breathing | None = None
 
     @property
     def probe_from_image(self) -> ImageMap:
@@ -80,11 +84,15 @@ class OperatingRoom:
         return child_rng(self.drawn.seed, f"second world {stream}")
 
 
-def operating_room(heart: RestingHeart, seconds: float, drawn: Drawn) -> OperatingRoom:
-    """Draw the source of all streams of `seconds`."""
+def operating_room(
+    heart: RestingHeart, seconds: float, drawn: Drawn, breath: BreathKind | None = None
+) -> OperatingRoom:
+    """Draw the source of all streams of `seconds`, with breathing of a kind or without."""
+    spec = BreathSpec() if breath is None else _breath_spec(breath, drawn)
+    breaths = draw_breaths(spec, seconds, child_rng(drawn.seed, "second world breaths"))
     fields = tissue_fields(heart, drawn)
     changed, rms_mm = changed_heart(heart, fields.reference, drawn)
-    beats = _beats(seconds, drawn)
+    beats = _beats(seconds, drawn, breaths if spec.moves else None)
     delays = drawn["rhythm.gate_noise_s"] * child_rng(drawn.seed, "second world gates").standard_normal(
         len(beats.r_peaks_s)
     )
@@ -114,6 +122,23 @@ def operating_room(heart: RestingHeart, seconds: float, drawn: Drawn) -> Operati
         lag_s=drawn["calibration.lag_s"],
         field=distorted_field(box_of(np.concatenate([stands, box])), drawn),
         drawn=drawn,
+        breathing=breathing_of(
+            spec, breaths, heart.box_mm.mean(axis=0), child_rng(drawn.seed, "second world breathing")
+        ),
+    )
+
+
+def _breath_spec(kind: BreathKind, drawn: Drawn) -> BreathSpec:
+    excursion = drawn[f"breathing.{kind}_mm"]
+    return BreathSpec(
+        kind,
+        excursion,
+        drawn["breathing.per_minute"],
+        drawn["breathing.tilt_deg_per_cm"] * excursion / 10.0,
+        drawn["breathing.stretch_mm_per_cm"] * excursion / 10.0,
+        drawn["breathing.nonrigid_mm_per_cm"] * excursion / 10.0,
+        drawn["breathing.lagging"],
+        drawn["breathing.backlash"],
     )
 
 
@@ -146,7 +171,7 @@ def constant_path(pose: Rigid) -> PosePath:
     return path
 
 
-def _beats(seconds: float, drawn: Drawn) -> Beats:
+def _beats(seconds: float, drawn: Drawn, breaths: Breaths | None) -> Beats:
     spec = RhythmSpec(
         rate_bpm=((0.0, drawn["rhythm.rate_bpm"]),),
         respiratory=drawn["rhythm.respiratory"],
@@ -154,7 +179,8 @@ def _beats(seconds: float, drawn: Drawn) -> Beats:
         jitter=drawn["rhythm.jitter"],
         ectopic_share=drawn["rhythm.ectopic_share"],
     )
-    return beat_series(spec, -3.0, seconds + 3.0, child_rng(drawn.seed, "second world rhythm"))
+    volume = None if breaths is None else breaths.volume_at
+    return beat_series(spec, -3.0, seconds + 3.0, child_rng(drawn.seed, "second world rhythm"), volume)
 
 
 def true_pose(heart: RestingHeart, drawn: Drawn) -> Rigid:

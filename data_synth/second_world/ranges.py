@@ -78,6 +78,20 @@ RHYTHM: dict[str, Range] = {
     "rhythm.ecg_baseline_mv": Range(0.03, 0.15),
 }
 
+BREATHING: dict[str, Range] = {
+    # excursion of the heart's centre, mm: ventilated (Maeyens 2023), and free tidal breathing (Shechter 2004)
+    "breathing.ventilated_mm": Range(9.3, 13.0),
+    "breathing.spontaneous_mm": Range(3.0, 8.6),
+    "breathing.per_minute": Range(10.0, 18.0),
+    "breathing.tilt_deg_per_cm": Range(1.0, 3.5),
+    # change of shape, RMS at the surface, mm for each cm of excursion
+    "breathing.stretch_mm_per_cm": Range(0.3, 0.9),
+    "breathing.nonrigid_mm_per_cm": Range(0.1, 0.5),
+    # share of the motion that lags, and backlash as a share of a breath
+    "breathing.lagging": Range(0.2, 0.8),
+    "breathing.backlash": Range(0.0, 0.1),
+}
+
 ACOUSTICS: dict[str, Range] = {
     # impedance in MRayl, attenuation in dB/cm/MHz, echo in dB re muscle of the left ventricle
     "muscle.impedance": Range(1.64, 1.74),
@@ -294,5 +308,7 @@ SEGMENTATION: dict[str, Range] = {
     "labels.basal_reach_mm": Range(10.0, 10.0),
 }
 
-RANGES: dict[str, Range] = HEART | RHYTHM | ACOUSTICS | SCANNER | PROBE | TRACKER | MR | SEGMENTATION
+RANGES: dict[str, Range] = (
+    HEART | RHYTHM | BREATHING | ACOUSTICS | SCANNER | PROBE | TRACKER | MR | SEGMENTATION
+)
 """All ranges by name."""

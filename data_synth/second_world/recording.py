@@ -2,10 +2,13 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import get_args
+from typing import Any, get_args
 
 import numpy as np
 
+from data_synth.breathing.breaths import BreathKind, BreathSpec
+from data_synth.breathing.motion import seen_at_rest
+from data_synth.breathing.recorded import recorded_breathing
 from data_synth.heart.heart_spec import HeartKind, HeartSpec
 from data_synth.heart.motion import MotionPreset
 from data_synth.operator.contact import tool_truth
@@ -68,6 +71,7 @@ class SecondWorldSpec:
         seconds: length of the live part.
         us_rate_hz: ultrasound frame rate.
         heart: kind of heart; "varied" is drawn from the population.
+        breathing: kind of breathing; None: none.
     """
 
     seed: int = 5001
@@ -76,10 +80,12 @@ class SecondWorldSpec:
     seconds: float = 60.0
     us_rate_hz: float = 12.0
     heart: HeartKind = "varied"
+    breathing: BreathKind | None = None
 
     def __post_init__(self) -> None:
         Drawn(self.seed, self.quality)
         HeartSpec(self.heart)
+        BreathSpec(self.breathing or "ventilated")
         if self.motion not in get_args(MotionPreset):
             raise InvalidInputError(
                 f"there is no motion '{self.motion}'; choose from {', '.join(get_args(MotionPreset))}"
@@ -125,7 +131,7 @@ def second_world_recording(
     report: Report = progress or (lambda share: None)
     drawn = Drawn(spec.seed, spec.quality)
     resting = heart or four_chamber_heart(spec.motion, spec.seed, spec.heart)
-    room = operating_room(resting, spec.seconds, drawn)
+    room = operating_room(resting, spec.seconds, drawn, spec.breathing)
     report(0.3)
     preop = cine(resting, room.fields, cycle_law(resting, drawn), drawn)
     report(0.5)
@@ -151,6 +157,7 @@ def second_world_recording(
         landmarks_tracker=_touched(room, landmarks),
         seed=spec.seed,
         truth=_truth(room, preop, contact, spec.seconds),
+        **_breathing_recorded(room, spec.seconds),
     )
     report(1.0)
     return SecondWorldRecording(
@@ -166,7 +173,11 @@ def _tool(room: OperatingRoom, seconds: float) -> tuple[PoseStream, ToolTruth]:
     tip = tip_path(room.surface, room.clock, sites, seconds, spec, rng)
     ticks_s = np.arange(round(seconds * TICK_HZ)) / TICK_HZ
     contact = tool_truth(room.surface, room.clock, ticks_s, tip(ticks_s))
-    true_pose = composed(constant_path(room.mr_from_tracker.inverse()), tool_path(tip, access, room.tip, rng))
+    mr_from_tool = tool_path(tip, access, room.tip, rng)
+    if room.breathing is not None:
+        contact = room.breathing.carried_contact(contact)
+        mr_from_tool = room.breathing.carried(mr_from_tool, room.tip.xyz_mm[0])
+    true_pose = composed(constant_path(room.mr_from_tracker.inverse()), mr_from_tool)
     sensor = tool_sensor(room.drawn)
     true_s, stamp_s = sampling_times(sensor, 0.0, seconds, rng)
     read = room.field.read(true_pose)
@@ -187,11 +198,12 @@ def _ultrasound(
     room: OperatingRoom, spec: SecondWorldSpec, taken_s: FloatArray, report: Report
 ) -> TrackedSequence:
     """Simulate images stamped on the video clock, each with the pose that the tracker gave at its stamp."""
-    poses = [Rigid("mr", "plane", r, t) for r, t in zip(*room.mr_from_plane(taken_s), strict=True)]
+    view, hearts = seen_at_rest(room.breathing, room.mr_from_plane, room.changed, taken_s)
+    poses = [Rigid("mr", "plane", r, t) for r, t in zip(*view(taken_s), strict=True)]
     line_s = _LINE_S_PER_MM * room.probe.depth_mm
     within = (np.arange(room.probe.lines) - 0.5 * (room.probe.lines - 1)) * line_s
     phases = room.clock.model_phase(taken_s[:, None] + within)
-    images = echo_images(room.changed, room.probe, poses, phases, taken_s, room.drawn, report)
+    images = echo_images(hearts, room.probe, poses, phases, taken_s, room.drawn, report)
     stamp_s = np.round(taken_s - room.lag_s, 6)
     sensor = probe_sensor(room.drawn, spec.us_rate_hz)
     stream = tracked(
@@ -203,7 +215,16 @@ def _ultrasound(
 def _ecg(room: OperatingRoom, seconds: float) -> Signal:
     drawn = room.drawn
     spec = EcgSpec(emg_mv=drawn["rhythm.ecg_noise_mv"], baseline_mv=drawn["rhythm.ecg_baseline_mv"])
-    return synthetic_ecg(room.beats, seconds, spec, room.rng("ecg"))
+    volume = None if room.breathing is None else room.breathing.breaths.volume_at
+    return synthetic_ecg(room.beats, seconds, spec, room.rng("ecg"), volume)
+
+
+def _breathing_recorded(room: OperatingRoom, seconds: float) -> dict[str, Any]:
+    """Record the breath as fields of a scenario."""
+    if room.breathing is None:
+        return {}
+    path = constant_path(room.mr_from_tracker)
+    return recorded_breathing(room.breathing, path, seconds, room.rng("breathing recorded"))
 
 
 def _steady_sensor(drawn: Drawn, rate_hz: float) -> TrackerSpec:
@@ -273,4 +294,6 @@ def _truth(room: OperatingRoom, preop: Preop, contact: ToolTruth, seconds: float
         surface=moving,
         tool=contact,
         mismatch_mm=room.changed_rms_mm,
+        respiration_mm=0.0 if room.breathing is None else room.breathing.spec.excursion_mm,
+        breathing=None if room.breathing is None else room.breathing.truth(room.heart.targets, seconds),
     )

@@ -6,6 +6,7 @@ at the rhythm's beat; QRS has a fixed duration in seconds, and the T wave follow
 records, rather than RR^0.5.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -82,8 +83,14 @@ class EcgSpec:
             raise InvalidInputError("an ECG disturbance ends before it begins; give (start, stop)")
 
 
-def clean_ecg(beats: Beats, t_s: FloatArray, spec: EcgSpec) -> FloatArray:
-    """Compute (n, leads) mV without any disturbance; each R wave peaks at its R peak."""
+def clean_ecg(
+    beats: Beats, t_s: FloatArray, spec: EcgSpec, volume: Callable[[float], float] | None = None
+) -> FloatArray:
+    """Compute (n, leads) mV without any disturbance; each R wave peaks at its R peak.
+
+    Args:
+        volume: of the lung, 0 to about 1, at a time: a full one makes beats small; None: steady breathing.
+    """
     out = np.zeros((len(t_s), spec.leads))
     rr_before = np.diff(beats.r_peaks_s, prepend=2 * beats.r_peaks_s[0] - beats.r_peaks_s[1])
     first_beat = int(np.searchsorted(beats.r_peaks_s, t_s[0]))
@@ -94,7 +101,8 @@ def clean_ecg(beats: Beats, t_s: FloatArray, spec: EcgSpec) -> FloatArray:
         first, last = np.searchsorted(t_s, (r_s - 0.35, r_s + 0.75))
         local = t_s[first:last, None] - r_s - offsets_s
         waves = np.exp(-0.5 * (local / widths_s) ** 2)
-        gain = 1.0 + spec.respiratory_gain * np.sin(2 * np.pi * spec.respiration_hz * r_s)
+        breath = np.sin(2 * np.pi * spec.respiration_hz * r_s) if volume is None else 1.0 - 2.0 * volume(r_s)
+        gain = 1.0 + spec.respiratory_gain * breath
         out[first:last] += gain * waves @ mv[: spec.leads].T
     return out
 
@@ -108,11 +116,17 @@ def _beat_waves(rr_s: float, ectopic: bool) -> tuple[FloatArray, FloatArray, Flo
     return _WAVES_S * stretch, _WIDTHS_S * stretch, _MV
 
 
-def synthetic_ecg(beats: Beats, seconds: float, spec: EcgSpec, rng: np.random.Generator) -> Signal:
+def synthetic_ecg(
+    beats: Beats,
+    seconds: float,
+    spec: EcgSpec,
+    rng: np.random.Generator,
+    volume: Callable[[float], float] | None = None,
+) -> Signal:
     """Simulate an ECG from 0 to `seconds`, stamped when measured: without `latency_s`."""
     n = round(seconds * spec.rate_hz)
     t_s = np.arange(n) / spec.rate_hz
-    mv = clean_ecg(beats, t_s, spec)
+    mv = clean_ecg(beats, t_s, spec, volume)
     for lead in range(spec.leads):
         mv[:, lead] += _baseline(t_s, spec, rng) + _muscle(n, spec, rng) + _mains(t_s, spec, rng)
     for start_s, stop_s in spec.noise_bursts_s:

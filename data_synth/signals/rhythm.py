@@ -1,5 +1,6 @@
 """Beats of the synthetic heart: RR series with variability, rate ramps and early beats."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -55,10 +56,20 @@ class Beats:
     ectopic: BoolArray
 
 
-def beat_series(spec: RhythmSpec, start_s: float, stop_s: float, rng: np.random.Generator) -> Beats:
+def beat_series(
+    spec: RhythmSpec,
+    start_s: float,
+    stop_s: float,
+    rng: np.random.Generator,
+    volume: Callable[[float], float] | None = None,
+) -> Beats:
     """Draw R peaks from at or before `start_s` to at or after `stop_s`.
 
     RR_k = 60/rate(t) · (1 + respiratory·sin(2πf t + a) + mayer·sin(2π 0.1 t + b) + jitter·ε).
+
+    Args:
+        volume: of the lung, 0 to about 1, at a time; in place of the sine stands 1 − 2·volume: a full lung
+            quickens the heart.
     """
     knots_s, rates = (np.array(column) for column in zip(*spec.rate_bpm, strict=True))
     breath, slow = rng.uniform(0, 2 * np.pi, 2)
@@ -68,7 +79,9 @@ def beat_series(spec: RhythmSpec, start_s: float, stop_s: float, rng: np.random.
     while peaks[-1] < stop_s:
         t = peaks[-1]
         rr = 60.0 / float(np.interp(t, knots_s, rates))
-        rr *= 1.0 + spec.respiratory * np.sin(2 * np.pi * spec.respiration_hz * t + breath)
+        rr *= 1.0 + spec.respiratory * (
+            np.sin(2 * np.pi * spec.respiration_hz * t + breath) if volume is None else 1.0 - 2.0 * volume(t)
+        )
         rr *= 1.0 + spec.mayer * np.sin(2 * np.pi * 0.1 * t + slow)
         rr *= 1.0 + spec.jitter * float(rng.standard_normal())
         early = float(rng.uniform()) < spec.ectopic_share and pause == 0.0

@@ -58,7 +58,7 @@ def simulate_lines(
 
 
 def simulate_sequence(
-    anatomy: AcousticAnatomy,
+    anatomy: AcousticAnatomy | Sequence[AcousticAnatomy],
     probe: SectorProbe,
     mr_from_plane: Sequence[Rigid],
     line_phases: FloatArray,
@@ -70,6 +70,7 @@ def simulate_sequence(
     """Simulate (frames, rows, columns) images, bit-identical for any number of threads.
 
     Args:
+        anatomy: the heart, or the heart at each frame.
         mr_from_plane: pose of the image plane for each frame.
         line_phases: (frames, lines) model phases.
         progress: called with (frames done, total frames).
@@ -78,12 +79,13 @@ def simulate_sequence(
     """
     phases = checked_phases(line_phases, (len(mr_from_plane), probe.lines))
     # cached values are filled before threads share them
-    _ = (anatomy.reference, anatomy.inverse_motion)
+    hearts = anatomy if isinstance(anatomy, Sequence) else [anatomy] * len(mr_from_plane)
+    _ = [(heart.reference, heart.inverse_motion) for heart in hearts[:1]]
     convert, persistence = _converter(probe), np.float32(probe.persistence)
     out = np.empty((len(mr_from_plane), probe.rows, probe.columns), dtype=np.uint8)
 
     def make(i: int) -> NDArray[np.float32]:
-        level = envelope_lines(anatomy, probe, mr_from_plane[i], phases[i], seed, i)
+        level = envelope_lines(hearts[i], probe, mr_from_plane[i], phases[i], seed, i)
         return log_compressed(level, probe)
 
     shown: NDArray[np.float32] | None = None

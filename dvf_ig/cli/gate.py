@@ -1,10 +1,11 @@
-"""`dvf-ig gate`: causal R peaks and phase of an ECG or a trigger."""
+"""`dvf-ig gate`: causal R peaks and phase of an ECG or a trigger, and the clock of breathing."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from .gate_breathing import breathing_rows, followed_breathing
 from .shell import EcgLeadOption, EcgRateOption, JsonFlag, command, emit, output_file, progress, warn, wrote
 
 if TYPE_CHECKING:
@@ -16,13 +17,13 @@ VALIDITY_RATE_HZ = 100.0
 
 def gate(
     ecg: Annotated[
-        str,
+        str | None,
         typer.Argument(
             help="wfdb:RECORD, edf:FILE, csv:FILE or plus:SEQUENCE[#FIELD] (an ending .hea, .dat, .edf, "
             ".bdf, .csv, .tsv, .ecg, .mha or .nrrd is enough), or trigger:FILE.",
             metavar="ECG",
         ),
-    ],
+    ] = None,
     rate: EcgRateOption = None,
     lead: EcgLeadOption = None,
     phase_at: Annotated[
@@ -34,6 +35,14 @@ def gate(
         float | None,
         typer.Option("--delay-s", help="trigger:FILE only: time from R to the trigger (s)."),
     ] = None,
+    respiration: Annotated[
+        str | None,
+        typer.Option(
+            "--respiration",
+            help="Breathing: csv:FILE#CHANNEL or wfdb:RECORD#CHANNEL (#CHANNEL if several may be meant), or "
+            "marker:FILE; with or without an ECG.",
+        ),
+    ] = None,
     output: Annotated[
         Path | None,
         typer.Option(
@@ -42,23 +51,39 @@ def gate(
     ] = None,
     as_json: JsonFlag = False,
 ) -> None:
-    """Detect R peaks causally and report where the heart's phase is valid."""
+    """Detect R peaks causally and report where the heart's phase is valid; follow breathing likewise."""
     with command():
         from dvf_ig.io import files_together, provenance_fields, require_outputs, write_json
+        from dvf_ig.io.writing.atomic import write_bytes
 
+        if ecg is None and respiration is None:
+            raise typer.BadParameter("give an ECG, or --respiration KIND:FILE")
+        pictures = []
         if output is not None:
-            require_outputs(output, output.with_suffix(".png"))
-        rate_hz = phase_at or VALIDITY_RATE_HZ
-        signal, tracking = _track(ecg, rate, lead, rate_hz, predictor, delay_s)
-        result = _result(signal, tracking, with_phase=phase_at is not None)
+            pictures = [output.with_suffix(".png")] if ecg is not None else []
+            pictures += [output.with_suffix(".breathing.png")] if respiration is not None else []
+            require_outputs(output, *pictures)
+        result: dict[str, Any] = {}
+        rows: list[tuple[str, str]] = []
+        drawn: list[bytes] = []
+        if ecg is not None:
+            signal, tracking = _track(ecg, rate, lead, phase_at or VALIDITY_RATE_HZ, predictor, delay_s)
+            result |= _result(signal, tracking, with_phase=phase_at is not None)
+            rows += _rows(result)
+            drawn += [_picture(ecg, signal, tracking)] if output is not None else []
+        if respiration is not None:
+            breathing, picture = followed_breathing(respiration, rate, draw=output is not None)
+            result["respiration"] = breathing
+            rows += breathing_rows(breathing)
+            drawn += [] if picture is None else [picture]
         if output is not None:
-            picture = output.with_suffix(".png")
-            with files_together(output.parent, (output.name, picture.name)) as new:
+            with files_together(output.parent, (output.name, *(p.name for p in pictures))) as new:
                 write_json(new / output.name, {**result, **provenance_fields()})
-                _draw(new / picture.name, ecg, signal, tracking)
-            wrote(output)
-            wrote(picture)
-        emit(result, _rows(result), as_json=as_json)
+                for path, png in zip(pictures, drawn, strict=True):
+                    write_bytes(new / path.name, png)
+            for path in (output, *pictures):
+                wrote(path)
+        emit(result, rows, as_json=as_json)
 
 
 def _track(
@@ -138,15 +163,13 @@ def _result(signal: "Signal | None", tracking: "PhaseTracking", *, with_phase: b
     return result
 
 
-def _draw(path: Path, spec: str, signal: "Signal | None", tracking: "PhaseTracking") -> None:
+def _picture(spec: str, signal: "Signal | None", tracking: "PhaseTracking") -> bytes:
     import numpy as np
 
-    from dvf_ig.io.writing.atomic import write_bytes
     from dvf_ig.report import gate_png
 
     name = Path(spec.rpartition(":")[2]).name
-    peaks_s = np.array([peak.t_s for peak in tracking.peaks])
-    write_bytes(path, gate_png(name, signal, peaks_s, tracking.track))
+    return gate_png(name, signal, np.array([peak.t_s for peak in tracking.peaks]), tracking.track)
 
 
 def _rows(result: dict[str, Any]) -> list[tuple[str, str]]:

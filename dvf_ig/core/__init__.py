@@ -26,6 +26,8 @@ from .recordings.phantom import NWireRecording as NWireRecording
 from .recordings.phantom import TargetRecording as TargetRecording
 from .recordings.phantom import Wire as Wire
 from .recordings.phantom import WireSearch as WireSearch
+from .recordings.respiration import Respiration as Respiration
+from .recordings.scenario import BreathingTruth as BreathingTruth
 from .recordings.scenario import LatencyRecording as LatencyRecording
 from .recordings.scenario import Preop as Preop
 from .recordings.scenario import Scenario as Scenario

@@ -8,6 +8,7 @@ import numpy as np
 from dvf_ig.core.arrays import FloatArray
 from dvf_ig.core.errors import InvalidInputError
 from dvf_ig.core.recordings.phantom import NWireRecording, TargetRecording
+from dvf_ig.core.recordings.respiration import Respiration
 from dvf_ig.core.recordings.scenario import LatencyRecording
 from dvf_ig.core.recordings.signal import Signal
 from dvf_ig.core.recordings.stream import PoseStream
@@ -96,6 +97,14 @@ def ecg_contents(ecg: Signal | TriggerTimes | None) -> str | None:
         return None
     source = "trigger" if isinstance(ecg, TriggerTimes) else f"{', '.join(ecg.leads)} at {ecg.rate_hz:g} Hz"
     return f"{source}, {_span(ecg.t_s)}; {_beats(ecg)}"
+
+
+def respiration_contents(breathing: Respiration | None) -> str | None:
+    """Describe what follows the breath."""
+    if breathing is None:
+        return None
+    rate_hz = (len(breathing) - 1) / float(breathing.t_s[-1] - breathing.t_s[0])
+    return f"{breathing.name} at {rate_hz:.0f} Hz, {_span(breathing.t_s)}"
 
 
 def _beats(ecg: Signal | TriggerTimes) -> str:

@@ -8,6 +8,7 @@ from typing import Any
 
 from dvf_ig.core.errors import InvalidInputError
 from dvf_ig.io.ecg.trigger import split_ecg
+from dvf_ig.io.respiration import split_respiration
 from dvf_ig.io.yaml_config import validated
 
 from .schema import KEYS, Form, SessionConfig
@@ -51,6 +52,9 @@ def _entries(entry: str, form: Form, value: Any, folder: Path | None, option: st
         case Form.ECG:
             parts = split_ecg(value)
             return {entry: f"{parts.prefix}{_relative(parts.name, folder)}{parts.field}"}
+        case Form.BREATH:
+            breath = split_respiration(value)
+            return {entry: f"{breath.prefix}{_relative(breath.name, folder)}{breath.field}"}
         case Form.SOURCE:
             seconds = _number(value)
             return {entry: _relative(value, folder) if seconds is None else seconds}

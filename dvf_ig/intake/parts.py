@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from dvf_ig.core.errors import InvalidInputError
 from dvf_ig.core.model import DvfModel
 from dvf_ig.core.recordings.phantom import NWireRecording, TargetRecording
+from dvf_ig.core.recordings.respiration import Respiration
 from dvf_ig.core.recordings.scenario import LatencyRecording, Preop, Scenario, ScenarioTruth
 from dvf_ig.core.recordings.sequence import Fan
 from dvf_ig.core.recordings.signal import Signal
@@ -26,12 +27,14 @@ from dvf_ig.io.image.gated_volume import (
     sequence_volumes,
 )
 from dvf_ig.io.plus.names import ProbeNames
+from dvf_ig.io.respiration import read_respiration, split_respiration
 
 from .contents import (
     ecg_contents,
     heart_contents,
     latency_contents,
     probe_contents,
+    respiration_contents,
     start_contents,
     tip_contents,
     tool_contents,
@@ -91,6 +94,7 @@ class SessionFiles:
     fan: Fan | None = None
     ecg: Signal | TriggerTimes | None = None
     tool: PoseStream | None = None
+    respiration: Respiration | None = None
     probe: ImageMap | NWireRecording | TargetRecording | None = None
     latency: float | LatencyRecording | None = None
     tip: Points | PoseStream | None = None
@@ -124,6 +128,7 @@ class SessionFiles:
             fan=scenario.fan,
             ecg=scenario.ecg,
             tool=scenario.tool,
+            respiration=scenario.respiration,
             probe=scenario.probe,
             latency=scenario.latency,
             tip=scenario.tip,
@@ -223,6 +228,7 @@ class SessionFiles:
             touched_phase=start.touched_phase,
             seed=self.seed,
             truth=self.truth,
+            respiration=self.respiration,
         )
 
     @property
@@ -326,6 +332,16 @@ def _read_tool(at: Opened) -> Mapping[str, Any]:
     return {"tool": read_tool(at.config.tool, at.folder, at.read.get("sweep"))}
 
 
+def _read_respiration(at: Opened) -> Mapping[str, Any]:
+    config = at.config.respiration
+    if config is None:
+        return {}
+    parts = split_respiration(config.file)
+    path = at.folder / parts.name
+    with concerning("respiration.file", path):
+        return {"respiration": read_respiration(f"{parts.prefix}{path}{parts.field}", config.rate_hz)}
+
+
 def _read_probe(at: Opened) -> Mapping[str, Any]:
     probe = at.config.calibration.probe
     sweep = at.read.get("sweep")
@@ -389,6 +405,13 @@ PARTS = (
         lambda files: files.tool is not None,
         "replay",
         "a force needs the tool's poses: a tracked sequence of the tool on the ECG's clock",
+    ),
+    Part(
+        "respiration",
+        "breathing",
+        _read_respiration,
+        lambda files: respiration_contents(files.respiration),
+        lambda files: files.respiration is not None,
     ),
     Part(
         "calibration.probe",

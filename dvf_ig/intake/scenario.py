@@ -19,6 +19,7 @@ from .schema import (
     NWireConfig,
     PivotConfig,
     PreopConfig,
+    RespirationConfig,
     SessionConfig,
     StartConfig,
     ToolConfig,
@@ -53,7 +54,10 @@ class ScenarioPreop(Section):
 
 
 class FilesConfig(Section):
-    """Paths relative to the scenario folder; `ecg` may also be `wfdb:…`, `edf:…`, `plus:…` or `trigger:…`."""
+    """Paths relative to the scenario folder; `ecg` may also be `wfdb:…`, `edf:…`, `plus:…` or `trigger:…`.
+
+    `respiration` is what a session follows, as `read_respiration` takes it.
+    """
 
     ecg: str = "ecg.csv"
     ultrasound: str = "ultrasound.igs.mha"
@@ -68,6 +72,9 @@ class FilesConfig(Section):
     start: str | None = None
     landmarks_mr: str | None = None
     landmarks_tracker: str | None = None
+    respiration: str | None = None
+    ventilator: str | None = None
+    chest: str | None = None
 
 
 class ScenarioConfig(Section):
@@ -152,6 +159,7 @@ def _session(config: ScenarioConfig, folder: Path, *, with_truth: bool) -> Sessi
         ultrasound=UltrasoundConfig(file=files.ultrasound, fan=config.fan),
         ecg=EcgConfig(file=files.ecg if split_ecg(files.ecg).prefix else f"csv:{files.ecg}"),
         tool=ToolConfig(file=files.tool),
+        respiration=None if files.respiration is None else RespirationConfig(file=files.respiration),
         calibration=CalibrationConfig(
             probe=NWireConfig(
                 phantom="nwire",

@@ -25,6 +25,7 @@ from dvf_ig.io.mesh.series import write_surface_series
 from dvf_ig.io.plus.latency import write_line_table
 from dvf_ig.io.plus.nwire import write_nwire_phantom, write_wire_points
 from dvf_ig.io.plus.sequence_write import write_poses, write_sequence
+from dvf_ig.io.respiration import write_channels
 from dvf_ig.io.transform import write_transform
 from dvf_ig.io.truth import write_truth
 from dvf_ig.io.writing.atomic import atomic_folder, write_bytes, write_text
@@ -90,6 +91,10 @@ def write_scenario(scenario: Scenario, folder: Path | str, notes: ScenarioNotes 
         write_sequence(scenario.ultrasound, new / files.ultrasound)
         write_poses(tool, new / files.tool, scenario.tool_after_restart)
         write_poses(tip, new / files.pivot)
+        if scenario.ventilator is not None and files.ventilator is not None:
+            write_channels(scenario.ventilator, new / files.ventilator)
+        if scenario.chest is not None and files.chest is not None:
+            write_poses(scenario.chest, new / files.chest)
         _write_nwire(probe, new, files)
         _write_latency(latency, new, files)
         if scenario.start is not None and files.start is not None:
@@ -137,8 +142,21 @@ def _config(scenario: Scenario) -> ScenarioConfig:
             landmarks_tracker="landmarks_tracker.mrk.json"
             if scenario.landmarks_tracker is not None
             else None,
+            **_breathing_files(scenario),
         ),
     )
+
+
+def _breathing_files(scenario: Scenario) -> dict[str, str]:
+    """Name the recordings of breathing, and the one that a session follows."""
+    files, used = {}, scenario.respiration
+    if scenario.chest is not None:
+        files["chest"] = "chest.igs.mha"
+        files["respiration"] = "marker:chest.igs.mha"
+    if scenario.ventilator is not None and used is not None:
+        files["ventilator"] = "ventilator.csv"
+        files["respiration"] = f"csv:ventilator.csv#{used.name}"
+    return files
 
 
 def _kind(preop: Preop) -> Literal["labels", "surfaces", "labels and surfaces"]:
@@ -271,6 +289,11 @@ def _rows(scenario: Scenario) -> list[tuple[str, str, str, str]]:
         rows.append(("`landmarks_mr.mrk.json`", "points on the pre-operative heart", "mr", ""))
     if scenario.landmarks_tracker is not None:
         rows.append(("`landmarks_tracker.mrk.json`", "the same points, touched", "tracker", ""))
+    if scenario.ventilator is not None:
+        channels = ", ".join(scenario.ventilator.leads)
+        rows.append(("`ventilator.csv`", f"channels of the ventilator: {channels}", "", "tracker"))
+    if scenario.chest is not None:
+        rows.append(("`chest.igs.mha`", "poses of a marker on the chest", "tracker_from_chest", "tracker"))
     if scenario.truth is not None:
         rows.append(("`truth/`", "the ground truth; a replay reads it only to score itself", "", ""))
     return rows

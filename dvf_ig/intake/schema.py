@@ -24,6 +24,7 @@ from pydantic import BaseModel, Discriminator, Field, Tag, field_validator, mode
 from dvf_ig.core.recordings.sequence import Fan
 from dvf_ig.io.ecg.trigger import split_ecg
 from dvf_ig.io.image.gated_volume import gated_volume_files
+from dvf_ig.io.respiration import split_respiration
 from dvf_ig.io.truth import FILES as TRUTH_FILES
 from dvf_ig.io.yaml_config import KIND, Section
 
@@ -48,12 +49,13 @@ class Form(StrEnum):
     FILE = "file"
     SOURCE = "file or seconds"
     ECG = "ecg"
+    BREATH = "breathing"
     PAIR = "two files, for this key and the next"
     POINTS = "file, or file and phase"
     VOLUMES = "files, each with a phase or a time"
 
 
-TEXT, NUMBER, WHOLES, FAN, FILE, SOURCE, ECG, PAIR, POINTS, VOLUMES = Form
+TEXT, NUMBER, WHOLES, FAN, FILE, SOURCE, ECG, BREATH, PAIR, POINTS, VOLUMES = Form
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,6 +143,11 @@ KEYS: dict[str, Key] = {
     "tool.file": Key("sequence with the tool's poses", "the only other tool in `ultrasound.file`",
                      "tool.igs.mha", FILE, "--tool FILE"),
     "tool.name": Key("what the recording calls it", "the only one", "Stylus", TEXT, "--tool-name NAME"),
+    "respiration.file": Key("what follows the breath: csv:FILE#CHANNEL, wfdb:RECORD#CHANNEL or marker:FILE",
+                            "no breathing (high-frequency ventilation)", "csv:icu.csv#pressure", BREATH,
+                            "--respiration csv:FILE#CHANNEL"),
+    "respiration.rate_hz": Key("of a table without times, Hz", "", "25", NUMBER, "--respiration-rate HZ",
+                               ("file",)),
     "calibration.probe": Key("probe_from_image, mm per pixel", "", "probe.json", FILE, "--probe FILE"),
     "calibration.latency": Key("file, or s: time of tracker = time of video + latency", "", "latency.json",
                                SOURCE, "--latency --lag-s FILE|SECONDS"),
@@ -277,6 +284,13 @@ class ToolConfig(FileSection):
     name: Text | None = None
 
 
+class RespirationConfig(FileSection):
+    """What follows the breath, on the clock of the tracker (s); without it no breathing is expected."""
+
+    file: FileName
+    rate_hz: Annotated[float, Field(strict=True, ge=2.0, le=100_000.0)] | None = None
+
+
 class NWireConfig(Section):
     """An N-wire sweep with its wire points in a PLUS result (`calibrate probe` finds them in images)."""
 
@@ -387,6 +401,7 @@ class SessionConfig(Section):
     ultrasound: UltrasoundConfig | None = None
     ecg: EcgConfig | None = None
     tool: ToolConfig | None = None
+    respiration: RespirationConfig | None = None
     calibration: CalibrationConfig = CalibrationConfig()
     start: StartConfig = StartConfig()
     fixtures: FixtureSource | None = None
@@ -426,12 +441,16 @@ def _files_in(value: Any, form: Form) -> tuple[str, ...]:
         return tuple(str(file.path) for file in gated_volume_files(value))
     if form is ECG:
         return (split_ecg(value).name,)
+    if form is BREATH:
+        return (split_respiration(value).name,)
     return (value,) if form in (FILE, SOURCE, PAIR, POINTS) and isinstance(value, str) else ()
 
 
 def is_there(path: Path, key: str) -> bool:
     """Whether a named file exists; a WFDB record is named without its ending."""
-    return path.exists() or (key == "ecg.file" and path.with_name(f"{path.name}.hea").is_file())
+    return path.exists() or (
+        key in ("ecg.file", "respiration.file") and path.with_name(f"{path.name}.hea").is_file()
+    )
 
 
 def key_table() -> str:

@@ -10,7 +10,7 @@ import numpy as np
 
 from dvf_ig.core.arrays import AnyArray, FloatArray
 from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
-from dvf_ig.core.recordings.scenario import ScenarioTruth, ToolTruth
+from dvf_ig.core.recordings.scenario import BreathingTruth, ScenarioTruth, ToolTruth
 from dvf_ig.core.space.image_map import ImageMap
 from dvf_ig.core.space.mesh import SurfaceSeries
 from dvf_ig.core.space.points import Landmarks, Points
@@ -27,11 +27,13 @@ from dvf_ig.io.writing.place import make_folder
 
 SCHEMA = "dvf_ig.truth/1"
 FILES = ("truth.json", "r_peaks.csv", "tool.npz", "surface.npz")
+BREATHING = "breathing.npz"
+_BREATHING = ("t_s", "mr_from_rest", "targets_mm")
 _TOOL = ("t_s", "tip_mr_mm", "phi", "model_phase", "distance_mm", "normal")
 
 
 def write_truth(truth: ScenarioTruth, folder: Path) -> None:
-    """Write the four files of the truth; every number reads back exactly.
+    """Write the files of the truth, one more with breathing; every number reads back exactly.
 
     Raises:
         OutputError: not writable.
@@ -69,6 +71,8 @@ def write_truth(truth: ScenarioTruth, folder: Path) -> None:
     )
     write_text(folder / "r_peaks.csv", "\n".join(["t_s", *map(repr, truth.r_peaks_s.tolist())]) + "\n")
     _write_arrays(folder / "tool.npz", {name: getattr(truth.tool, name) for name in _TOOL})
+    if truth.breathing is not None:
+        _write_arrays(folder / BREATHING, {name: getattr(truth.breathing, name) for name in _BREATHING})
     surface = truth.surface
     _write_arrays(
         folder / "surface.npz",
@@ -141,7 +145,15 @@ def _truth(folder: Path, document: dict[str, Any]) -> ScenarioTruth:
         calibrated_probe_from_image=None if calibrated is None else _image(calibrated),
         video_drift_ppm=float(document.get("video_drift_ppm", 0.0)),
         respiration_mm=float(document.get("respiration_mm", 0.0)),
+        breathing=_breathing(folder) if float(document.get("respiration_mm", 0.0)) > 0 else None,
     )
+
+
+def _breathing(folder: Path) -> BreathingTruth:
+    arrays = _read_arrays(folder / BREATHING, _BREATHING)
+    _require_plausible(folder / BREATHING, arrays)
+    limits.require_lengths(arrays["targets_mm"], "targets_mm")
+    return BreathingTruth(*(arrays[name] for name in _BREATHING))
 
 
 def _require_plausible(path: Path, values: Mapping[str, Any]) -> None:

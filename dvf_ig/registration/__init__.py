@@ -13,6 +13,9 @@ from .boundary.target import BoundaryTarget as BoundaryTarget
 from .boundary.target import signed_distance_mm as signed_distance_mm
 from .boundary.target import target_from_labels as target_from_labels
 from .boundary.target import target_from_model as target_from_model
+from .breathing import BreathBeat as BreathBeat
+from .breathing import BreathingPose as BreathingPose
+from .breathing import learn_breathing as learn_breathing
 from .evidence.assessment import ImageStatistics as ImageStatistics
 from .evidence.checks import Evidence as Evidence
 from .evidence.checks import Limits as Limits
@@ -78,6 +81,7 @@ from .surface_points.fit import start_from_surface_points as start_from_surface_
 from .surface_points.touched import SurfaceDisagreement as SurfaceDisagreement
 from .surface_points.touched import TouchedPoints as TouchedPoints
 from .surface_points.touched import TouchedSurface as TouchedSurface
+from .tracking.pose_estimate import MEAN_SQUARE_OF_COORDINATES as MEAN_SQUARE_OF_COORDINATES
 from .tracking.pose_estimate import BeatMeasurement as BeatMeasurement
 from .tracking.pose_estimate import PoseEstimate as PoseEstimate
 from .tracking.pose_estimate import measure_beat as measure_beat

@@ -7,7 +7,7 @@ from operator import itemgetter
 import numpy as np
 
 from dvf_ig.core import FloatArray, PoseStream, Scenario, TriggerTimes
-from dvf_ig.session import EcgSamples, Event, Landmark, ToolPose, TrackedFrame, Trigger
+from dvf_ig.session import EcgSamples, Event, Landmark, RespirationSample, ToolPose, TrackedFrame, Trigger
 
 from .preconditions import tool_of
 
@@ -20,7 +20,8 @@ Timed = tuple[float, Event]
 
 def events_of(scenario: Scenario, *, ecg_chunk: int = ECG_CHUNK) -> Iterator[Timed]:
     """Everything that was recorded live, in order of time; nothing of the truth."""
-    streams = (_landmarks(scenario), _beats(scenario, ecg_chunk), _frames(scenario), _tool(tool_of(scenario)))
+    beats, tool = _beats(scenario, ecg_chunk), _tool(tool_of(scenario))
+    streams = (_landmarks(scenario), beats, _breaths(scenario), _frames(scenario), tool)
     return merge(*streams, key=itemgetter(0))
 
 
@@ -32,6 +33,14 @@ def _beats(scenario: Scenario, chunk: int) -> Iterator[Timed]:
     for first in range(0, len(ecg), chunk):
         start_s = ecg.start_s + first / ecg.rate_hz
         yield start_s, EcgSamples(start_s, ecg.samples[first : first + chunk])
+
+
+def _breaths(scenario: Scenario) -> Iterator[Timed]:
+    recorded = scenario.respiration
+    if recorded is None:
+        return
+    for t_s, values in zip(recorded.t_s.tolist(), recorded.values, strict=True):
+        yield t_s, RespirationSample(t_s, values)
 
 
 def _frames(scenario: Scenario) -> Iterator[Timed]:

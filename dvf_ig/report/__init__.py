@@ -4,6 +4,7 @@
 their common look. Callers compute what a figure shows and pass it as a value.
 """
 
+from .gating import breathing_png as breathing_png
 from .gating import gate_png as gate_png
 from .motion import write_motion_picture as write_motion_picture
 from .page import html_page as html_page

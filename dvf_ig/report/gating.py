@@ -1,4 +1,4 @@
-"""Draw a gated recording: the RR tachogram with the clock's states, and rhythm strips."""
+"""Draw a gated recording: the RR tachogram with the clock's states, and rhythm strips; and breathing."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dvf_ig.cardiac import state_segments
+from dvf_ig.cardiac.respiration import BreathState, BreathTrack
 from dvf_ig.core.arrays import FloatArray
 from dvf_ig.core.recordings.signal import Signal
 from dvf_ig.core.timing.phase import PhaseState, PhaseTrack
@@ -216,3 +217,24 @@ def _draw_legend(figure: Figure, track: PhaseTrack, peaks: FloatArray) -> None:
         frameon=False,
         columnspacing=1.2,
     )
+
+
+def breathing_png(name: str, track: BreathTrack) -> bytes:
+    """Draw ρ with the states of the breathing clock as a PNG."""
+    from matplotlib.figure import Figure
+
+    shades = {BreathState.INIT: PhaseState.INIT, BreathState.IRREGULAR: PhaseState.IRREGULAR}
+    figure = Figure(figsize=(12.0, 3.2), layout="constrained")
+    axes = figure.subplots()
+    for state in (BreathState.INIT, BreathState.IRREGULAR, BreathState.LOST):
+        colour = _SHADE[shades.get(state, PhaseState.LOST)]
+        shown = track.state == state
+        axes.fill_between(track.t_s, 0, 1, where=shown, transform=axes.get_xaxis_transform(), color=colour)
+    axes.plot(track.t_s, track.rho, color=_LOCKED, linewidth=0.9)
+    axes.plot(track.onsets_s, np.zeros(len(track.onsets_s)), "|", color=_UNUSED, markersize=9)
+    rate = track.rate_per_min(float(track.t_s[0]), float(track.t_s[-1]))
+    locked = 100 * float((track.state == BreathState.LOCKED).mean())
+    axes.set_title(f"{name}: {rate:.1f} breaths/min, locked {locked:.1f} % of the time", fontsize=11)
+    axes.set_xlabel("time (s)")
+    axes.set_ylabel("ρ: 0 end-expiration, 1 usual top")
+    return png_bytes(figure)

@@ -5,6 +5,7 @@ from .events import EcgSamples as EcgSamples
 from .events import Event as Event
 from .events import Landmark as Landmark
 from .events import Rearm as Rearm
+from .events import RespirationSample as RespirationSample
 from .events import ToolPose as ToolPose
 from .events import TrackedFrame as TrackedFrame
 from .events import Trigger as Trigger

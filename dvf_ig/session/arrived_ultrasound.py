@@ -11,6 +11,7 @@ from dvf_ig.core import DvfIgError, Fan, InvalidInputError, PoseStream, Rigid, T
 from dvf_ig.registration import SliceThreads
 
 from .beat_evaluation import ComparedBeat, compare_beat
+from .breathing import BreathingTracker
 from .clocks import StampOrder
 from .events import TrackedFrame
 from .gated_frames import GatedFrames, UltrasoundRecording, gate_recording
@@ -114,6 +115,7 @@ class ArrivedUltrasound:
         seed: of a registration's random choices.
         clock: seconds of computing time, from any origin.
         threads: for evaluating beats.
+        breathing: of the patient; None: nothing follows it.
     """
 
     buffer: FrameBuffer
@@ -125,10 +127,11 @@ class ArrivedUltrasound:
     clock: Callable[[], float]
     threads: SliceThreads
     executor: Executor
+    breathing: BreathingTracker | None = None
 
     def register(self, request: RegistrationRequest, known_s: float) -> Job[RegistrationRecord]:
         """Gate the frames now, and register them when the executor has time."""
-        recording = self._recording(request.peaks, request.from_s, known_s)
+        recording = self._recording(request.peaks, request.from_s, known_s, request.start)
         if recording is None:
             return answered(request.record(None, failure="no ultrasound image has arrived"))
         frames = gate_recording(recording, from_s=request.from_s, until_s=request.until_s)
@@ -140,7 +143,7 @@ class ArrivedUltrasound:
         self, peaks: tuple[RPeak, ...], known_s: float, pose: Rigid | None, *, in_use: bool
     ) -> Job[ComparedBeat]:
         """Prepare the last beat's slices and compare them with a pose when the executor has time."""
-        recording = self._recording(peaks, peaks[-2].t_s, known_s)
+        recording = self._recording(peaks, peaks[-2].t_s, known_s, pose)
         if recording is None:
             return answered(ComparedBeat(None, None, irregular=False))
         return self.executor.submit(lambda: self._compare(recording, pose, in_use=in_use))
@@ -170,7 +173,7 @@ class ArrivedUltrasound:
             return ComparedBeat(None, None, irregular=False)
 
     def _recording(
-        self, peaks: tuple[RPeak, ...], from_s: float, known_s: float
+        self, peaks: tuple[RPeak, ...], from_s: float, known_s: float, tested: Rigid | None
     ) -> UltrasoundRecording | None:
         """Return frames whose event is later than `from_s`, recorded by `known_s`; None without any image."""
         part = self.buffer.between(from_s - max(0.0, self.calibrations.lag_s), known_s)
@@ -178,5 +181,15 @@ class ArrivedUltrasound:
             return None
         ultrasound, number = part
         return UltrasoundRecording(
-            ultrasound, number, self.fan, self.heart, peaks, self.calibrations, self.retiming
+            ultrasound,
+            number,
+            self.fan,
+            self.heart,
+            peaks,
+            self.calibrations,
+            self.retiming,
+            None
+            if self.breathing is None
+            else self.breathing.frames(ultrasound.t_s + self.calibrations.lag_s),
+            tested,
         )

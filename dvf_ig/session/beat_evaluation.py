@@ -10,7 +10,7 @@ from typing import Protocol
 
 import numpy as np
 
-from dvf_ig.core import FloatArray, Rigid, read_only_arrays
+from dvf_ig.core import FloatArray, IntArray, Rigid, read_only_arrays
 from dvf_ig.registration import (
     DENSITY_WIDTH_MM,
     BeatMeasurement,
@@ -22,6 +22,7 @@ from dvf_ig.registration import (
     measure_beat,
 )
 
+from .breathing import FrameBreathing
 from .gated_frames import UltrasoundRecording, gate_recording, slices_of, ultrasound_mask
 
 BEAT_PITCH_MM = 2.0
@@ -78,6 +79,7 @@ class BeatSlices:
         updates_pose: whether the beat may move the pose in use; otherwise it can only suspend it.
         seconds: computing time of the preparation.
         clock: seconds of computing time, from any origin.
+        numbers: indices of the slices' frames in the recording.
     """
 
     begin_s: float
@@ -89,6 +91,7 @@ class BeatSlices:
     updates_pose: bool
     seconds: float
     clock: Callable[[], float]
+    numbers: IntArray
 
     def evaluate_beat(self, pose: Rigid, center_mm: FloatArray, *, in_use: bool) -> BeatEvaluation | None:
         """Compare the beat with a pose; None if the slices hardly overlap the model."""
@@ -125,18 +128,29 @@ def at_pose(evaluation: BeatEvaluation, tested: PoseEstimate) -> BeatEvaluation:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class BreathEvaluation:
+    """The frames of a whole beat, wherever in the breath, compared with a pose of the heart at rest."""
+
+    measurement: BeatMeasurement
+    frames: FrameBreathing
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class ComparedBeat:
     """Outcome of a finished beat.
 
     Attributes:
         slices: None if the beat cannot be compared with the model.
         evaluation: of the pose it was compared with; None without one, or if they hardly overlap.
-        irregular: the beat came early or late, so that its phase is not known.
+        irregular: the beat came early or late, so that its phase is not known, or its frames show the heart
+            in a part of the breath that is not understood.
+        breathing: what it tells of the motion in breathing; None if nothing follows the breath.
     """
 
     slices: "ComparableBeat | None"
     evaluation: BeatEvaluation | None
     irregular: bool
+    breathing: "BreathEvaluation | None" = None
 
 
 class ComparableBeat(Protocol):
@@ -162,6 +176,42 @@ def compare_beat(
     in_use: bool,
 ) -> ComparedBeat:
     """Compare the beat that the last R peak ended with a pose, unless that is None."""
+    beat, irregular = _prepared(recording, clock, threads)
+    evaluation = None
+    if beat is not None and pose is not None:
+        evaluation = beat.evaluate_beat(pose, recording.heart.center_mm, in_use=in_use)
+    in_breathing = None
+    if recording.breathing is not None and pose is not None:
+        if evaluation is not None and beat is not None and recording.breathing.learnt:
+            in_breathing = BreathEvaluation(evaluation.measurement, recording.breathing.part(beat.numbers))
+        else:
+            in_breathing = _in_breathing(recording, pose, clock, threads)
+    return ComparedBeat(beat, evaluation, irregular, in_breathing)
+
+
+def _in_breathing(
+    recording: UltrasoundRecording, pose: Rigid, clock: Callable[[], float], threads: SliceThreads
+) -> BreathEvaluation | None:
+    """Compare all frames of the beat with a pose; None if they are too few, or hardly overlap."""
+    if recording.breathing is None:
+        return None
+    beat, _ = _prepared(recording, clock, threads, every_breath=True)
+    if beat is None:
+        return None
+    measurement = measure_beat(beat.metric, pose, recording.heart.center_mm)
+    if measurement.overlap < MIN_OVERLAP:
+        return None
+    return BreathEvaluation(measurement, recording.breathing.part(beat.numbers))
+
+
+def _prepared(
+    recording: UltrasoundRecording,
+    clock: Callable[[], float],
+    threads: SliceThreads,
+    *,
+    every_breath: bool = False,
+) -> tuple[BeatSlices | None, bool]:
+    """Prepare the slices of the beat that the last R peak ended; None, and whether it was irregular."""
     began, (begin, end) = clock(), recording.peaks[-2:]
     frames = gate_recording(
         replace(recording, peaks=recording.peaks[-GATING_PEAKS:]),
@@ -169,10 +219,14 @@ def compare_beat(
         until_s=end.t_s,
         known_s=end.detected_at_s,
         window=BEAT_WINDOW,
+        every_breath=every_breath,
     )
     if len(frames.used) < MIN_SLICES:
         irregular = frames.gated.rejected[FrameRejection.IRREGULAR_BEAT] > 0
-        return ComparedBeat(None, None, irregular)
+        if recording.breathing is not None:
+            here = slice(frames.first, frames.first + len(frames.event_s))
+            irregular |= not recording.breathing.usable[here].all()
+        return None, irregular
     slices = slices_of(recording, frames, ultrasound_mask(recording, frames), pitch_mm=BEAT_PITCH_MM)
     metric = Lc2(
         slices,
@@ -192,10 +246,9 @@ def compare_beat(
         updates_pose=recording.heart.beats_update_pose,
         seconds=clock() - began,
         clock=clock,
+        numbers=frames.first + frames.used,
     )
-    if pose is None:
-        return ComparedBeat(beat, None, False)
-    return ComparedBeat(beat, beat.evaluate_beat(pose, recording.heart.center_mm, in_use=in_use), False)
+    return beat, False
 
 
 def _view_mm(slices: SliceSet) -> FloatArray:

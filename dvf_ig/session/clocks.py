@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 from math import inf
 from typing import NamedTuple
 
-from .events import EcgSamples, Event, ToolPose, TrackedFrame, Trigger
+from .events import EcgSamples, Event, RespirationSample, ToolPose, TrackedFrame, Trigger
 from .setup import BeatSource, EcgSource
 
 JITTER_S = 0.1
@@ -231,7 +231,7 @@ class SourceClocks:
             if local_s is None or local_s == last_s:
                 return event if local_s is not None else None
             return replace(event, start_s=local_s - length_s)
-        if isinstance(event, ToolPose | TrackedFrame | Trigger):
+        if isinstance(event, ToolPose | TrackedFrame | Trigger | RespirationSample):
             local_s = self._of(event).local_s(event.t_s, arrived_s)
             if local_s is None or local_s == event.t_s:
                 return event if local_s is not None else None

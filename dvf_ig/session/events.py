@@ -35,6 +35,24 @@ class EcgSamples:
         object.__setattr__(self, "samples", samples)
 
 
+@read_only_arrays
+@dataclass(frozen=True, slots=True, eq=False)
+class RespirationSample:
+    """One sample of what follows the breath.
+
+    Attributes:
+        t_s: when it was taken.
+        values: (columns,), finite: one of a channel, three (mm) of a marker.
+    """
+
+    t_s: float
+    values: FloatArray
+
+    def __post_init__(self) -> None:
+        _require_time(self.t_s, "a sample of breathing")
+        object.__setattr__(self, "values", frozen_floats(self.values, "a sample of breathing", (None,)))
+
+
 @dataclass(frozen=True, slots=True)
 class Trigger:
     """A pulse of a hardware trigger, which replaces the ECG; it fired at `t_s`."""
@@ -123,7 +141,7 @@ class Rearm:
         _require_time(self.t_s, "a re-arm")
 
 
-Event = EcgSamples | Trigger | TrackedFrame | ToolPose | Landmark | Rearm
+Event = EcgSamples | RespirationSample | Trigger | TrackedFrame | ToolPose | Landmark | Rearm
 
 
 def _require_time(t_s: float, what: str) -> None:

@@ -23,6 +23,7 @@ from dvf_ig.core import (
     IntArray,
     InvalidInputError,
     PoseStream,
+    Rigid,
     TrackedSequence,
     read_only_arrays,
 )
@@ -30,6 +31,7 @@ from dvf_ig.core.recordings.stream import MAX_GAP_S
 from dvf_ig.registration import (
     PHASE_WINDOW,
     Gated,
+    PoseChart,
     SliceSet,
     TrackedImages,
     fan_mask_from_images,
@@ -39,6 +41,7 @@ from dvf_ig.registration import (
     subsample,
 )
 
+from .breathing import FrameBreathing, moved_to_rest
 from .heart import Heart
 from .setup import UltrasoundCalibration
 
@@ -68,6 +71,8 @@ class UltrasoundRecording:
         peaks: R peaks in time order.
         calibrations: latency and image calibration.
         retiming: how the beat is mapped to the model's cycle.
+        breathing: at the event time of each frame; None if nothing follows the breath.
+        tested: pose at which the frames are moved to the heart at rest.
     """
 
     ultrasound: TrackedSequence
@@ -77,6 +82,8 @@ class UltrasoundRecording:
     peaks: tuple[RPeak, ...]
     calibrations: UltrasoundCalibration
     retiming: RetimeMode
+    breathing: FrameBreathing | None = None
+    tested: Rigid | None = None
 
     @property
     def images(self) -> NDArray[np.uint8]:
@@ -137,18 +144,28 @@ def gate_recording(
     until_s: float,
     known_s: float | None = None,
     window: float = PHASE_WINDOW,
+    every_breath: bool = False,
 ) -> GatedFrames:
     """Gate the frames whose event lies in [from_s, until_s).
 
     Args:
         known_s: R peaks that had been detected by then place them; `until_s` unless given.
         window: see `registration.gate_frames`.
+        every_breath: also keep frames whose place in the breath is not understood yet.
     """
     ultrasound = recording.ultrasound
     event_s = ultrasound.t_s + recording.calibrations.lag_s
     first, last = (int(i) for i in np.searchsorted(event_s, [from_s, until_s]))
     here = slice(first, last)
     rotations, translations, tracked = smoothed_poses(ultrasound.stream("tracker", "probe"), event_s[here])
+    if recording.breathing is not None:
+        breathing = recording.breathing.part(here)
+        tracked = tracked & (
+            np.isfinite(breathing.features).all(axis=1) if every_breath else breathing.usable
+        )
+        if recording.tested is not None:
+            chart = PoseChart(recording.tested, recording.heart.center_mm)
+            rotations, translations = moved_to_rest(rotations, translations, breathing.xi_mm, chart)
     by_s = until_s if known_s is None else known_s
     images, mm = recording.images, recording.calibrations.probe_from_image.scale_mm_per_px
     information = frame_information(

@@ -16,6 +16,7 @@ from dvf_ig.core import PoseMotion, Rigid
 from dvf_ig.registration import PoseEstimate, RegistrationResult, TipSighting
 
 from .beat_evaluation import BeatEvaluation, ComparableBeat, at_pose, evaluation_of
+from .breathing import BreathingTracker
 from .events import Landmark
 from .history import RegistrationDecision, SessionHistory
 from .pose_states import Candidate, Confirmation, InUse, NoPose, Pose, last_used, suspended, under_test
@@ -46,15 +47,22 @@ class PoseTracker:
         start: coarse pose that the first registrations begin at; None takes that of touched landmarks.
         history: gets an entry for everything that happens.
         lag_s: t_tracker(event) = t_video + lag_s.
+        breathing: learns from the beats; None if nothing follows the breath.
     """
 
     def __init__(
-        self, source: UltrasoundSource, start: Rigid | None, history: SessionHistory, lag_s: float = 0.0
+        self,
+        source: UltrasoundSource,
+        start: Rigid | None,
+        history: SessionHistory,
+        lag_s: float = 0.0,
+        breathing: BreathingTracker | None = None,
     ) -> None:
         self.pose: Pose = NoPose()
         self.history = history
         self._plan = RegistrationPlan(start)
         self._work = WorkQueue(source, lag_s)
+        self._breathing = breathing
         self._recent: list[ComparableBeat] = []
         self._stepped_s = -inf
 
@@ -165,6 +173,8 @@ class PoseTracker:
         """Take a beat's evaluation; evaluate it again if another pose is under test by now."""
         compared, estimate = finished.compared, under_test(self.pose)
         evaluation = compared.evaluation
+        if compared.breathing is not None and self._breathing is not None:
+            self._breathing.add_beat(compared.breathing.measurement, compared.breathing.frames)
         if compared.slices is not None:
             self._recent = [*self._recent[1 - REMEMBERED_BEATS :], compared.slices]
         if estimate is None:

@@ -1,6 +1,7 @@
 """One engine for the operating room and the replay: events in, inputs of the servo and its force out.
 
     ECG      R peaks ─► phase φ, its σ and state ─► T_d, retiming          heart_clock
+    breath   ρ, its state ─► frames at rest, motion of the heart           breathing
     frames   gate ─► register, compare every beat ─► pose and its age      arrived_ultrasound, pose_tracker
     tool     newest pose ─► predicted tip                                  tool_tracker
              tip where frames should show it ─► evidence on calibrations   tip_watch
@@ -15,7 +16,7 @@ state at or after its stamp is asked for; one that comes later counts from then 
 from bisect import insort
 from collections.abc import Callable
 from dataclasses import replace
-from math import inf, nan
+from math import hypot, inf, nan
 from operator import attrgetter
 from types import TracebackType
 
@@ -26,8 +27,18 @@ from dvf_ig.guidance.servo import TrackedServo
 from dvf_ig.registration import SliceThreads
 
 from .arrived_ultrasound import ArrivedUltrasound, FrameBuffer
+from .breathing import BreathingTracker
 from .clocks import SourceClocks
-from .events import EcgSamples, Event, Landmark, Rearm, ToolPose, TrackedFrame, Trigger
+from .events import (
+    EcgSamples,
+    Event,
+    Landmark,
+    Rearm,
+    RespirationSample,
+    ToolPose,
+    TrackedFrame,
+    Trigger,
+)
 from .heart_clock import HeartClock
 from .history import SessionHistory
 from .margins import MarginTracker
@@ -73,11 +84,13 @@ class Session:
         self.history = history if history is not None else SessionHistory(REMEMBERED)
         self._threads = SliceThreads()
         self._frames = FrameBuffer()
+        self._breathing = BreathingTracker(setup.heart.center_mm)
         if ultrasound is None:
             source = self._arrived(clock, executor if executor is not None else InlineExecutor())
         else:
             source = ultrasound(self._frames)
-        self._pose = PoseTracker(source, setup.start, self.history, setup.calibrations.lag_s)
+        lag_s = setup.calibrations.lag_s
+        self._pose = PoseTracker(source, setup.start, self.history, lag_s, self._breathing)
         self._clock = HeartClock(setup.beat_source)
         self._sources = SourceClocks(setup.beat_source)
         self._tool = ToolTracker(setup.calibrations.tip)
@@ -86,7 +99,7 @@ class Session:
         self._servo = TrackedServo(fixtures, limits=setup.device, latch_after_s=latch_after_s)
         self._margins = MarginTracker(setup.fixtures, setup.device)
         self._actions: list[Landmark | Rearm] = []
-        self._known: tuple[object, object, object] = (None, None, None)
+        self._known: tuple[object, object, object, float] = (None, None, None, -inf)
         self._rearmed: RearmAnswer | None = None
         self._now_s = -inf
 
@@ -120,6 +133,8 @@ class Session:
             event = accepted
         if isinstance(event, EcgSamples | Trigger):
             return self._clock.push(event)
+        if isinstance(event, RespirationSample):
+            return self._breathing.push(event)
         if isinstance(event, ToolPose):
             self._tip.push(event)
             return self._tool.push(event)
@@ -168,7 +183,9 @@ class Session:
             transform=self._transform,
             estimate=self._pose.estimate,
             pose_age_s=age_s,
-            pose_bound_mm=nan if confirmation is None else confirmation.bound_mm(now_s),
+            pose_bound_mm=nan
+            if confirmation is None
+            else hypot(confirmation.bound_mm(now_s), self._breathing.bound_mm(now_s)),
             doubt=self._pose.doubt,
             tip_seen=self._tip.seen,
             registration=self.history.last_registration,
@@ -188,7 +205,9 @@ class Session:
             action_s = self._actions[0].t_s if self._actions else inf
             input_s, pose_s = min(self._clock.next_s, action_s), self._pose.next_s
             if input_s > now_s and pose_s > now_s:
+                self._breathing.advance(now_s)
                 return
+            self._breathing.advance(min(input_s, pose_s))
             if input_s > pose_s:
                 self._pose.step()
             elif action_s == input_s:
@@ -216,11 +235,19 @@ class Session:
     def _update_transform(self, now_s: float) -> None:
         """Publish a new value if the pose, its confirmation or the phase's forecast has changed."""
         phase, motion = self._clock.forecast(now_s), self._pose.motion
-        confirmation = self._pose.confirmation
-        phase_before, motion_before, confirmation_before = self._known
-        if phase is phase_before and motion is motion_before and confirmation is confirmation_before:
+        confirmation, breath_s = self._pose.confirmation, self._breathing.changed_s(now_s)
+        phase_before, motion_before, confirmation_before, breath_before_s = self._known
+        if (
+            phase is phase_before
+            and motion is motion_before
+            and confirmation is confirmation_before
+            and breath_s == breath_before_s
+        ):
             return
-        self._known = (phase, motion, confirmation)
+        self._known = (phase, motion, confirmation, breath_s)
+        withheld = self._breathing.withheld(now_s)
+        if motion is not None:
+            motion = self._breathing.motion(motion, now_s)
         heart, estimate = self.setup.heart, self._pose.estimate
         model = heart.model
         self._transform = PoseAndPhase(
@@ -229,9 +256,11 @@ class Session:
             retiming=retiming_curve(phase.rr_s, model.timing.rr_s, model.es_fraction, self.setup.retiming)
             if phase.rr_s > 0
             else None,
-            covariance_mm2=None if estimate is None else estimate.total_mm2,
+            covariance_mm2=None
+            if estimate is None
+            else estimate.total_mm2 + self._breathing.covariance_mm2(now_s),
             center_mm=heart.center_mm,
-            pose_until_s=-inf if confirmation is None else confirmation.until_s,
+            pose_until_s=-inf if confirmation is None or withheld else confirmation.until_s,
         )
 
     def _hazards(self, now_s: float, tool: Hazard) -> Hazard:
@@ -241,9 +270,11 @@ class Session:
             hazards |= Hazard.NO_POSE
         elif transform.pose is None:
             hazards |= Hazard.POSE_CONTRADICTED
+        elif self._breathing.withheld(now_s):
+            hazards |= Hazard.BREATHING
         elif now_s >= transform.pose_until_s:
             hazards |= Hazard.POSE_UNCONFIRMED
-        elif now_s < transform.pose.end_s:
+        elif self._pose.motion is not None and now_s < self._pose.motion.end_s:
             hazards |= Hazard.POSE_MOVING
         if transform.phase.state is not PhaseState.LOCKED or now_s > transform.phase.until_s:
             hazards |= Hazard.NO_PHASE
@@ -267,4 +298,5 @@ class Session:
             clock,
             self._threads,
             executor,
+            self._breathing,
         )

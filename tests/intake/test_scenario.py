@@ -11,7 +11,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from recorded import tool_of
 
-from dvf_ig.core import InvalidInputError, OutputError, Preop, Scenario, UnreadableFileError, Volume
+from dvf_ig.core import (
+    InvalidInputError,
+    OutputError,
+    Preop,
+    Respiration,
+    Scenario,
+    Signal,
+    UnreadableFileError,
+    Volume,
+)
 from dvf_ig.intake import ScenarioNotes, read_scenario, write_scenario
 
 Make = Callable[..., Scenario]
@@ -109,6 +118,7 @@ def test_layout(tmp_path: Path, make_scenario: Make) -> None:
         *("calibration/nwire_points.xml", "calibration/latency_tracker.igs.mha"),
         *("calibration/latency_video.igs.mha", "calibration/latency_lines.xml"),
         *("truth/truth.json", "truth/r_peaks.csv", "truth/tool.npz", "truth/surface.npz"),
+        "truth/breathing.npz",
     }
     assert [p.name for p in tmp_path.iterdir()] == ["s"], "a temporary folder stayed behind"
 
@@ -191,3 +201,15 @@ def test_floats_keep_their_type(tmp_path: Path, make_scenario: Make, assert_same
     preop = replace(scenario.preop, mr=replace(scenario.preop.mr, values=values))
     write_scenario(replace(scenario, preop=preop), tmp_path / "s")
     assert_same(read_scenario(tmp_path / "s").preop, preop)
+
+
+def test_the_recorded_breath_reads_back_exactly(tmp_path: Path, make_scenario: Make) -> None:
+    values = np.random.default_rng(0).standard_normal((40, 2))
+    ventilator = Signal(values, 25.0, 0.0, ("pressure_cmh2o", "flow_l_per_s"), "")
+    used = Respiration(ventilator.t_s, values[:, :1], "pressure_cmh2o")
+    write_scenario(replace(make_scenario(1), ventilator=ventilator, respiration=used), tmp_path / "s")
+    read = read_scenario(tmp_path / "s").respiration
+    assert read is not None
+    assert read.name == "pressure_cmh2o"
+    np.testing.assert_array_equal(read.t_s, used.t_s)
+    np.testing.assert_array_equal(read.values, used.values)

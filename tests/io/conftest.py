@@ -10,6 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from dvf_ig.core import (
+    BreathingTruth,
     CycleTiming,
     Fan,
     Grid,
@@ -113,6 +114,7 @@ def make_truth(rng: np.random.Generator) -> ScenarioTruth:
         calibrated_probe_from_image=ImageMap(make_rigid(rng, "probe", "image"), rng.uniform(0.1, 0.4, 2)),
         video_drift_ppm=123.4,
         respiration_mm=5.6,
+        breathing=BreathingTruth(np.arange(4) / 50.0, rng.normal(size=(4, 3, 4)), rng.normal(size=(4, 2, 3))),
     )
 
 

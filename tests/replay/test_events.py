@@ -5,9 +5,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from dvf_ig.core import Landmarks, Points, PoseStream, Signal, TrackedSequence
+from dvf_ig.core import Landmarks, Points, PoseStream, Respiration, Signal, TrackedSequence
 from dvf_ig.replay import events_of
-from dvf_ig.session import EcgSamples, Landmark, ToolPose, TrackedFrame
+from dvf_ig.session import EcgSamples, Landmark, RespirationSample, ToolPose, TrackedFrame
 
 
 def stream(source: str, t_s: np.ndarray, lost: int) -> PoseStream:
@@ -30,6 +30,7 @@ def recording(**other: object) -> SimpleNamespace:
         "tool": stream("tool", tool_s, lost=9),
         "landmarks_mr": None,
         "landmarks_tracker": None,
+        "respiration": None,
     }
     return SimpleNamespace(**given | other)
 
@@ -49,6 +50,14 @@ def test_every_sample_comes_once_and_in_order(chunk: int) -> None:
     assert [e.t_s for _, e in tool] == (np.arange(200) / 100).tolist()
     assert all(t_s == e.t_s for t_s, e in frames + tool)
     assert len(ecg) + len(frames) + len(tool) == len(events)
+
+
+def test_breathing_comes_sample_by_sample() -> None:
+    breath = Respiration(0.2 + np.arange(9) / 10, np.arange(9.0)[:, None], "pressure")
+    events = [e for _, e in events_of(recording(respiration=breath)) if isinstance(e, RespirationSample)]
+    assert [(e.t_s, float(e.values[0])) for e in events] == list(
+        zip(breath.t_s, breath.values[:, 0], strict=True)
+    )
 
 
 def test_what_was_not_recorded_as_valid_is_none() -> None:

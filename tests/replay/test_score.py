@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from jsonschema import Draft202012Validator
 
-from dvf_ig.core import FloatArray, Rigid, Scenario
+from dvf_ig.core import BreathingTruth, FloatArray, Rigid, Scenario
 from dvf_ig.replay import schema
 from dvf_ig.replay.result.score import HAZARD_FORCE_N, HAZARD_MM, HazardScore, pose_errors_mm, score_hazard
 
@@ -66,7 +66,7 @@ SECOND = Rigid.from_rotation_vector([0.1, 0.4, -0.2], [-5.0, 8.0, 12.0], "mr", "
 
 def truth_of(*poses: tuple[float, Rigid]) -> SimpleNamespace:
     points = SimpleNamespace(points=SimpleNamespace(xyz_mm=TARGETS))
-    return SimpleNamespace(mr_from_tracker=poses, targets=points)
+    return SimpleNamespace(mr_from_tracker=poses, targets=points, breathing=None)
 
 
 def used(*poses: Rigid) -> FloatArray:
@@ -81,6 +81,27 @@ def test_a_pose_is_compared_with_the_one_that_was_true_then() -> None:
     np.testing.assert_allclose(found[:3], 0.0, atol=1e-9)
     moved = FIRST.apply_array(SECOND.inverse().apply_array(TARGETS))
     np.testing.assert_allclose(found[3], np.linalg.norm(moved - TARGETS, axis=1))
+
+
+def test_a_breathing_heart_is_scored_where_it_is_at_the_moment() -> None:
+    true = Rigid.from_rotation_vector([0.2, -0.4, 0.1], [10.0, 20.0, 30.0], "mr", "tracker")
+    truth, t_s = truth_of((0.0, true)), np.array([0.0, 0.5, 1.0])
+    truth.mr_from_tracker_at = lambda _: true
+    down = np.array([0.0, 0.0, -10.0])
+    truth.breathing = BreathingTruth(
+        np.array([0.0, 1.0]),
+        np.zeros((2, 3, 4)),
+        np.stack([TARGETS, TARGETS + down]),
+    )
+    resting = np.tile(true.matrix[:3], (3, 1, 1))
+    np.testing.assert_allclose(
+        pose_errors_mm(resting, t_s, truth),
+        [[0.0] * len(TARGETS), [5.0] * len(TARGETS), [10.0] * len(TARGETS)],
+        atol=1e-9,
+    )
+    followed = resting.copy()
+    followed[:, :, 3] -= np.outer(t_s, down)
+    np.testing.assert_allclose(pose_errors_mm(followed, t_s, truth), 0.0, atol=1e-9)
 
 
 def test_a_shift_is_the_same_at_every_target_and_a_turn_is_not() -> None:

@@ -18,7 +18,9 @@ FAULTS = (
     "The second world: the heart has changed since the MR, contours are noisy, and images, tracker, "
     "calibrations and gates have errors that were drawn for this heart.",
 )
-_KEYS = {"schema_", "world", "quality", "heart", "motion", "seconds", "seed", "us_rate_hz"}
+_PRESETS: dict[str, Any] = {"calm": None, "ventilated": "ventilated", "breathing": "spontaneous"}
+"""Kind of breathing by the preset's name."""
+_KEYS = {"schema_", "world", "preset", "quality", "heart", "motion", "seconds", "seed", "us_rate_hz"}
 
 
 def second_scenario(file: "SpecFile", out: Path | None, *, print_spec: bool, as_json: bool) -> None:
@@ -33,14 +35,17 @@ def second_scenario(file: "SpecFile", out: Path | None, *, print_spec: bool, as_
         raise typer.BadParameter("--quality belongs to --world second; the first world takes --preset")
     default = type(file)()
     foreign = [key for key in type(file).model_fields if key not in _KEYS]
-    if any(getattr(file, key) != getattr(default, key) for key in foreign):
+    if any(getattr(file, key) != getattr(default, key) for key in foreign) or file.preset not in _PRESETS:
         raise typer.BadParameter(
-            "--world second takes --quality, --heart, --motion, --seconds, --seed and --us-rate-hz"
+            "--world second takes --quality, --heart, --motion, --seconds, --seed, --us-rate-hz, and "
+            "--preset ventilated or breathing"
         )
     motion: Any = file.motion  # checked there, like the kind of heart
     heart: Any = file.heart if "heart" in file.model_fields_set else "varied"
     quality = file.quality or "calm"
-    spec = SecondWorldSpec(file.seed, quality, motion, file.seconds, file.us_rate_hz, heart)
+    spec = SecondWorldSpec(
+        file.seed, quality, motion, file.seconds, file.us_rate_hz, heart, _PRESETS[file.preset]
+    )
     if print_spec:
         print(_text(spec), end="")
         return
@@ -60,7 +65,10 @@ def second_scenario(file: "SpecFile", out: Path | None, *, print_spec: bool, as_
 
 def _text(spec: "SecondWorldSpec", recorded: "SecondWorldRecording | None" = None) -> str:
     """Format YAML to make the scenario again, with the values drawn for a made one as comments."""
-    text = yaml_text({"schema": "dvf_ig.scenario-spec/1", "world": "second", **asdict(spec)})
+    fields = asdict(spec)
+    breath = fields.pop("breathing")
+    preset = next(name for name, kind in _PRESETS.items() if kind == breath)
+    text = yaml_text({"schema": "dvf_ig.scenario-spec/1", "world": "second", "preset": preset, **fields})
     if recorded is None:
         return text
     floor = [f"#   {name}: {value:.4g}\n" for name, value in asdict(recorded.floor).items()]

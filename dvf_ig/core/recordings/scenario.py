@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from dvf_ig.core.arrays import FloatArray, frozen_floats, read_only_arrays
 from dvf_ig.core.space.image_map import ImageMap
 from dvf_ig.core.space.mesh import SurfaceSeries
@@ -11,6 +13,7 @@ from dvf_ig.core.space.volume import Volume, VolumeSeries
 from dvf_ig.core.timing.trigger import TriggerTimes
 
 from .phantom import NWireRecording, TargetRecording
+from .respiration import Respiration
 from .sequence import Fan, TrackedSequence
 from .signal import Signal, Trace
 from .stream import PoseStream
@@ -118,6 +121,35 @@ class ToolTruth:
 
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
+class BreathingTruth:
+    """True motion of the heart in breathing, from its rest at end-expiration.
+
+    Attributes:
+        t_s: (n,) increasing, tracker clock.
+        mr_from_rest: (n, 3, 4) pose of the heart in frame "mr".
+        targets_mm: (n, k, 3) positions in frame "mr" of the targets, change of shape included.
+    """
+
+    t_s: FloatArray
+    mr_from_rest: FloatArray
+    targets_mm: FloatArray
+
+    def __post_init__(self) -> None:
+        t_s = frozen_floats(self.t_s, "times of breathing", (None,))
+        object.__setattr__(self, "t_s", t_s)
+        for name, shape in (("mr_from_rest", (len(t_s), 3, 4)), ("targets_mm", (len(t_s), None, 3))):
+            object.__setattr__(self, name, frozen_floats(getattr(self, name), f"truth {name}", shape))
+
+    def targets_at(self, t_s: FloatArray) -> FloatArray:
+        """Interpolate (m, k, 3) positions of the targets at (m,) times."""
+        after = np.clip(np.searchsorted(self.t_s, t_s), 1, len(self.t_s) - 1)
+        low, high = self.t_s[after - 1], self.t_s[after]
+        weight = np.clip((t_s - low) / (high - low), 0.0, 1.0)[:, None, None]
+        return (1.0 - weight) * self.targets_mm[after - 1] + weight * self.targets_mm[after]
+
+
+@read_only_arrays
+@dataclass(frozen=True, slots=True, eq=False)
 class ScenarioTruth:
     """Ground truth of a synthetic recording, which a replay reads only to score its estimates.
 
@@ -138,6 +170,7 @@ class ScenarioTruth:
         video_drift_ppm: t_tracker(event) = t_video(event)·(1 + ppm·1e-6) + lag_s.
         respiration_mm: excursion of the heart in breathing; `mr_from_tracker`, `targets` and `surface` hold
             at end-expiration, while `tool` holds the actual contact.
+        breathing: that motion; None without.
     """
 
     mr_from_tracker: tuple[tuple[float, Rigid], ...]
@@ -153,6 +186,7 @@ class ScenarioTruth:
     calibrated_probe_from_image: ImageMap | None = None
     video_drift_ppm: float = 0.0
     respiration_mm: float = 0.0
+    breathing: BreathingTruth | None = None
 
     def mr_from_tracker_at(self, t_s: float) -> Rigid:
         """Return the true pose at `t_s`."""
@@ -200,6 +234,9 @@ class Scenario:
         truth: None for recorded data.
         tool_after_restart: poses of the tool after its tracker's clock restarted, with the new clock's
             stamps. Synthetic scenarios are written with them; readers leave them out.
+        respiration: what follows the breath, if it was recorded.
+        ventilator, chest: all channels of a ventilator, and tracker_from_chest of a marker; `respiration` is
+            one of them. Synthetic scenarios are written with them; readers leave them out.
     """
 
     name: str
@@ -221,3 +258,6 @@ class Scenario:
     seed: int | None = None
     truth: ScenarioTruth | None = None
     tool_after_restart: PoseStream | None = None
+    respiration: Respiration | None = None
+    ventilator: Signal | None = None
+    chest: PoseStream | None = None

@@ -84,10 +84,21 @@ class PoseMotion:
         if not speed_mm_s > 0:
             raise InvalidInputError(f"the speed of a pose is {speed_mm_s:g} mm/s; it must be positive")
         duration_s = mean_displacement_mm(now, target, center_mm) / speed_mm_s
-        step = target @ now.inverse()
+        return cls.between(now, target, start_s, start_s + duration_s, center_mm)
+
+    @classmethod
+    def between(
+        cls, start: Rigid, end: Rigid, start_s: float, end_s: float, center_mm: FloatArray
+    ) -> "PoseMotion":
+        """Build the motion from one pose to another in a given time, as that of breathing.
+
+        Raises:
+            FrameMismatchError: the poses map between other frames.
+            InvalidInputError: times that are not in order.
+        """
+        step = end @ start.inverse()
         turn = Rotation.from_matrix(step.rotation).as_rotvec()
-        shift = step.apply_array(center_mm) - center_mm
-        return cls(now, target, start_s, start_s + duration_s, center_mm, turn, shift)
+        return cls(start, end, start_s, end_s, center_mm, turn, step.apply_array(center_mm) - center_mm)
 
     def at(self, t_s: float) -> Rigid:
         """Compute the pose at one time; exactly `start` before the motion and `end` after it."""

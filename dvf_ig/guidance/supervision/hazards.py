@@ -32,6 +32,7 @@ class Hazard(IntFlag, boundary=STRICT):
     ENERGY = 1 << 17
     MISSED_DEADLINES = 1 << 18
     TOOL_CONTRADICTED = 1 << 19
+    BREATHING = 1 << 20
 
     @property
     def sentences(self) -> tuple[str, ...]:
@@ -102,6 +103,9 @@ HAZARD_RULES: Mapping[Hazard, HazardRule] = MappingProxyType(
         Hazard.NO_POSE: HazardRule(Response.FADE, Latch.NEVER, "the patient is not registered"),
         Hazard.POSE_UNCONFIRMED: HazardRule(
             Response.FADE, Latch.NEVER, "no ultrasound has confirmed the pose for too long; scan the heart"
+        ),
+        Hazard.BREATHING: HazardRule(
+            Response.FADE, Latch.NEVER, "the heart's place in the breath is not known"
         ),
         Hazard.POSE_CONTRADICTED: HazardRule(
             Response.FADE, Latch.NEVER, "ultrasound contradicts the pose; scan the heart to register again"

@@ -7,6 +7,7 @@ import numpy as np
 
 from dvf_ig.core import (
     BoolArray,
+    BreathingTruth,
     FloatArray,
     ImageMap,
     IntArray,
@@ -59,6 +60,8 @@ def pose_errors_mm(mr_from_tracker: FloatArray, t_s: FloatArray, truth: Scenario
         t_s: (n,) tick times.
     """
     targets = truth.targets.points.xyz_mm
+    if truth.breathing is not None:
+        return _errors_of_the_moment(mr_from_tracker, t_s, truth, truth.breathing)
     errors = np.empty((len(t_s), len(targets)))
     begins = np.searchsorted(t_s, [start_s for start_s, _ in truth.mr_from_tracker])
     for (_, true_pose), (begin, end) in zip(
@@ -69,6 +72,23 @@ def pose_errors_mm(mr_from_tracker: FloatArray, t_s: FloatArray, truth: Scenario
         used, run = _runs(mr_from_tracker[here])
         apart = np.einsum("nij,kj->nki", used[:, :, :3], tracker) + used[:, None, :, 3] - targets
         errors[here] = np.linalg.norm(apart, axis=2)[run]
+    return errors
+
+
+def _errors_of_the_moment(
+    mr_from_tracker: FloatArray, t_s: FloatArray, truth: ScenarioTruth, breathing: BreathingTruth
+) -> FloatArray:
+    """Compute (n, k) TRE at the targets, which each tick finds where breathing has moved them."""
+    targets = truth.targets.points.xyz_mm
+    errors = np.empty((len(t_s), len(targets)))
+    for begin in range(0, len(t_s), 4096):
+        here = slice(begin, begin + 4096)
+        moved, used = breathing.targets_at(t_s[here]), mr_from_tracker[here]
+        poses = [truth.mr_from_tracker_at(t) for t in t_s[here].tolist()]
+        turns, shifts = np.array([p.rotation for p in poses]), np.array([p.translation_mm for p in poses])
+        tracker = np.einsum("nji,nkj->nki", turns, moved - shifts[:, None])
+        apart = np.einsum("nij,nkj->nki", used[:, :, :3], tracker) + used[:, None, :, 3] - targets
+        errors[here] = np.linalg.norm(apart, axis=2)
     return errors
 
 

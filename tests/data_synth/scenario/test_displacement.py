@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from data_synth.operator.pose_path import composed, inverted, moved
+from data_synth.operator.pose_path import composed, inverted
 from data_synth.scenario.displacement import STEP_S, Displacement, displaced
 from data_synth.signals.occlusion import OcclusionSpec, losses_in_contact
 from dvf_ig.core import Rigid, ToolTruth
@@ -73,5 +73,3 @@ def test_paths_compose_and_invert_like_transforms() -> None:
     back = composed(inverted(paths[0]), paths[0])(t_s)
     np.testing.assert_allclose(back[0], np.tile(np.eye(3), (3, 1, 1)), atol=1e-12)
     np.testing.assert_allclose(back[1], 0.0, atol=1e-12)
-    lifted = moved(paths[0], lambda t: np.column_stack([t, 0 * t, 0 * t]))(t_s)[1]
-    np.testing.assert_allclose(lifted[:, 0] - first.translation_mm[0], t_s, atol=1e-12)

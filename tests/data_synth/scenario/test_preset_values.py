@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from data_synth import PRESETS, Preset, ScenarioSpec, describe_faults, preset_name
+from data_synth.breathing.breaths import BreathSpec
 from data_synth.scenario.displacement import Displacement
 from data_synth.signals.ecg import EcgSpec
 from data_synth.signals.occlusion import OcclusionSpec
@@ -59,7 +60,7 @@ def test_faults_are_told_without_their_size() -> None:
         (OcclusionSpec, {"loss_s": (3.0, 2.0)}),
         (Preset, {"other_probe_mm": -1.0}),
         (Preset, {"video_drift_ppm": 1e5}),
-        (Preset, {"respiration_mm": 99.0}),
+        (BreathSpec, {"excursion_mm": 99.0}),
         (Preset, {"mismatch_mm": 9.0}),
         (Preset, {"start_mm": -1.0}),
     ],

@@ -75,6 +75,8 @@ CHANGED = {
     "tool-in-view": {"probe", "images"},
     "tool-elsewhere": {"probe", "images", "nwire", "latency"},
     "tool-unseen": {"probe"},
+    "ventilated": {"ecg", "contact", "tool"},
+    "breathing": {"ecg", "contact", "tool"},
 }
 """The ball's images are black and all alike: in themselves, repeated or gone they are the same."""
 
@@ -255,15 +257,20 @@ def test_the_operator_stays_gentle_whatever_happens(preset: str) -> None:
 
 @pytest.mark.usefixtures("on_a_ball")
 def test_breathing_carries_heart_probe_view_and_hand() -> None:
-    calm_scenario, calm = made()
-    breathing = replace(Preset(), respiration_mm=6.0, respiration_per_min=15.0)
-    scenario, truth = made(changed=breathing)
-    assert truth.respiration_mm == 6.0
-    shift = truth.tool.tip_mr_mm - calm.tool.tip_mr_mm
-    size = np.linalg.norm(shift, axis=1)
-    assert size.max() == pytest.approx(6.0, abs=0.01)
-    assert size.min() == pytest.approx(0.0, abs=0.01)
-    np.testing.assert_array_equal(truth.tool.distance_mm, calm.tool.distance_mm)
+    calm_scenario, _ = made()
+    scenario, truth = made("ventilated")
+    assert truth.respiration_mm == 10.0
+    assert truth.breathing is not None
+    moved = truth.breathing.targets_at(truth.tool.t_s) - truth.targets.points.xyz_mm
+    size = np.linalg.norm(moved.mean(axis=1), axis=1)
+    assert size.max() == pytest.approx(10.0, abs=1.0)
+    assert size.min() < 0.5
+    assert scenario.respiration is not None
+    pressure = scenario.respiration
+    follows = np.corrcoef(pressure.values[:, 0], np.interp(pressure.t_s - 0.05, truth.tool.t_s, size))[0, 1]
+    assert follows > 0.85
+    assert scenario.chest is not None
+    assert calm_scenario.respiration is None
     rotations, translations, valid = tool_of(scenario).at_many(truth.tool.t_s)
     tip = rotations @ truth.tip.xyz_mm[0] + translations
     miss = truth.mr_from_tracker[0][1].apply_array(tip[valid]) - truth.tool.tip_mr_mm[valid]

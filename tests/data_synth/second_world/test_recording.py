@@ -161,7 +161,9 @@ def test_the_same_seed_gives_the_same_recording(recording: SecondWorldRecording,
     line_s = 1.4e-6 * room.probe.depth_mm
     within = (np.arange(room.probe.lines) - 0.5 * (room.probe.lines - 1)) * line_s
     phases = room.clock.model_phase(taken_s[:, None] + within)
-    again = echo_images(room.changed, room.probe, poses, phases, taken_s, room.drawn, lambda done: None)
+    again = echo_images(
+        [room.changed] * len(poses), room.probe, poses, phases, taken_s, room.drawn, lambda done: None
+    )
     np.testing.assert_array_equal(again, shown.images[:2])
 
 

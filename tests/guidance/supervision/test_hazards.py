@@ -24,6 +24,7 @@ FADING = [
     (Hazard.NO_PHASE, 0.250, Latch.NEVER),
     (Hazard.NO_POSE, 0.250, Latch.NEVER),
     (Hazard.POSE_UNCONFIRMED, 0.250, Latch.NEVER),
+    (Hazard.BREATHING, 0.250, Latch.NEVER),
     (Hazard.POSE_CONTRADICTED, 0.250, Latch.NEVER),
     (Hazard.OUT_OF_VOLUME, 0.250, Latch.NEVER),
     (Hazard.NOT_FINITE, 0.020, Latch.AT_ONCE),

@@ -210,6 +210,6 @@ def test_misuse_is_refused():
         with pytest.raises(InvalidInputError, match=r"needed \(3,\)"):
             supervisor.step(1.0, np.zeros(shape))
     with pytest.raises(ValueError):
-        Hazard(1 << 20)
+        Hazard(1 << 21)
     with pytest.raises(ValueError, match="read-only"):
         supervisor.step(1.0, WANTED).force_n[0] = 1.0

@@ -1,0 +1,12 @@
+"""The clock of breathing: what follows the breath, its state, and its forecast; causal."""
+
+from .breath_clock import LAG_S as LAG_S
+from .breath_clock import BreathClock as BreathClock
+from .breath_clock import BreathClockOptions as BreathClockOptions
+from .breath_clock import BreathEvent as BreathEvent
+from .breath_clock import BreathReading as BreathReading
+from .breath_clock import BreathState as BreathState
+from .surrogate import SurrogateScale as SurrogateScale
+from .surrogate import learn_scale as learn_scale
+from .tracking import BreathTrack as BreathTrack
+from .tracking import track_breathing as track_breathing

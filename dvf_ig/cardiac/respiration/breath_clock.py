@@ -1,0 +1,327 @@
+"""Breathing clock: ρ, phase, state and forecast from the samples up to now."""
+
+import math
+from collections import deque
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+
+from dvf_ig.core import FloatArray, InvalidInputError
+
+from .forecast import HORIZONS, LAGS, STEP_S, Forecast, fit_forecast, hold
+from .surrogate import HIGH, LOW, SurrogateScale, learn_scale
+
+LAG_S = (0.3, 0.7)
+"""First-order lags of ρ that stand for the hysteresis of the heart's motion (docs/theory/respiration.md)."""
+SMOOTH_S = 0.04
+RATE_S = 0.1
+"""Time constants against the noise of ρ, and of its rate."""
+KEEP_S = 240.0
+RANGE_S = 15.0
+"""Time over which the range of breaths is followed to find where they begin, whatever the baseline does."""
+ARM, BEGIN = 0.3, 0.5
+"""Shares of that range of L₀.₃ρ, free of the heartbeat in a channel: a breath begins at the second, once it
+was below the first."""
+
+
+class BreathState(IntEnum):
+    """State of the breathing clock; only with LOCKED may a pose be forecast."""
+
+    INIT = 0
+    LOCKED = 1
+    IRREGULAR = 2
+    LOST = 3
+
+
+class BreathEvent(IntEnum):
+    """What breathing did last that an ordinary breath does not."""
+
+    NONE = 0
+    DEEP_BREATH = 1
+    COUGH = 2
+    PAUSE = 3
+    CHANGED_RATE = 4
+    DISCONNECTION = 5
+
+
+@dataclass(frozen=True, slots=True)
+class BreathClockOptions:
+    """Limits of the states.
+
+    Attributes:
+        learn_s: time from which the scale of ρ is learnt.
+        lock_breaths: ordinary breaths before LOCKED, at first and after an event.
+        top, bottom: ρ beyond them is no ordinary breath.
+        late_share: no breath by this multiple of the period is a pause.
+        periods: shortest and longest breath as a share of the usual one.
+        fast: rate of ρ above this multiple of the usual largest is a cough.
+        lost_s: no sample for so long, in seconds, is LOST.
+    """
+
+    learn_s: float = 10.0
+    lock_breaths: int = 2
+    top: float = 1.5
+    bottom: float = -0.35
+    late_share: float = 1.7
+    periods: tuple[float, float] = (0.6, 1.6)
+    fast: float = 2.5
+    lost_s: float = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class BreathReading:
+    """Breathing at a time.
+
+    Attributes:
+        rho, sigma_rho: 0 at end-expiration and 1 at the usual top, and its standard deviation; NaN in INIT.
+        rho_rate: its rate, 1/s.
+        phase: share of the usual breath since this one began, below 1.
+        period_s: usual length of a breath; NaN before the first two.
+        state, event: see their classes; the event is that which ended LOCKED.
+    """
+
+    rho: float
+    sigma_rho: float
+    rho_rate: float
+    phase: float
+    period_s: float
+    state: BreathState
+    event: BreathEvent
+
+
+class BreathClock:
+    """Causal breathing clock: samples in, ρ and its lags out, of the past by memory, ahead by forecast."""
+
+    def __init__(self, options: BreathClockOptions | None = None) -> None:
+        self._options = options or BreathClockOptions()
+        self._scale: SurrogateScale | None = None
+        self._waiting: list[tuple[float, FloatArray]] = []
+        self._table = np.empty((1024, 4))  # time, ρ, its two lags
+        self._count = 0
+        self._rate = 0.0
+        self._usual_rate: deque[float] = deque(maxlen=8)  # largest rate of each of the last breaths
+        self._largest_rate = 0.0
+        self._armed = False
+        self._range, self._range_until_s = (0.0, 1.0), -math.inf
+        self._onsets: deque[float] = deque(maxlen=7)
+        self._ordinary = 0  # breaths in a row
+        self._event = BreathEvent.NONE
+        self._grid: deque[float] = deque(maxlen=700)  # ρ every STEP_S
+        self._grid_s = math.nan
+        self._forecast: Forecast = hold(1.0)
+
+    @property
+    def latest_s(self) -> float:
+        """Time of the latest sample; NaN before the first."""
+        if self._count:
+            return float(self._table[self._count - 1, 0])
+        return self._waiting[-1][0] if self._waiting else math.nan
+
+    @property
+    def onsets_s(self) -> tuple[float, ...]:
+        """Beginnings of the last breaths."""
+        return tuple(self._onsets)
+
+    def push(self, t_s: FloatArray, values: FloatArray) -> None:
+        """Add samples (n,), (n, columns).
+
+        Raises:
+            InvalidInputError: not finite, or not later than what was added.
+        """
+        times = np.asarray(t_s, dtype=np.float64)
+        if not (np.isfinite(times).all() and np.isfinite(values).all()):
+            raise InvalidInputError("a sample of breathing is not finite; leave gaps out")
+        for at_s, value in zip(times.tolist(), np.asarray(values, dtype=np.float64), strict=True):
+            if at_s <= self.latest_s:
+                raise InvalidInputError(
+                    f"a sample of breathing at {at_s:.3f} s came after {self.latest_s:.3f} s"
+                )
+            if self._scale is None:
+                self._learn(at_s, value)
+            else:
+                self._add(at_s, float(self._scale.rho(value[None])[0]))
+
+    def reading(self, t_s: float) -> BreathReading:
+        """Read the clock at a time: the latest sample's, or forecast after it."""
+        if not self._count:
+            state = BreathState.INIT
+            return BreathReading(math.nan, math.nan, math.nan, math.nan, math.nan, state, BreathEvent.NONE)
+        rho, sigma = self._ahead(t_s - self.latest_s)
+        begin_s, period_s = self._onsets[-1] if self._onsets else math.nan, self._period_s()
+        phase = min((t_s - begin_s) / period_s, math.nextafter(1.0, 0.0)) if period_s > 0 else math.nan
+        state, event = self._state_at(t_s)
+        return BreathReading(rho, sigma, self._rate, phase, period_s, state, event)
+
+    def features(self, t_s: FloatArray) -> FloatArray:
+        """Compute (n, 4) rows [1, ρ, L₀.₃ρ, L₀.₇ρ]; NaN before the first sample and beyond the forecast."""
+        times = np.atleast_1d(np.asarray(t_s, dtype=np.float64))
+        out = np.full((len(times), 4), np.nan)
+        if not self._count:
+            return out
+        table = self._table[: self._count]
+        known = (times >= table[0, 0]) & (times <= table[-1, 0])
+        out[known, 0] = 1.0
+        for k in (1, 2, 3):
+            out[known, k] = np.interp(times[known], table[:, 0], table[:, k])
+        later = (times > table[-1, 0]) & (times <= table[-1, 0] + HORIZONS * STEP_S)
+        for i in np.flatnonzero(later).tolist():
+            ahead_s = float(times[i] - table[-1, 0])
+            rho = self._ahead(ahead_s)[0]
+            mean = 0.5 * (rho + table[-1, 1])
+            shares = [1.0 - math.exp(-ahead_s / tau) for tau in LAG_S]
+            lags = [old + share * (mean - old) for old, share in zip(table[-1, 2:], shares, strict=True)]
+            out[i] = (1.0, rho, *lags)
+        return out
+
+    def rest_level(self, share: float) -> float:
+        """Return the level below which ρ and both of its lags were for `share` of the remembered time.
+
+        The lags keep out the beginning of expiration, when an airway pressure is low but the heart still
+        moves. NaN in INIT.
+        """
+        if not self._count:
+            return math.nan
+        return float(np.quantile(self._table[: self._count, 1:].max(axis=1), share))
+
+    def rest_features(self, share: float) -> FloatArray:
+        """Return the mean (4,) row of `features` below that level."""
+        rows = self._table[: self._count, 1:]
+        low = rows[rows.max(axis=1) <= self.rest_level(share)]
+        return np.concatenate([[1.0], low.mean(axis=0)])
+
+    def _learn(self, at_s: float, value: FloatArray) -> None:
+        """Wait until the scale can be learnt, then take up what was waiting."""
+        self._waiting.append((at_s, value))
+        if at_s - self._waiting[0][0] < self._options.learn_s:
+            return
+        self._scale = learn_scale(np.array([v for _, v in self._waiting]))
+        if self._scale is None:
+            half = self._waiting[0][0] + 0.5 * self._options.learn_s
+            self._waiting = [(t, v) for t, v in self._waiting if t >= half]
+            return
+        waiting, self._waiting = self._waiting, []
+        for t, v in waiting:
+            self._add(t, float(self._scale.rho(v[None])[0]))
+
+    def _add(self, at_s: float, rho: float) -> None:
+        if not self._count:
+            row = np.array([at_s, rho, rho, rho])
+        else:
+            before = self._table[self._count - 1]
+            step_s = at_s - float(before[0])
+            smooth = float(before[1]) + (1.0 - math.exp(-step_s / SMOOTH_S)) * (rho - float(before[1]))
+            share = 1.0 - math.exp(-step_s / RATE_S)
+            self._rate += share * ((smooth - float(before[1])) / step_s - self._rate)
+            mean = 0.5 * (smooth + float(before[1]))
+            lags = [
+                old + (1.0 - math.exp(-step_s / tau)) * (mean - old)
+                for old, tau in zip(before[2:].tolist(), LAG_S, strict=True)
+            ]
+            row = np.array([at_s, smooth, *lags])
+        self._remember(row)
+        self._watch(at_s, float(row[1]))
+        self._extend_grid()
+
+    def _remember(self, row: FloatArray) -> None:
+        if self._count == len(self._table):
+            table = self._table
+            recent = table[table[:, 0] >= row[0] - KEEP_S]
+            self._table = np.empty((max(1024, 2 * len(recent)), 4))
+            self._table[: len(recent)], self._count = recent, len(recent)
+        self._table[self._count] = row
+        self._count += 1
+
+    def _watch(self, at_s: float, rho: float) -> None:
+        """Find the beginning of breaths, and whether the running one is ordinary."""
+        o, usual = self._options, self._usual()
+        self._largest_rate = max(self._largest_rate, abs(self._rate))
+        if rho > o.top or (rho < o.bottom and self._count > 5):
+            self._break(BreathEvent.DEEP_BREATH if rho > o.top else BreathEvent.DISCONNECTION)
+        elif usual > 0 and abs(self._rate) > o.fast * usual:
+            self._break(BreathEvent.COUGH)
+        low, high = self._recent_range(at_s)
+        slow = float(self._table[self._count - 1, 2])
+        if slow < low + ARM * (high - low):
+            self._armed = True
+        elif self._armed and slow > low + BEGIN * (high - low):
+            self._armed = False
+            self._begin(at_s)
+        if self._onsets and at_s - self._onsets[-1] > o.late_share * self._period_s():
+            self._break(BreathEvent.PAUSE)
+
+    def _recent_range(self, at_s: float) -> tuple[float, float]:
+        """Return the range of ordinary ρ in the last RANGE_S, renewed twice a second."""
+        if not at_s < self._range_until_s:
+            begin = int(np.searchsorted(self._table[: self._count, 0], at_s - RANGE_S))
+            recent = self._table[begin : self._count]
+            ordinary = (recent[:, 1] > self._options.bottom) & (recent[:, 1] < self._options.top)
+            if ordinary.sum() >= 0.1 * len(recent):
+                low, high = np.percentile(recent[ordinary, 2], (LOW, HIGH))
+                self._range = (float(low), float(high))
+            self._range_until_s = at_s + 0.5
+        return self._range
+
+    def _begin(self, at_s: float) -> None:
+        """Count a breath, if it took about as long as usual, as ordinary."""
+        period_s, ordinary = self._period_s(), True
+        if self._onsets:
+            share = (at_s - self._onsets[-1]) / period_s if period_s > 0 else 1.0
+            ordinary = self._options.periods[0] <= share <= self._options.periods[1]
+            if not ordinary:
+                late = share > self._options.late_share
+                self._break(BreathEvent.PAUSE if late else BreathEvent.CHANGED_RATE)
+        self._onsets.append(at_s)
+        self._usual_rate.append(self._largest_rate)
+        self._largest_rate = 0.0
+        if ordinary:
+            self._ordinary += 1
+
+    def _break(self, event: BreathEvent) -> None:
+        if self._ordinary or self._event is BreathEvent.NONE:
+            self._event = event
+        self._ordinary = 0
+
+    def _usual(self) -> float:
+        return float(np.median(self._usual_rate)) if len(self._usual_rate) >= 3 else 0.0
+
+    def _period_s(self) -> float:
+        """Return the median of the last breaths' lengths."""
+        return float(np.median(np.diff(self._onsets))) if len(self._onsets) > 1 else math.nan
+
+    def _state_at(self, t_s: float) -> tuple[BreathState, BreathEvent]:
+        if t_s - self.latest_s > self._options.lost_s:
+            return BreathState.LOST, BreathEvent.DISCONNECTION
+        if len(self._onsets) < 3:
+            return BreathState.INIT, BreathEvent.NONE
+        quiet_s = t_s - self._onsets[-1]
+        if quiet_s > self._options.late_share * self._period_s():
+            return BreathState.IRREGULAR, self._event or BreathEvent.PAUSE
+        if self._ordinary < self._options.lock_breaths:
+            return BreathState.IRREGULAR, self._event
+        return BreathState.LOCKED, BreathEvent.NONE
+
+    def _extend_grid(self) -> None:
+        """Keep ρ on an even grid, and fit the forecast anew every second."""
+        now_s = float(self._table[self._count - 1, 0])
+        if math.isnan(self._grid_s):
+            self._grid_s = now_s - STEP_S
+        new = np.arange(self._grid_s + STEP_S, now_s + 1e-9, STEP_S)
+        if not len(new):
+            return
+        if len(new) > round(1.0 / STEP_S):
+            self._grid.clear()  # a gap
+            self._grid_s = now_s - STEP_S
+            return
+        tail = self._table[max(0, self._count - 400) : self._count]
+        for at_s, rho in zip(new.tolist(), np.interp(new, tail[:, 0], tail[:, 1]).tolist(), strict=True):
+            self._grid.append(rho)
+            self._grid_s = at_s
+            if round(at_s / STEP_S) % 10 == 0:
+                self._forecast = fit_forecast(np.array(self._grid))
+
+    def _ahead(self, ahead_s: float) -> tuple[float, float]:
+        """Forecast ρ and its standard deviation after the latest sample."""
+        tail = self._table[max(0, self._count - 2000) : self._count]
+        back = tail[-1, 0] - np.arange(LAGS[-1] + 1) * STEP_S
+        return self._forecast.at(np.interp(back, tail[:, 0], tail[:, 1]), ahead_s)

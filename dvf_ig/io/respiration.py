@@ -1,0 +1,168 @@
+"""Read and write recorded breathing: a channel of a monitor or ventilator, or a marker on the chest."""
+
+import csv
+import importlib
+import logging
+import re
+import warnings
+from pathlib import Path
+
+import numpy as np
+
+from dvf_ig.core.arrays import FloatArray
+from dvf_ig.core.errors import InvalidInputError, MissingDependencyError, UnreadableFileError
+from dvf_ig.core.recordings.respiration import Respiration
+from dvf_ig.core.recordings.signal import Signal
+from dvf_ig.io import limits
+from dvf_ig.io.ecg.trigger import EcgName
+from dvf_ig.io.ecg.wfdb import existing_record
+from dvf_ig.io.plus.poses import read_poses
+from dvf_ig.io.reading import read_text, reading
+from dvf_ig.io.writing.atomic import write_text
+
+log = logging.getLogger(__name__)
+
+KINDS = ("csv", "wfdb", "marker")
+Table = tuple[FloatArray, tuple[str, ...], FloatArray]
+"""Times (n,) s, names of k columns, values (n, k) with NaN for empty cells."""
+
+_BREATH = re.compile(r"resp|rsp|breath|thor|abdom|chest|volume|pressure|paw|flow|cvp", re.IGNORECASE)
+_TIME = re.compile(r"(t|time|times|timestamp|elapsed)[\W_]*(s|sec|ms)?\W*", re.IGNORECASE)
+_MOST_STEP_S = 0.5
+"""Slower samples than 2 Hz do not show a breath; longer steps in a table are taken as ms."""
+
+
+def read_respiration(spec: str, rate_hz: float | None = None) -> Respiration:
+    """Read what follows the breath, without its gaps.
+
+    Args:
+        spec: `csv:FILE#CHANNEL` or `wfdb:RECORD#CHANNEL`, without #CHANNEL the only one that is named as
+            breathing is; or `marker:FILE`, a tracked sequence of one marker or a table of x, y, z (mm).
+        rate_hz: sampling rate of a table without times.
+    Raises:
+        InvalidInputError: none of these kinds.
+        UnreadableFileError: absent or damaged; no such channel, or several that may be meant.
+        MissingDependencyError: WFDB without its package.
+    """
+    parts = split_respiration(spec)
+    if not parts.prefix or not parts.name:
+        raise InvalidInputError(
+            f"'{spec}' names no recording of breathing; write csv:FILE#CHANNEL, wfdb:RECORD#CHANNEL or "
+            "marker:FILE"
+        )
+    kind, path, channel = parts.prefix[:-1], Path(parts.name), parts.field[1:]
+    with reading(path, "a recording of breathing"):
+        if kind == "marker" and path.suffix.lower() not in (".csv", ".tsv", ".txt"):
+            poses = read_poses(path)
+            return _samples(path, poses.t_s[poses.valid], poses.translations_mm[poses.valid], poses.source)
+        t_s, names, values = _wfdb(path) if kind == "wfdb" else _table(path, rate_hz)
+        if kind == "marker":
+            axes = [_column(path, names, axis) for axis in "xyz"]
+            return _samples(path, t_s, values[:, axes], path.stem)
+        at = _column(path, names, channel)
+        return _samples(path, t_s, values[:, [at]], names[at])
+
+
+def split_respiration(spec: str) -> EcgName:
+    """Split what names a recording of breathing; prefix and field are empty if they are not given."""
+    kind, _, rest = spec.partition(":")
+    if kind not in KINDS:
+        return EcgName("", spec, "")
+    name, mark, channel = rest.rpartition("#")
+    if not mark or Path(rest).exists():
+        return EcgName(f"{kind}:", rest, "")
+    return EcgName(f"{kind}:", name, f"#{channel}")
+
+
+def _samples(path: Path, t_s: FloatArray, values: FloatArray, name: str) -> Respiration:
+    good = np.isfinite(values).all(axis=1) & np.isfinite(t_s)
+    t_s, values = t_s[good], values[good]
+    limits.require_times(t_s, "its times")
+    latest = np.maximum.accumulate(np.concatenate([[-np.inf], t_s]))[:-1]
+    later = t_s > latest
+    if later.sum() < max(2, 0.5 * len(t_s)):
+        raise UnreadableFileError(f"{path}: '{name}' has too few samples whose times increase")
+    if not later.all():
+        log.warning("%s: %d samples are not later than the one before and are left out", path, (~later).sum())
+    return Respiration(t_s[later], values[later], name)
+
+
+def _column(path: Path, names: tuple[str, ...], wanted: str) -> int:
+    """Find a column by its name; without one, the only column, or the only one named as breathing is."""
+    if wanted:
+        if wanted not in names:
+            raise UnreadableFileError(f"{path} has no column '{wanted}'; it has {', '.join(names)}")
+        return names.index(wanted)
+    likely = [i for i, name in enumerate(names) if _BREATH.search(name)] or list(range(len(names)))
+    if len(likely) != 1:
+        raise UnreadableFileError(
+            f"{path}: which of {', '.join(names[i] for i in likely)} is breathing? Name it: "
+            f"{path.name}#{names[likely[0]] if likely else 'CHANNEL'}"
+        )
+    return likely[0]
+
+
+def _wfdb(record: Path) -> Table:
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            wfdb = importlib.import_module("wfdb")
+            data = wfdb.rdrecord(str(existing_record(record).resolve()))
+    except ModuleNotFoundError as exc:
+        raise MissingDependencyError(
+            "reading a WFDB record needs the package wfdb: pip install '.[ecg]'"
+        ) from exc
+    except (ValueError, LookupError, TypeError, OSError) as exc:
+        raise UnreadableFileError(f"{record}: not a readable WFDB record ({exc}); copy it again") from exc
+    values = np.asarray(data.p_signal, dtype=np.float64)
+    return np.arange(len(values)) / float(data.fs), tuple(data.sig_name), values
+
+
+def _table(path: Path, rate_hz: float | None) -> Table:
+    """Parse a text table with a header; commas are decimal marks if cells are separated otherwise."""
+    text = read_text(path, "a table of breathing")
+    first = text.partition("\n")[0]
+    separator = next((mark for mark in ";\t" if mark in first), ",")
+    rows = list(csv.reader(text.splitlines(), delimiter=separator))
+    header = [name.strip() for name in rows[0]] if rows else []
+    try:
+        cells = [[_number(cell, separator) for cell in row] for row in rows[1:] if row]
+    except ValueError as exc:
+        raise UnreadableFileError(f"{path}: {exc}; needed numbers under a header") from exc
+    if len(cells) < 2 or any(len(row) != len(header) for row in cells):
+        raise UnreadableFileError(f"{path}: needed a header, and rows with a cell for each of its names")
+    values = np.array(cells)
+    at = next((i for i, name in enumerate(header) if _TIME.fullmatch(name)), None)
+    kept = [i for i in range(len(header)) if i != at]
+    names = tuple(header[i] for i in kept)
+    if at is not None:
+        return _seconds(values[:, at], header[at]), names, values[:, kept]
+    if rate_hz is None:
+        raise UnreadableFileError(
+            f"{path} has no column of times (t_s, time or timestamp) among {', '.join(names)[:60]}; give its "
+            "sampling rate with --rate"
+        )
+    return np.arange(len(values)) / rate_hz, names, values
+
+
+def _number(cell: str, separator: str) -> float:
+    return float(cell.replace(",", ".") if separator != "," else cell) if cell.strip() else float("nan")
+
+
+def _seconds(times: FloatArray, name: str) -> FloatArray:
+    """Convert times to s by the unit in their name; without one, long steps are ms."""
+    match = _TIME.fullmatch(name)
+    unit = match[2].lower() if match is not None and match[2] else ""
+    long_steps = not unit and float(np.nanmedian(np.diff(times))) > _MOST_STEP_S
+    return times / 1000.0 if unit == "ms" or long_steps else times
+
+
+def write_channels(signal: Signal, path: Path | str) -> None:
+    """Write a monitor's channels as CSV, `t_s` and a column each; `read_respiration` reads them back exactly.
+
+    Raises:
+        OutputError: not writable.
+    """
+    table = np.column_stack([signal.t_s, signal.samples]).tolist()
+    lines = [",".join(["t_s", *signal.leads]), *(",".join(map(repr, row)) for row in table)]
+    write_text(Path(path), "\n".join(lines) + "\n")

@@ -1,0 +1,265 @@
+"""Breathing in a session: from what follows the breath to frames at rest, and the pose of the moment.
+
+    gate     until the motion is learnt: frames and forces at end-expiration alone
+    model    afterwards: frames are moved back to rest, and the pose follows the breath, where it is known
+
+All other parts of a session see the heart at rest, which is end-expiration.
+"""
+
+from collections import deque
+from dataclasses import dataclass
+from math import inf, nan
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from dvf_ig.cardiac.respiration import (
+    BreathClock,
+    BreathClockOptions,
+    BreathEvent,
+    BreathReading,
+    BreathState,
+)
+from dvf_ig.core import HEART_RADIUS_MM, BoolArray, FloatArray, IntArray, PoseMotion, read_only_arrays
+from dvf_ig.registration import (
+    MEAN_SQUARE_OF_COORDINATES,
+    BeatMeasurement,
+    BreathBeat,
+    BreathingPose,
+    PoseChart,
+    learn_breathing,
+)
+
+from .clocks import StampOrder
+from .events import RespirationSample
+
+REST_SHARE = 0.3
+"""Share of the time in which ρ and its lags are lowest, and the heart rests."""
+FIRST_BREATHS, TRUSTED_BREATHS = 4, 10
+"""Breaths from which a model helps to compare the next beats, and from which forces may follow it."""
+MAX_HELD_OUT_MM = 2.0
+"""Largest error in held-out breaths of a model that forces may follow."""
+REMEMBERED_BREATHS = 40
+LOST_S = BreathClockOptions().lost_s
+AHEAD_S = 0.1
+"""A published motion reaches this far; the next sample replaces it long before."""
+_UNKNOWN = (BreathEvent.DEEP_BREATH, BreathEvent.COUGH, BreathEvent.DISCONNECTION)
+"""Events in which the surrogate and the heart may part."""
+
+
+@read_only_arrays
+@dataclass(frozen=True, slots=True, eq=False)
+class FrameBreathing:
+    """Breathing at the moments of n frames, as known when they were gathered.
+
+    Attributes:
+        features: (n, 4) s; NaN where it is not known.
+        resting: (n,) at end-expiration, where nothing has to be known of the motion.
+        xi_mm: (n, 6) motion from rest by the model; zero without one.
+        known: (n,) the model knows the motion; all False without one that may be used.
+        learnt: forces follow the model.
+    """
+
+    features: FloatArray
+    resting: BoolArray
+    xi_mm: FloatArray
+    known: BoolArray
+    learnt: bool
+
+    @property
+    def usable(self) -> BoolArray:
+        """(n,) frames of the resting heart, or that can be moved to it."""
+        return np.asarray(self.known if self.learnt else self.resting)
+
+    def part(self, chosen: IntArray | slice) -> "FrameBreathing":
+        """Choose frames."""
+        parts = (self.features[chosen], self.resting[chosen], self.xi_mm[chosen], self.known[chosen])
+        return FrameBreathing(*parts, self.learnt)
+
+
+@read_only_arrays
+@dataclass(frozen=True, slots=True, eq=False)
+class _Moment:
+    """What holds from one sample to the next: whether the pose is withheld, and how well it is known."""
+
+    changed_s: float
+    withheld: bool
+    covariance_mm2: FloatArray
+    bound_mm: float
+
+
+def moved_to_rest(
+    rotations: FloatArray, translations_mm: FloatArray, xi_mm: FloatArray, chart: PoseChart
+) -> tuple[FloatArray, FloatArray]:
+    """Move (n, 3, 3), (n, 3) tracker_from_probe so that, at the chart's pose, they see the heart at rest.
+
+    The pose of the moment is exp(ξ) M: M⁻¹ exp(ξ) M tracker_from_probe.
+    """
+    base, center = chart.base, chart.center_mm
+    turn = Rotation.from_rotvec(xi_mm[:, :3] / HEART_RADIUS_MM).as_matrix()
+    in_model = base.rotation @ rotations
+    at = translations_mm @ base.rotation.T + base.translation_mm
+    at = np.einsum("nij,nj->ni", turn, at - center) + center + xi_mm[:, 3:]
+    back = base.rotation.T
+    return back @ turn @ in_model, (at - base.translation_mm) @ back.T
+
+
+class BreathingTracker:
+    """The clock, the learning and the motion; one without samples never has an effect.
+
+    Args:
+        center_mm: (3,) centre of the heart, model frame.
+    """
+
+    def __init__(self, center_mm: FloatArray) -> None:
+        self.order = StampOrder()
+        self._center_mm = center_mm
+        self._clock = BreathClock()
+        self._waiting: deque[RespirationSample] = deque()
+        self._beats: deque[BreathBeat] = deque()
+        self._model: BreathingPose | None = None
+        self._learnt = False
+        self._rest = np.array([1.0, 0.0, 0.0, 0.0])
+        self._breath = 0
+        self._last_onset_s = -inf
+        self._rest_level, self._rest_level_s = nan, -inf
+        self._known = _Moment(nan, False, np.zeros((6, 6)), 0.0)
+
+    @property
+    def follows(self) -> bool:
+        """Whether anything follows the breath; without, no breathing is expected."""
+        return self.order.newest_s > -inf
+
+    @property
+    def model(self) -> BreathingPose | None:
+        """The model that forces follow; None before it is learnt."""
+        return self._model if self._learnt else None
+
+    def push(self, sample: RespirationSample) -> bool:
+        """Add a sample; False if its stamp is not later than those before."""
+        if not self.order.accepts(sample.t_s):
+            return False
+        self._waiting.append(sample)
+        return True
+
+    def advance(self, now_s: float) -> None:
+        """Take the samples until now."""
+        self.order.advance(now_s)
+        while self._waiting and self._waiting[0].t_s <= now_s:
+            sample = self._waiting.popleft()
+            self._clock.push(np.array([sample.t_s]), sample.values[None])
+        if now_s >= self._rest_level_s + 1.0:
+            self._rest_level, self._rest_level_s = self._clock.rest_level(REST_SHARE), now_s
+        onsets = self._clock.onsets_s
+        if onsets and onsets[-1] > self._last_onset_s:
+            self._last_onset_s = onsets[-1]
+            self._breath += 1
+            self._learn()
+
+    def reading(self, now_s: float) -> BreathReading:
+        """Read the clock."""
+        return self._clock.reading(now_s)
+
+    def frames(self, event_s: FloatArray) -> FrameBreathing | None:
+        """Return breathing at the moments of frames; None if nothing follows the breath."""
+        if not self.follows:
+            return None
+        features = self._clock.features(event_s)
+        resting = np.asarray(features[:, 1:].max(axis=1) <= self._rest_level)
+        if self._model is None:
+            nothing = np.zeros(len(event_s), dtype=np.bool_)
+            return FrameBreathing(features, resting, np.zeros((len(event_s), 6)), nothing, False)
+        known = self._model.knows(features)
+        xi = np.where(known[:, None], self._xi_mm(self._model, features), 0.0)
+        return FrameBreathing(features, resting, xi, known, self._learnt)
+
+    def add_beat(self, measurement: BeatMeasurement, frames: FrameBreathing) -> None:
+        """Learn from a beat that was compared with a pose after its frames were moved by `frames`.
+
+        What it then still finds is added to the mean motion of its frames.
+        """
+        good = np.isfinite(frames.features).all(axis=1)
+        if not measurement.informative or not good.any():
+            return
+        xi = frames.xi_mm[good].mean(axis=0)
+        self._beats.append(
+            BreathBeat(
+                frames.features[good].mean(axis=0),
+                frames.features[good],
+                measurement.information,
+                measurement.offset_information_mm + measurement.information @ xi,
+                self._breath,
+            )
+        )
+        while self._beats[0].breath < self._breath - REMEMBERED_BREATHS:
+            self._beats.popleft()
+
+    def motion(self, resting: PoseMotion, now_s: float) -> PoseMotion:
+        """Return the pose of the moment, with its rate, from that of the resting heart."""
+        if self._model is None or not self._learnt:
+            return resting
+        features = self._clock.features(np.array([now_s, now_s + AHEAD_S]))
+        if not self._model.knows(features[:1])[0] or not np.isfinite(features).all():
+            return resting
+        now, then = self._xi_mm(self._model, features)
+        end_s = now_s + AHEAD_S
+        start = PoseChart(resting.at(now_s), self._center_mm).pose(now)
+        end = PoseChart(resting.at(end_s), self._center_mm).pose(then)
+        return PoseMotion.between(start, end, now_s, end_s, self._center_mm)
+
+    def covariance_mm2(self, now_s: float) -> FloatArray:
+        """Return (6, 6) covariance of the motion from rest now; zero without a model in use."""
+        return self._moment(now_s).covariance_mm2
+
+    def bound_mm(self, now_s: float) -> float:
+        """Return twice the RMS error of that motion over the heart."""
+        return self._moment(now_s).bound_mm
+
+    def changed_s(self, now_s: float) -> float:
+        """Return when what `motion` and `withheld` give last changed: the latest sample, or its loss."""
+        if not self.follows:
+            return -inf
+        latest_s = self._clock.latest_s
+        return latest_s + LOST_S if now_s - latest_s > LOST_S else latest_s
+
+    def withheld(self, now_s: float) -> bool:
+        """Whether the pose of the moment is not known: beyond what was learnt, or before it, not at rest."""
+        return self._moment(now_s).withheld
+
+    def _moment(self, now_s: float) -> "_Moment":
+        """Return what holds since the latest sample, computed once."""
+        changed_s = self.changed_s(now_s)
+        if changed_s != self._known.changed_s:
+            self._known = self._evaluated(changed_s, now_s)
+        return self._known
+
+    def _evaluated(self, changed_s: float, now_s: float) -> "_Moment":
+        nothing = np.zeros((6, 6))
+        if not self.follows:
+            return _Moment(changed_s, False, nothing, 0.0)
+        reading, features = self._clock.reading(now_s), self._clock.features(np.array([now_s]))
+        if reading.state in (BreathState.INIT, BreathState.LOST) or not np.isfinite(features).all():
+            return _Moment(changed_s, True, nothing, 0.0)
+        model = self.model
+        if model is None:
+            return _Moment(changed_s, not features[0, 1:].max() <= self._rest_level, nothing, 0.0)
+        covariance = model.covariance_mm2(features - self._rest)[0]
+        bound_mm = float(2.0 * np.sqrt(MEAN_SQUARE_OF_COORDINATES @ np.diag(covariance)))
+        withheld = bool(reading.event in _UNKNOWN or not model.knows(features)[0])
+        return _Moment(changed_s, withheld, covariance, bound_mm)
+
+    def _xi_mm(self, model: BreathingPose, features: FloatArray) -> FloatArray:
+        """Compute the motion from rest at (n, 4) features."""
+        return model.xi_mm(features - self._rest)
+
+    def _learn(self) -> None:
+        """Learn again with every breath; until forces follow it, the rest is that of the gate."""
+        if len({beat.breath for beat in self._beats}) < FIRST_BREATHS:
+            return
+        model = learn_breathing(tuple(self._beats))
+        if model is None:
+            return
+        if not self._learnt:
+            self._rest = self._clock.rest_features(REST_SHARE)
+        self._model = model
+        self._learnt |= model.breaths >= TRUSTED_BREATHS and model.held_out_mm <= MAX_HELD_OUT_MM

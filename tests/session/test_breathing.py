@@ -1,0 +1,142 @@
+"""Breathing in a session: frames moved to rest exactly, motion learnt from beats, withheld in time."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from data_synth.breathing.breaths import BreathSpec, draw_breaths
+from data_synth.breathing.motion import Breathing, breathing_of
+from data_synth.breathing.recorded import recorded_breathing
+from dvf_ig.core import HEART_RADIUS_MM, BoolArray, FloatArray, PoseMotion, Respiration, Rigid
+from dvf_ig.registration import BeatMeasurement, PoseChart
+from dvf_ig.session import RespirationSample
+from dvf_ig.session.breathing import BreathingTracker, FrameBreathing, moved_to_rest
+
+CENTER = np.zeros(3)
+LEARN_S, STOP_S = 66.0, 90.0
+NOISE_MM = 0.45
+GRID = 40.0 * np.array(
+    [[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], dtype=np.float64
+)
+RESTING = PoseMotion.still(Rigid.from_rotation_vector([0.4, 0.1, -0.3], [20.0, 5.0, 9.0], "mr", "tracker"))
+
+
+def world(events: tuple[tuple[str, float], ...] = (), seed: int = 2) -> tuple[Breathing, Respiration]:
+    spec = replace(BreathSpec("ventilated", excursion_mm=10.0), events=events)
+    rng = np.random.default_rng(seed)
+    breathing = breathing_of(spec, draw_breaths(spec, STOP_S, rng), CENTER, rng)
+    assert breathing is not None
+
+    def still(t_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+        return np.repeat(np.eye(3)[None], len(t_s), axis=0), np.zeros((len(t_s), 3))
+
+    return breathing, recorded_breathing(breathing, still, STOP_S, rng)["respiration"]
+
+
+def true_xi_mm(breathing: Breathing, t_s: FloatArray) -> FloatArray:
+    """ξ that takes the breathing heart to its rest."""
+    turn, shift = breathing.mr_from_rest(t_s)
+    back = np.swapaxes(turn, 1, 2)
+    turns = HEART_RADIUS_MM * Rotation.from_matrix(back).as_rotvec()
+    return np.hstack([turns, -np.einsum("nij,nj->ni", back, shift)])
+
+
+@dataclass
+class Measured:
+    """The part of a `BeatMeasurement` that the tracker reads."""
+
+    information: FloatArray
+    offset_information_mm: FloatArray
+    informative: bool = True
+
+
+def beat(tracker: BreathingTracker, breathing: Breathing, begin_s: float, rng: np.random.Generator) -> None:
+    """Compare ten frames of a beat, with noise; what the tracker knew before is taken out of it."""
+    t_s = begin_s + np.arange(10) / 12.0
+    frames = tracker.frames(t_s)
+    assert frames is not None
+    left = (true_xi_mm(breathing, t_s) - frames.xi_mm).mean(axis=0) + NOISE_MM * rng.standard_normal(6)
+    measured = Measured(np.eye(6) / NOISE_MM**2, left / NOISE_MM**2)
+    tracker.add_beat(measured, frames)
+
+
+def follow(
+    events: tuple[tuple[str, float], ...] = (), until_s: float = STOP_S
+) -> tuple[FloatArray, FloatArray, BoolArray, BreathingTracker]:
+    """Follow a world: (n,) times every 0.1 s, errors over the heart (mm), whether the pose was withheld."""
+    breathing, recorded = world(events)
+    tracker, rng, pushed, next_beat_s = BreathingTracker(CENTER), np.random.default_rng(5), 0, 14.0
+    times, errors, withheld = [], [], []
+    for now_s in np.arange(0.5, until_s, 0.1).tolist():
+        due = int(np.searchsorted(recorded.t_s, now_s, side="right"))
+        for k in range(pushed, due):
+            tracker.push(RespirationSample(float(recorded.t_s[k]), recorded.values[k]))
+        pushed = due
+        tracker.advance(now_s)
+        if now_s > next_beat_s + 1.0:
+            beat(tracker, breathing, next_beat_s, rng)
+            next_beat_s += 0.85
+        pose = tracker.motion(RESTING, now_s).at(now_s + 0.01) @ RESTING.end.inverse()
+        moved = breathing.points_at(GRID, np.array([now_s + 0.01]))[0]
+        errors.append(float(np.linalg.norm(pose.apply_array(moved) - GRID, axis=1).mean()))
+        times.append(now_s)
+        withheld.append(tracker.withheld(now_s))
+    return np.array(times), np.array(errors), np.array(withheld), tracker
+
+
+def test_frames_moved_to_rest_see_there_what_they_saw_in_the_breath() -> None:
+    rng = np.random.default_rng(0)
+    xi = 8.0 * rng.standard_normal((4, 6))
+    chart = PoseChart(RESTING.end, np.array([3.0, -8.0, 12.0]))
+    turns, shifts = Rotation.random(4, rng=rng).as_matrix(), 90.0 * rng.standard_normal((4, 3))
+    at_rest = moved_to_rest(turns, shifts, xi, chart)
+    points = rng.standard_normal((5, 3))
+    for k in range(4):
+        seen = chart.pose(xi[k]).apply_array(points @ turns[k].T + shifts[k])
+        again = chart.base.apply_array(points @ at_rest[0][k].T + at_rest[1][k])
+        np.testing.assert_allclose(again, seen, atol=1e-9)
+
+
+def test_without_samples_nothing_changes() -> None:
+    tracker = BreathingTracker(CENTER)
+    tracker.advance(5.0)
+    assert tracker.frames(np.array([1.0])) is None
+    assert tracker.motion(RESTING, 5.0) is RESTING
+    assert not tracker.withheld(5.0)
+    assert not tracker.covariance_mm2(5.0).any()
+
+
+def test_the_gate_serves_end_expiration_until_the_motion_is_learnt() -> None:
+    times, errors, withheld, tracker = follow()
+    gated = (times > 16.0) & (times < 45.0) & ~withheld
+    assert 0.15 < gated.sum() / ((times > 16.0) & (times < 45.0)).sum() < 0.45
+    assert np.percentile(errors[gated], 95) < 1.5
+    after = times > LEARN_S
+    assert tracker.model is not None
+    assert (~withheld[after]).mean() > 0.9
+    assert np.percentile(errors[after & ~withheld], 95) < 2.0
+    rates = tracker.motion(RESTING, STOP_S - 1.0)
+    assert rates.end_s - rates.start_s == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize("event", ["sigh", "disconnection", "cough"])
+def test_a_pose_beyond_what_was_learnt_is_withheld(event: str) -> None:
+    times, errors, withheld, _ = follow(((event, 70.0),))
+    during = (times > 70.0) & (times < 80.0)
+    assert withheld[during].any()
+    wrong = np.flatnonzero(during & (errors > 5.0))
+    served_wrong = [i for i in wrong.tolist() if not withheld[max(0, i - 3) : i + 1].any()]
+    assert not served_wrong
+
+
+def test_a_beat_without_information_teaches_nothing() -> None:
+    tracker = BreathingTracker(CENTER)
+    nothing = Measured(np.eye(6), np.zeros(6), informative=False)
+    frames = FrameBreathing(
+        np.ones((3, 4)), np.ones(3, np.bool_), np.zeros((3, 6)), np.zeros(3, np.bool_), False
+    )
+    measurement: BeatMeasurement = nothing  # type: ignore[assignment]
+    tracker.add_beat(measurement, frames)
+    assert tracker.model is None
