@@ -13,6 +13,10 @@ from .boundary.target import BoundaryTarget as BoundaryTarget
 from .boundary.target import signed_distance_mm as signed_distance_mm
 from .boundary.target import target_from_labels as target_from_labels
 from .boundary.target import target_from_model as target_from_model
+from .coverage import Coverage as Coverage
+from .coverage import CoveredPart as CoveredPart
+from .coverage import covered_part as covered_part
+from .coverage import ends_within as ends_within
 from .evidence.assessment import ImageStatistics as ImageStatistics
 from .evidence.checks import Evidence as Evidence
 from .evidence.checks import Limits as Limits
