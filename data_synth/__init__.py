@@ -20,6 +20,9 @@ from .heart.motion import MotionPreset as MotionPreset
 from .heart.tissue import Tissue as Tissue
 from .mr.cine import MrProtocol as MrProtocol
 from .mr.cine import cine_preop as cine_preop
+from .mr.examination import EXAMS as EXAMS
+from .mr.examination import Examination as Examination
+from .mr.examination import examination as examination
 from .mr.stack import StackCine as StackCine
 from .mr.stack import StackProtocol as StackProtocol
 from .mr.stack import short_axis_cine as short_axis_cine
@@ -56,6 +59,7 @@ from .scenario.recording import ImagedHeart as ImagedHeart
 from .scenario.recording import cine_scenario as cine_scenario
 from .scenario.recording import imaged_heart as imaged_heart
 from .scenario.recording import phantom_scenario as phantom_scenario
+from .scenario.recording import scenario_examination as scenario_examination
 from .scenario.recording import surface_scenario as surface_scenario
 from .second_world.floor import RigidFloor as RigidFloor
 from .second_world.gated_volumes import SecondWorldPair as SecondWorldPair

@@ -6,6 +6,7 @@ from typing import get_args
 from data_synth.breathing.breaths import BreathSpec
 from data_synth.heart.heart_spec import STANDARD_HEART, HeartSeeds, HeartSpec
 from data_synth.heart.motion import MotionPreset
+from data_synth.mr.examination import EXAMS, ExamName
 from data_synth.operator.probe_path import SweepSpec
 from data_synth.operator.tool_in_view import LookSpec
 from data_synth.operator.tool_path import ToolSpec
@@ -199,6 +200,8 @@ class ScenarioSpec:
         image: a real probe's calibration and image size; None draws one for the standard probe.
         heart: kind of heart, and seeds that differ from `seed`; each draws what `seed` of that number draws.
             For a scenario on real anatomy only those of mismatch and speckle count.
+        exam: the phantom's MR as a hospital's examination (see `mr.examination`); None: isotropic 4-D MR with
+            labels of every phase.
     """
 
     preset: str = "calm"
@@ -210,11 +213,14 @@ class ScenarioSpec:
     changed: Preset | None = None
     image: CalibratedImage | None = None
     heart: HeartSpec = STANDARD_HEART
+    exam: ExamName | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "preset", preset_name(self.preset))
         if self.motion not in MOTIONS:
             raise InvalidInputError(f"there is no motion '{self.motion}'; choose from {', '.join(MOTIONS)}")
+        if self.exam is not None and self.exam not in EXAMS:
+            raise InvalidInputError(f"there is no examination '{self.exam}'; choose from {', '.join(EXAMS)}")
         if not 5.0 <= self.seconds <= 3600.0:
             raise InvalidInputError(f"the scenario is to last {self.seconds:g} s; needed 5 to 3600 s")
         if not 6.0 <= self.us_rate_hz <= 60.0:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -10,8 +11,10 @@ from data_synth.breathing.breaths import Breaths, draw_breaths
 from data_synth.breathing.recorded import recorded_breathing
 from data_synth.cine_heart.anatomy import CineHeart, cine_anatomy
 from data_synth.heart.anatomy import PhantomAnatomy, phantom_anatomy
-from data_synth.heart.heart_spec import HeartSpec
+from data_synth.heart.heart_spec import HeartKind, HeartSpec
+from data_synth.heart.motion import MotionPreset
 from data_synth.mr.cine import cine_preop
+from data_synth.mr.examination import Examination, ExamName, examination
 from data_synth.operator.hand import reframed
 from data_synth.operator.probe_path import ReplayedPath, central_view, sweeping_path
 from data_synth.operator.tool_in_view import looking_at
@@ -80,7 +83,27 @@ def imaged_heart(spec: ScenarioSpec) -> ImagedHeart:
 
 def _imaged(anatomy: PhantomAnatomy, spec: ScenarioSpec) -> Preop:
     """Image a heart; the noise comes from the anatomy's seed, so that all recordings of it agree."""
+    exam = scenario_examination(spec)
+    if exam is not None:
+        return exam.preop(f"phantom-{anatomy.seeds.anatomy}")
     return cine_preop(anatomy, child_rng(spec.seeds.anatomy, "preop"))
+
+
+def scenario_examination(spec: ScenarioSpec) -> Examination | None:
+    """Examine the heart of `phantom_scenario`; None if its MR is isotropic."""
+    if spec.exam is None:
+        return None
+    return _examined(spec.heart.kind, spec.motion, spec.seeds.anatomy, spec.seeds.motion, spec.exam)
+
+
+@lru_cache(maxsize=1)
+def _examined(
+    kind: HeartKind, motion: MotionPreset, anatomy_seed: int, motion_seed: int, exam: ExamName
+) -> Examination:
+    """Examine a heart once for its pre-operative data and their truth; mismatch and speckle play no part."""
+    heart = HeartSpec(kind, anatomy_seed, motion_seed)
+    anatomy = scenario_heart(ScenarioSpec(motion=motion, heart=heart, mismatch_mm=0.0))
+    return examination(anatomy, exam, child_rng(anatomy_seed, "preop"))
 
 
 def phantom_scenario(
@@ -109,7 +132,7 @@ def phantom_scenario(
 
 
 def _heart_of(spec: ScenarioSpec) -> tuple[object, ...]:
-    return spec.heart.kind, spec.motion, spec.seeds.anatomy, spec.seeds.motion
+    return spec.heart.kind, spec.motion, spec.seeds.anatomy, spec.seeds.motion, spec.exam
 
 
 def scenario_heart(spec: ScenarioSpec) -> PhantomAnatomy:

@@ -166,6 +166,8 @@ def model_key(preop: Preop, options: "ModelOptions") -> str:
         _add(digest, "end-diastole", preop.ed_phase)
         _add_array(digest, "end-diastolic labels", preop.ed_labels.values)
         _add_grid(digest, preop.ed_labels.grid)
+        for view in preop.views:
+            _add_image(digest, view)
     return digest.hexdigest()
 
 

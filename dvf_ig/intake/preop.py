@@ -72,6 +72,8 @@ def read_preop(config: PreopConfig, folder: Path, patient_id: str | None) -> Pre
     if config.mr is not None:
         with concerning("preop.mr", path := folder / config.mr):
             mr = timing.series(path, "mr")
+    with concerning("preop.views"):
+        views = tuple(timing.series(folder / name, f"view_{k}") for k, name in enumerate(config.views))
     if mr is not None and model is not None:
         mr = _with_times(mr, model, config.mr or "")
     labels, ed_labels = None, None
@@ -99,6 +101,7 @@ def read_preop(config: PreopConfig, folder: Path, patient_id: str | None) -> Pre
         cavity_labels=config.cavity_labels,
         surfaces=surfaces,
         surface=config.surface,
+        views=views,
     )
     named = None if patient_id is None and model is None else named
     return PreopFiles(preop, model, named, patient_id is not None)

@@ -44,6 +44,7 @@ class ScenarioPreop(Section):
 
     kind: Literal["labels", "surfaces", "labels and surfaces"]
     mr: str | None = None
+    views: tuple[str, ...] = ()
     labels: str | None = None
     timing: str = "preop/timing.json"
     surfaces_folder: str = "preop"
@@ -148,6 +149,7 @@ def _session(config: ScenarioConfig, folder: Path, *, with_truth: bool) -> Sessi
         patient_id=config.patient_id,
         preop=PreopConfig(
             mr=preop.mr,
+            views=preop.views,
             labels=preop.labels,
             label_names=preop.label_names,
             organ_labels=preop.organ_labels,

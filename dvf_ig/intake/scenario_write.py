@@ -1,5 +1,6 @@
 """Write a scenario as a folder: recordings at the top, everything that is truth under `truth/`."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -45,6 +46,9 @@ from .scenario import (
 )
 from .schema import FanConfig
 
+EXAMINATION = "examination.json"
+"""Beside the truth: shift and RR interval of every breath-hold, and the base's descent."""
+
 
 @dataclass(frozen=True, slots=True)
 class ScenarioNotes:
@@ -54,11 +58,13 @@ class ScenarioNotes:
         faults: one sentence each, without values of the ground truth.
         spec: YAML from which the scenario can be made again; it is written into truth/.
         preview_png: a picture of the scenario as a PNG file's bytes, see `dvf_ig.report.preview_png`.
+        examination: truth of the MR's breath-holds; it is written into truth/.
     """
 
     faults: tuple[str, ...] = ()
     spec: str = ""
     preview_png: bytes | None = None
+    examination: Mapping[str, object] | None = None
 
 
 def write_scenario(scenario: Scenario, folder: Path | str, notes: ScenarioNotes | None = None) -> None:
@@ -116,6 +122,8 @@ def _write_notes(scenario: Scenario, folder: Path, notes: ScenarioNotes) -> None
         write_bytes(folder / PREVIEW, notes.preview_png)
     if notes.spec and scenario.truth is not None:
         write_text(folder / TRUTH / SPEC, notes.spec)
+    if notes.examination is not None and scenario.truth is not None:
+        write_json(folder / TRUTH / EXAMINATION, notes.examination)
 
 
 def _config(scenario: Scenario) -> ScenarioConfig:
@@ -128,6 +136,7 @@ def _config(scenario: Scenario) -> ScenarioConfig:
         preop=ScenarioPreop(
             kind=_kind(preop),
             mr="preop/mr.nrrd" if preop.mr is not None else None,
+            views=tuple(f"preop/view_{k}.nrrd" for k in range(len(preop.views))),
             labels=None if preop.labels is None and preop.ed_labels is None else "preop/labels.nrrd",
             surfaces=tuple(series.name for series in preop.surfaces),
             surface=preop.surface,
@@ -183,6 +192,9 @@ def write_preop(preop: Preop, folder: Path, config: ScenarioPreop) -> None:
     if preop.mr is not None and config.mr is not None:
         write_volume_series(preop.mr, folder / config.mr)
         timings["mr"] = preop.mr.timing
+    for k, (view, name) in enumerate(zip(preop.views, config.views, strict=True)):
+        write_volume_series(view, folder / name)
+        timings[f"view_{k}"] = view.timing
     if preop.labels is not None and config.labels is not None:
         write_volume_series(preop.labels, folder / config.labels)
         timings["labels"] = preop.labels.timing
@@ -304,6 +316,8 @@ def _preop_rows(preop: Preop) -> list[tuple[str, str, str, str]]:
     if preop.mr is not None:
         phases = len(preop.mr.timing)
         rows.append(("`preop/mr.nrrd`", f"pre-operative MR, {phases} phases of the cycle", "mr", ""))
+    if preop.views:
+        rows.append(("`preop/view_*.nrrd`", f"{len(preop.views)} long-axis cines", "mr", ""))
     if preop.labels is not None:
         rows.append(("`preop/labels.nrrd`", f"its {len(preop.label_names)} tissue labels", "mr", ""))
     rows += [

@@ -105,6 +105,8 @@ KEYS: dict[str, Key] = {
                        "a model is built, and kept in the cache", "heart.npz", FILE, "--model FILE"),
     "preop.mr": Key("4-D MR or CT that ultrasound is compared with; with it a pose is more certain",
                     "the model's blood", "cine.nrrd", FILE, "--mr --cine CINE", HEART),
+    "preop.views": Key("long-axis cines of the examination whose short-axis stack `mr` is, one slice each",
+                       "the base's motion is not known", "[lax_4ch.nrrd]", FILE),
     "preop.labels": Key("4-D labels, or 3-D ones of `ed_phase` with `mr`", "", "labels.nii.gz", FILE,
                         "--labels FILE"),
     "preop.ed_phase": Key("phase of `mr` that 3-D labels belong to", "0", "0"),
@@ -215,6 +217,7 @@ class PreopConfig(Section):
 
     model: FileName | None = None
     mr: FileName | None = None
+    views: tuple[FileName, ...] = ()
     labels: FileName | None = None
     ed_phase: Annotated[int, Field(strict=True, ge=0)] = 0
     organ_labels: tuple[Whole, ...] = ()
@@ -443,6 +446,8 @@ def _files_in(value: Any, form: Form) -> tuple[str, ...]:
         return (split_ecg(value).name,)
     if form is BREATH:
         return (split_respiration(value).name,)
+    if form is FILE and isinstance(value, tuple):
+        return tuple(name for name in value if isinstance(name, str))
     return (value,) if form in (FILE, SOURCE, PAIR, POINTS) and isinstance(value, str) else ()
 
 

@@ -7,6 +7,8 @@ from .calibration_files import read_probe as read_probe
 from .calibration_files import read_tip as read_tip
 from .dicom.cine import dicom_patient_id as dicom_patient_id
 from .dicom.cine import is_dicom_folder as is_dicom_folder
+from .dicom.examination import DicomExamination as DicomExamination
+from .dicom.examination import read_dicom_examination as read_dicom_examination
 from .ecg.beat_annotations import BeatAnnotations as BeatAnnotations
 from .ecg.beat_annotations import read_annotations as read_annotations
 from .ecg.recording import read_ecg as read_ecg

@@ -29,6 +29,7 @@ from .knots import KnotTrial as KnotTrial
 from .knots import choose_knot_spacing as choose_knot_spacing
 from .label_check import LabelCheck as LabelCheck
 from .label_check import check_labels as check_labels
+from .motion.base_descent import BaseDescent as BaseDescent
 from .motion.cavity import cavity_volumes_mm3 as cavity_volumes_mm3
 from .motion.cycle import CycleMotion as CycleMotion
 from .motion.cycle import MotionOptions as MotionOptions
@@ -46,7 +47,10 @@ from .motion.image_match import match_images as match_images
 from .motion.quality import MotionQuality as MotionQuality
 from .motion.quality import assess_motion as assess_motion
 from .motion.quality import dice as dice
+from .motion.slice_shifts import SliceShifts as SliceShifts
+from .motion.slice_shifts import slice_shifts as slice_shifts
 from .motion.slice_stack import axis_of_lost_spacing as axis_of_lost_spacing
+from .motion.slice_stack import observable_axes as observable_axes
 from .segment.enough_seeds import SeedShortage as SeedShortage
 from .segment.enough_seeds import seed_shortage as seed_shortage
 from .segment.seeded import SegmentOptions as SegmentOptions

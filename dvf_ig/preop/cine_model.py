@@ -20,11 +20,15 @@ from dvf_ig.core import (
     read_only_arrays,
     untold,
 )
+from dvf_ig.preop.motion.base_descent import USUAL_MM, USUAL_SIGMA_MM, BaseDescent, base_descent
 from dvf_ig.preop.motion.cavity import cavity_volumes_mm3
 from dvf_ig.preop.motion.cycle import CycleMotion, MotionOptions, propagate_surface, track_cycle
 from dvf_ig.preop.motion.open_ends import OpenEnd, open_ends
 from dvf_ig.preop.motion.quality import MotionQuality, assess_motion
+from dvf_ig.preop.motion.slice_shifts import SliceShifts, slice_shifts
+from dvf_ig.preop.motion.slice_stack import observable_axes
 from dvf_ig.preop.segment.components import largest_component
+from dvf_ig.preop.surface.between_slices import between_slices
 from dvf_ig.preop.surface.budget import SurfaceBudget, surface_budget
 from dvf_ig.preop.surface.chambers import chamber_of, label_name
 from dvf_ig.preop.surface.closing import triangle_areas_mm2
@@ -71,6 +75,8 @@ class CineModel:
         budget: error budget of the end-diastolic surface itself.
         volume_mm3: (n,) of the left ventricle's cavity, or enclosed by the surface if none is labelled.
         open_ends: borders of the image within the organ; beyond them the surface is closed, not measured.
+        shifts: of the slices of a stack, which its surfaces are corrected for; None without long-axis views.
+        base: how the base moves through the slices of a stack; None if no long-axis view shows it.
     """
 
     model: DvfModel
@@ -80,6 +86,8 @@ class CineModel:
     budget: SurfaceBudget
     volume_mm3: FloatArray
     open_ends: tuple[OpenEnd, ...]
+    shifts: SliceShifts | None = None
+    base: BaseDescent | None = None
 
 
 def model_from_cine(
@@ -87,6 +95,7 @@ def model_from_cine(
     labels: Volume,
     *,
     patient_id: str,
+    views: Sequence[VolumeSeries] = (),
     options: CineOptions = CineOptions(),
     truth: VolumeSeries | None = None,
     progress: Progress | None = None,
@@ -99,28 +108,45 @@ def model_from_cine(
     Args:
         image: 4-D grey levels.
         labels: labels of phase `options.ed_phase`, on the image's grid.
+        views: long-axis cines of one slice each, if the image is a short-axis stack: they correct the shifts
+            of its slices, and show the base's descent.
         truth: labels of every phase; used only to assess the motion, never to estimate it.
         progress: called with the fraction done.
     Raises:
         InvalidInputError: no voxel of the organ or cavity labels, labels on another grid, or an image that
-            cuts the organ off everywhere.
+            cuts the organ off everywhere; long-axis views of an image that is no stack.
     """
     organ = largest_component(_chosen(labels, options.organ_labels, "organ"))
     cavities = [_chosen(labels, (value,), "cavity") for value in options.cavity_labels]
     report = progress or untold
-    surface = surface_of_mask(organ, image.grid)
+    surface = _surface(organ, image.grid)
     caps = border_caps(surface, image.grid)
     _require_imaged(surface, caps, image.grid)
     ends = open_ends(organ, image.grid)
+    blood = np.isin(labels.values, options.cavity_labels) if cavities else None
     motion = track_cycle(
         image,
         organ,
         ed_phase=options.ed_phase,
-        blood=np.isin(labels.values, options.cavity_labels) if cavities else None,
+        blood=blood,
         options=options.motion,
-        progress=lambda x: report(0.8 * x),
+        progress=lambda x: report((0.5 if views else 0.8) * x),
     )
-    surfaces = propagate_surface(motion, image, surface, options.surface, patient_id)
+    shifts, base = None, None
+    if views:
+        _require_stack(image.grid, views)
+        shifts = slice_shifts(image, organ, cavities[0] if cavities else organ, views)
+        base = base_descent(
+            image,
+            organ,
+            blood,
+            options.ed_phase,
+            views,
+            shifts,
+            options.motion,
+            progress=lambda x: report(0.5 + 0.3 * x),
+        )
+    surfaces = _corrected(propagate_surface(motion, image, surface, options.surface, patient_id), shifts)
     volumes = cavity_volumes_mm3(motion, cavities[0]) if cavities else surfaces.volumes_mm3()
     labelled = (
         None if truth is None else np.stack([_chosen_values(v, options.organ_labels) for v in truth.values])
@@ -136,15 +162,63 @@ def model_from_cine(
         cavity_mm3=volumes,
         options=options.model,
         progress=lambda x: report(0.8 + 0.2 * x),
-        sources=(*sources, *(end.told for end in ends)),
+        sources=(*sources, *(end.told for end in ends), *_stack_sources(image.grid, shifts, base)),
         chambers=[
-            _chamber(motion, image, mask, label_name(value, dict(options.label_names)))
+            _chamber(motion, image, mask, label_name(value, dict(options.label_names)), shifts)
             for value, mask in zip(options.cavity_labels, cavities, strict=True)
         ],
     )
     model = replace(model, cine_fingerprint=image.fingerprint())
     budget = surface_budget(image.grid.spacing_mm, surface.volume_mm3())
-    return CineModel(model, surfaces, motion, quality, budget, volumes, ends)
+    return CineModel(model, surfaces, motion, quality, budget, volumes, ends, shifts, base)
+
+
+def _surface(mask: BoolArray, grid: Grid) -> Mesh:
+    """Extract the surface of a mask, between the slices of a stack by the depth within them."""
+    if observable_axes(grid.spacing_mm)[2]:
+        return surface_of_mask(mask, grid)
+    return surface_of_mask(*between_slices(mask, grid))
+
+
+def _require_stack(grid: Grid, views: Sequence[VolumeSeries]) -> None:
+    """Raise InvalidInputError where long-axis views do not go with the image."""
+    if observable_axes(grid.spacing_mm).all():
+        raise InvalidInputError(
+            "long-axis views go with a short-axis stack; the 4-D image has no distant slices: leave them out"
+        )
+    for k, view in enumerate(views):
+        if view.grid.shape[2] != 1:
+            raise InvalidInputError(
+                f"long-axis view {k + 1} has {view.grid.shape[2]} slices; needed a cine of one slice"
+            )
+
+
+def _corrected(series: SurfaceSeries, shifts: SliceShifts | None) -> SurfaceSeries:
+    """Move a surface to where the heart is on the mean of all breath-holds."""
+    if shifts is None:
+        return series
+    return replace(series, vertices_mm=shifts.corrected(series.vertices_mm))
+
+
+def _stack_sources(grid: Grid, shifts: SliceShifts | None, base: BaseDescent | None) -> tuple[str, ...]:
+    """What a stack of slices leaves open, or long-axis views have filled in, for the model's sources."""
+    if observable_axes(grid.spacing_mm).all():
+        return ()
+    told = []
+    if shifts is not None:
+        largest = float(np.linalg.norm(shifts.sax_mm, axis=1).max())
+        told.append(f"slices were shifted by up to {largest:.1f} mm between breath-holds, and are corrected")
+    if base is None:
+        told.append(
+            "no long-axis view shows the base: its descent through the slices is not known (adults: "
+            f"{USUAL_MM:.0f} ± {USUAL_SIGMA_MM:.0f} mm)"
+        )
+    else:
+        told.append(
+            f"the base descends by {base.largest_mm:.1f} ± {base.sigma_mm:.1f} mm through the slices, by "
+            f"{base.views} long-axis views"
+        )
+    return tuple(told)
 
 
 def _require_imaged(surface: Mesh, caps: BoolArray, grid: Grid) -> None:
@@ -162,10 +236,12 @@ def _require_imaged(surface: Mesh, caps: BoolArray, grid: Grid) -> None:
         )
 
 
-def _chamber(motion: CycleMotion, image: VolumeSeries, cavity: BoolArray, name: str) -> Chamber:
+def _chamber(
+    motion: CycleMotion, image: VolumeSeries, cavity: BoolArray, name: str, shifts: SliceShifts | None
+) -> Chamber:
     """Propagate a cavity of end-diastole as the organ's surface."""
-    surface = surface_of_mask(cavity, image.grid)
-    return chamber_of(propagate_surface(motion, image, surface, name, ""))
+    surface = _surface(cavity, image.grid)
+    return chamber_of(_corrected(propagate_surface(motion, image, surface, name, ""), shifts))
 
 
 def _chosen_values(values: BoolArray, chosen: tuple[int, ...]) -> BoolArray:

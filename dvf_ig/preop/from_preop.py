@@ -44,7 +44,12 @@ def _from_cine(preop: Preop, options: ModelOptions, progress: Progress | None) -
         )
     cine = cine_options(preop, MotionOptions(threads=options.threads), options)
     return model_from_cine(
-        preop.mr, preop.ed_labels, patient_id=preop.patient_id, options=cine, progress=progress
+        preop.mr,
+        preop.ed_labels,
+        patient_id=preop.patient_id,
+        views=preop.views,
+        options=cine,
+        progress=progress,
     ).model
 
 

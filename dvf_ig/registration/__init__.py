@@ -16,6 +16,10 @@ from .boundary.target import target_from_model as target_from_model
 from .breathing import BreathBeat as BreathBeat
 from .breathing import BreathingPose as BreathingPose
 from .breathing import learn_breathing as learn_breathing
+from .coverage import Coverage as Coverage
+from .coverage import CoveredPart as CoveredPart
+from .coverage import covered_part as covered_part
+from .coverage import ends_within as ends_within
 from .evidence.assessment import ImageStatistics as ImageStatistics
 from .evidence.checks import Evidence as Evidence
 from .evidence.checks import Limits as Limits

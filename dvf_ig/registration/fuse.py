@@ -7,7 +7,7 @@ import numpy as np
 from dvf_ig.core import FloatArray, Rigid, read_only_arrays
 from dvf_ig.registration.boundary.fit import BoundaryFit, fit_boundary
 from dvf_ig.registration.evidence.covariance import covariance_mm2, placement_covariance_mm2
-from dvf_ig.registration.lc2.slices import SliceSet, within
+from dvf_ig.registration.lc2.slices import SliceSet
 from dvf_ig.registration.shape.blocks import BLOCK_MM, BlockedBoundary, BlockedLc2, BlockedMatch
 from dvf_ig.registration.shape.fit import pose_and_shape
 
@@ -27,7 +27,7 @@ class Fused:
         noise_covariance: (6, 6) likewise, of what independent patches would leave open.
         boundary: fit of the boundary from LC2's pose; None if the model's surface is not known or the
             slices show no boundary.
-        covered: the part of the coarse slices within the model's volume at LC2's pose.
+        covered: the part of the coarse slices within the model's volume, or the covered part, at LC2's pose.
     """
 
     pose: Rigid
@@ -40,7 +40,7 @@ class Fused:
 def fuse(problem: Problem, refined: Refined) -> Fused:
     """Go from LC2's pose to the one that blocks of LC2 and of the boundary agree on best."""
     chart, center_mm = PoseChart(refined.best.pose, problem.center_mm), problem.center_mm
-    covered = within(problem.images.coarse.slices, problem.heart.channels.grid, chart.base)
+    covered = problem.inside_model(problem.images.coarse, chart.base)
     seen = problem.visible_boundary
     boundary = None if seen is None else fit_boundary(seen, chart.base, center_mm)
     match = (

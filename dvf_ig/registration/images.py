@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
 
-from dvf_ig.core import FloatArray, TrackedVolume, read_only_arrays
+from dvf_ig.core import FloatArray, Rigid, TrackedVolume, read_only_arrays
 from dvf_ig.core.threads import thread_pool
 from dvf_ig.kernels.compiled import thread_count
 from dvf_ig.registration.boundary.fit import Boundary
@@ -14,8 +14,9 @@ from dvf_ig.registration.evidence.checks import IMAGE_LIMITS, SLICE_LIMITS, VOLU
 from dvf_ig.registration.evidence.covariance import PlacementUncertainty
 from dvf_ig.registration.lc2.channels import ModelChannels
 from dvf_ig.registration.lc2.lc2 import Lc2, SliceThreads
-from dvf_ig.registration.lc2.slices import SliceSet, prepare_volumes
+from dvf_ig.registration.lc2.slices import SliceSet, prepare_volumes, within
 
+from .coverage import CoveredPart
 from .start import LandmarkPrior
 
 VOLUME_SMOOTHING_MM = 3.0
@@ -47,7 +48,8 @@ class RegistrationOptions:
         times_seen: how many slices show the same position: 3 of a volume cut along three axes.
         bound_mm: how far a pose may move from the start over the heart.
         candidates: most poses that are refined on fine slices.
-        min_overlap: least share of the slices inside the model's volume.
+        min_overlap: least share of the slices inside the model's volume; of a heart that is covered in part,
+            least share of that part that the slices image.
         limits: what the evidence may be.
         kind: of images, by which the evidence was calibrated ("sweep", "volumes"); None: no probability is
             stated.
@@ -127,6 +129,11 @@ class HeartTarget(Protocol):
         """The boundary of blood and wall at the phases in use; None if it is not known."""
         ...
 
+    @property
+    def covered(self) -> CoveredPart | None:
+        """The part of the heart that its images cover; None if they hold all of it."""
+        ...
+
 
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
@@ -136,6 +143,7 @@ class HeartChannels:
     channels: ModelChannels
     center_mm: FloatArray
     surface: BoundaryTarget | None = None
+    covered: CoveredPart | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -166,6 +174,17 @@ class Problem:
     def visible_boundary(self) -> Boundary | None:
         """The boundary, if the slices show any of it."""
         return self.boundary if self.boundary is not None and len(self.boundary.points) else None
+
+    def compared(self, level: Level, pose: Rigid) -> SliceSet:
+        """The slices without what lies outside the covered part of the heart at a pose."""
+        covered = self.heart.covered
+        return level.slices if covered is None else covered.compared(level.slices, pose)
+
+    def inside_model(self, level: Level, pose: Rigid) -> SliceSet:
+        """The slices without what lies outside the model's volume, or the covered part, at a pose."""
+        if self.heart.covered is None:
+            return within(level.slices, self.heart.channels.grid, pose)
+        return self.compared(level, pose)
 
     def coarse_lc2(self, slices: SliceSet | None = None) -> Lc2:
         """LC2 of the coarse slices, or of some of them."""

@@ -67,14 +67,20 @@ def register(
         )
         fused = fuse(problem, refined)  # section 5: with the boundary, pose and change of shape together
         report(0.95)
+        covered, shown = heart.covered, images.coarse.slices
+        if covered is not None:  # the evidence is of the part of the heart that its images cover
+            shown = fused.covered.subset(np.flatnonzero(fused.covered.masks.any(axis=(1, 2))))
+            coarse = problem.coarse_lc2(shown)
         evidence = _evidence(problem, coarse, refined, fused, rng)  # trust.md: every check
-        similarity = refined.inside.score(fused.pose).similarity
-        overlap = refined.whole.score(fused.pose).overlap
+        inside = refined.inside.score(fused.pose)
+        similarity = inside.similarity
+        coverage = None if covered is None else covered.imaged_by(shown, fused.pose)
+        overlap = refined.whole.score(fused.pose).overlap if coverage is None else coverage.share
         moved_mm = mean_displacement_mm(start, fused.pose, heart.center_mm)
         statistics = image_statistics(
-            images.coarse.slices,
+            shown,
             similarity=similarity,
-            overlap=overlap,
+            overlap=overlap if coverage is None else inside.overlap,
             information=refined.inside.information,
         )
         stop = _stop(images.options, refined, fused, evidence, moved_mm=moved_mm, overlap=overlap)
@@ -107,6 +113,7 @@ def register(
             slices=len(images.fine.slices),
             options=images.options,
             matched=refined.best.pose,
+            coverage=coverage,
         )
     report(1.0)
     return against_touched(result, landmarks, touched)
@@ -140,7 +147,9 @@ def _boundary_distance_mm(problem: Problem, pose: Rigid, fused: Fused) -> float 
 def _second_best(problem: Problem, refined: Refined, pose: Rigid) -> float:
     """LC2 of the best candidate that lies elsewhere; 0 if there was none."""
     others = [
-        refined.whole.score(other.pose).similarity
+        problem.fine_lc2(problem.compared(problem.images.fine, other.pose)).score(other.pose).similarity
+        if problem.heart.covered is not None
+        else refined.whole.score(other.pose).similarity
         for other in refined.optima[1:]
         if mean_displacement_mm(other.pose, pose, problem.center_mm) > DISTINCT_MM
     ]
@@ -160,7 +169,7 @@ def _stop(
 
     Args:
         moved_mm: mean distance over the heart from the start.
-        overlap: share of the slices inside the model's volume.
+        overlap: share of the slices inside the model's volume, or of the covered part that they image.
     """
     if overlap < options.min_overlap:
         return Stop.LOW_OVERLAP

@@ -8,6 +8,7 @@ from dvf_ig.registration.evidence.assessment import ImageStatistics
 from dvf_ig.registration.evidence.checks import Evidence
 from dvf_ig.registration.surface_points.touched import SurfaceDisagreement
 
+from .coverage import Coverage
 from .images import RegistrationOptions
 
 
@@ -32,7 +33,8 @@ class RegistrationResult:
         statistics: of the slices, and how they lie to the model; None for a pair of organs.
         outside: why neither probability nor bound can be stated; empty where they are.
         similarity, start_similarity: LC2 at the result and at the start pose.
-        overlap: share of the slices inside the model's volume.
+        overlap: share of the slices inside the model's volume; of a heart that its images cover in part,
+            share of that part that the slices image.
         second_best: LC2 of the best candidate more than 4 mm away; 0 if there was none.
         moved_mm: mean distance over the heart between start and result.
         evaluations: of LC2's normal equations; slices: effort.
@@ -42,6 +44,7 @@ class RegistrationResult:
         matched: where the images match best, were the heart's shape that of the model; None: at the pose.
         landmarks_mm: mean distance over the heart from the pose of touched landmarks; None without any.
         touched: how far points touched on the heart's surface lie from it at the pose; None without any.
+        coverage: how much of a heart that its images cover in part the slices image; None for a whole one.
     """
 
     target_from_source: Rigid
@@ -68,6 +71,7 @@ class RegistrationResult:
     matched: Rigid | None = None
     landmarks_mm: float | None = None
     touched: SurfaceDisagreement | None = None
+    coverage: Coverage | None = None
 
     def __repr__(self) -> str:
         return summary_text("RegistrationResult", self._rows)
@@ -100,6 +104,8 @@ class RegistrationResult:
         if self.stop is Stop.PHASE_OFFSET and self.evidence.phase_offset is not None:
             return self.evidence.phase_offset.sentence
         pair = self.evidence.pair
+        if self.stop is Stop.LOW_OVERLAP and self.coverage is not None:
+            return self.coverage.advice
         if self.stop is Stop.LOW_OVERLAP and pair is None:
             return f"{self.stop.value}, and check that its poses are the probe's and not the tool's"
         if pair is not None and self.stop in (Stop.DISAGREEMENT, Stop.AMBIGUOUS):

@@ -18,14 +18,24 @@ from dvf_ig.core import (
 )
 from dvf_ig.core.threads import thread_pool
 from dvf_ig.kernels.compiled import thread_count
-from dvf_ig.preop import CHAMBER_SURFACES, close_surface, model_from_preop, rasterise, rasterise_meshes
+from dvf_ig.preop import (
+    CHAMBER_SURFACES,
+    close_surface,
+    model_from_preop,
+    observable_axes,
+    rasterise,
+    rasterise_meshes,
+)
 from dvf_ig.registration import (
     BLOOD,
     WALL,
     BoundaryTarget,
+    CoveredPart,
     ModelChannels,
     channels_from_labels,
     channels_from_mr,
+    covered_part,
+    ends_within,
     target_from_labels,
 )
 
@@ -42,6 +52,10 @@ LABEL_VOXEL_MM = 2.0
 """Voxels of labels that are made from surfaces."""
 LABEL_SMOOTHING_MM = 1.5
 """Standard deviation of the Gaussian on them if they replace grey levels."""
+STACK_SMOOTHING_MM = 1.0
+"""The same where they stand for a stack of slices: with real stacks 002 and 003, from the true pose, LC2 ends
+1.05 and 1.35 mm off with 1.0 mm; 1.41 and 1.61 with 1.5; 1.74 and 2.09 with 2.5; with the stack's own grey
+levels, interpolated between slices, 4.9 and 3.9 mm."""
 LABEL_MARGIN_MM = 20.0
 """Margin around the surfaces that they are made from."""
 
@@ -64,6 +78,7 @@ class Heart:
         center_mm: (3,) centre of the heart box.
         surface: the boundary of blood and wall, which ultrasound shows; None without a cavity.
         beats_update_pose: whether LC2 on these channels is good enough for a single beat to move the pose.
+        covered: the part of the heart that the MR covers; None if it holds all of it, or there is none.
     """
 
     model: DvfModel
@@ -71,6 +86,7 @@ class Heart:
     center_mm: FloatArray
     surface: BoundaryTarget | None
     beats_update_pose: bool = True
+    covered: CoveredPart | None = None
 
 
 def build_heart(
@@ -78,9 +94,11 @@ def build_heart(
 ) -> Heart:
     """Build model and channels from the pre-operative data of a heart.
 
-    LC2 compares ultrasound with the MR, or without one with wall and blood. These, and the boundary
-    between them, come from labels of every phase or surfaces in the pre-operative data, else from the model's
-    own surfaces. A model without chambers leaves the boundary out, and says so as a warning.
+    LC2 compares ultrasound with the MR where there is one, else with wall and blood; also where the MR is a
+    stack of slices that ends within the heart, as grey levels between slices are not known. These, and the
+    boundary between them, come from labels of every phase or surfaces in the pre-operative data, else (and
+    for such a stack) from the model's own surfaces. A model without chambers leaves the boundary out, and
+    says so as a warning.
 
     Args:
         model: a model of this patient that was built before; saves building it. With it, `preop` needs to
@@ -96,21 +114,31 @@ def build_heart(
     center = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
     if preop.mr is not None:
         _require_within(preop.mr, model, center)
+    partly = preop.mr is not None and ends_within(preop.mr.grid, vertices)
     has_anatomy = preop.labels is not None or preop.surfaces
-    labels = label_map(preop) if has_anatomy else label_map_of_model(model)
+    if preop.mr is not None and partly:
+        labels = label_map_of_model(model, preop.mr.grid)
+    else:
+        labels = label_map(preop) if has_anatomy else label_map_of_model(model)
     seen = bool((labels.values == BLOOD).any())
     if not seen:
         log.warning(_WITHOUT_CHAMBERS, model.patient_id)
+    grey = preop.mr is not None and not (partly and _is_stack(preop.mr.grid))
     with thread_pool(thread_count()) as pool:
         target = pool.submit(target_from_labels, labels, labels.timing.fractions) if seen else None
-        if preop.mr is not None:
+        if preop.mr is not None and grey:
             channels = channels_from_mr(preop.mr, smoothing_mm=MR_SMOOTHING_MM)
         else:
-            channels = channels_from_labels(labels, smoothing_mm=LABEL_SMOOTHING_MM)
+            smoothing_mm = STACK_SMOOTHING_MM if partly else LABEL_SMOOTHING_MM
+            channels = channels_from_labels(labels, smoothing_mm=smoothing_mm)
         surface = target.result() if target is not None else None
-    if preop.mr is not None:
-        return Heart(model, channels, center, surface)
-    return Heart(model, channels, center, surface, False)
+    covered = covered_part(labels, vertices) if partly else None
+    return Heart(model, channels, center, surface, grey, covered)
+
+
+def _is_stack(grid: Grid) -> bool:
+    """Return whether slices lie so far apart that grey levels between them are not known."""
+    return not bool(observable_axes(grid.spacing_mm).all())
 
 
 def _require_within(mr: VolumeSeries, model: DvfModel, center_mm: FloatArray) -> None:
@@ -135,13 +163,30 @@ def label_map(preop: Preop) -> VolumeSeries:
     return rasterise(closed, _label_grid(guarded.frame, guarded.vertices_mm.reshape(-1, 3)))
 
 
-def label_map_of_model(model: DvfModel) -> VolumeSeries:
-    """Label wall and blood (1, 2) within a model's surfaces; no blood if it has no chambers."""
+def label_map_of_model(model: DvfModel, within: Grid | None = None) -> VolumeSeries:
+    """Wall and blood (1, 2) within the surfaces that a model holds; no blood where it has no chambers.
+
+    Args:
+        within: grid of images that end within the heart, and beyond whose ends its surfaces are caps that no
+            image shows; None: all of the heart.
+    """
     vertices = np.concatenate([mesh.vertices_mm for mesh in model.reference])
     chambers = [chamber.surfaces for chamber in model.chambers]
     if model.surface_name in CHAMBER_SURFACES:
         chambers.append(model.reference)
-    return rasterise_meshes(model.reference, chambers, _label_grid(model.frame, vertices), model.timing)
+    grid = _label_grid(model.frame, vertices) if within is None else _covered_grid(within, vertices)
+    return rasterise_meshes(model.reference, chambers, grid, model.timing)
+
+
+def _covered_grid(images: Grid, vertices_mm: FloatArray) -> Grid:
+    """Voxels along the axes of images, around a surface with a margin as far as they reach."""
+    index = images.to_index(vertices_mm)
+    margin = LABEL_MARGIN_MM / images.spacing_mm
+    low = np.maximum(index.min(axis=0) - margin, 0.0)
+    high = np.minimum(index.max(axis=0) + margin, np.array(images.shape) - 1.0)
+    nx, ny, nz = (int(n) for n in np.floor((high - low) * images.spacing_mm / LABEL_VOXEL_MM) + 1)
+    spacing = np.full(3, LABEL_VOXEL_MM)
+    return Grid(images.frame, (nx, ny, nz), images.to_mm(low), spacing, images.direction)
 
 
 def _label_grid(frame: str, vertices_mm: FloatArray) -> Grid:

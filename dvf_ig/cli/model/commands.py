@@ -46,6 +46,9 @@ def build(
     surface: given.SurfaceOption = "EPICARDIAL",
     labels: given.LabelsOption = None,
     image: given.ImageOption = None,
+    dicom: given.DicomOption = None,
+    sax: given.SaxOption = None,
+    lax: given.LaxOption = None,
     seeds: given.SeedsOption = None,
     cavity: given.CavityOption = None,
     ed_phase: given.EdPhaseOption = 0,
@@ -69,7 +72,9 @@ def build(
             output=output,
             surfaces=surfaces,
             labels=labels,
-            image=image,
+            image=_one_image(image, sax, dicom),
+            examination=dicom is not None,
+            views=tuple(lax or ()),
             seeds=seeds,
             surface=surface,
             organ=_labels(organ, "--organ"),
@@ -86,6 +91,13 @@ def build(
             voxel_mm=voxel_size(voxel_mm),
         )
         _build(request, as_json=as_json)
+
+
+def _one_image(image: Path | None, sax: Path | None, dicom: Path | None) -> Path | None:
+    """Return the 4-D image, which has three spellings."""
+    if sum(path is not None for path in (image, sax, dicom)) > 1:
+        raise typer.BadParameter("--image, --sax and --dicom all name the 4-D image; give one of them")
+    return image or sax or dicom
 
 
 def _labels(text: str | None, option: str) -> tuple[int, ...]:

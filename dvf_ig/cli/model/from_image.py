@@ -14,7 +14,7 @@ from .labels import anatomical_error_mm
 from .request import BuildRequest
 
 if TYPE_CHECKING:
-    from dvf_ig.preop import CineModel
+    from dvf_ig.preop import CineModel, SliceShifts
 
 
 def model_from_image(request: BuildRequest, path: Path, *, as_json: bool) -> tuple[DvfModel, dict[str, Any]]:
@@ -26,12 +26,12 @@ def model_from_image(request: BuildRequest, path: Path, *, as_json: bool) -> tup
     Returns:
         the model, and the evidence ("motion" is also written as JSON next to it).
     """
-    from dvf_ig.io import read_volume_series, require_outputs
+    from dvf_ig.io import require_outputs
     from dvf_ig.preop import cine_options, model_from_cine
 
     evidence, picture = _beside(request)
     require_outputs(request.output, evidence, picture)
-    image = read_volume_series(path, request.timing)
+    request, image, views = _images(request, path)
     image, preop, labels, truth = _sized(request, image, *_preop(request, path, image))
     options = cine_options(preop, request.motion_options(), request.model_options())
     with progress("motion, then fitting phases") as report:
@@ -39,6 +39,7 @@ def model_from_image(request: BuildRequest, path: Path, *, as_json: bool) -> tup
             image,
             labels,
             patient_id=preop.patient_id,
+            views=views,
             options=options,
             truth=truth,
             progress=report,
@@ -54,6 +55,31 @@ def model_from_image(request: BuildRequest, path: Path, *, as_json: bool) -> tup
         emit({}, _phase_rows(result), as_json=False)
         emit({}, _summary_rows(result), as_json=False)
     return result.model, {"motion": payload, "anatomical_error_mm": error}
+
+
+def _images(request: BuildRequest, path: Path) -> tuple[BuildRequest, VolumeSeries, tuple[VolumeSeries, ...]]:
+    """Read the 4-D image and the long-axis views, and take the patient of an examination.
+
+    Warns of every series of an examination that is left out.
+    """
+    from dvf_ig.io import read_dicom_examination, read_timing, read_volume_series
+
+    if not request.examination:
+        views = tuple(read_volume_series(view) for view in request.views)
+        return request, read_volume_series(path, request.timing), views
+    found = read_dicom_examination(path)
+    for one in found.left_out:
+        warn(f"left out {one.images} images of {one.series or 'a series without a name'}: {one.reason}")
+    typer.echo(
+        f"short-axis stack: {found.sax.grid.shape[2]} slices, {len(found.sax.timing)} phases; "
+        f"long-axis views: {', '.join(found.names) or 'none'}",
+        err=True,
+    )
+    request = replace(request, patient=request.patient or found.patient_id or None)
+    if request.timing is None:
+        return request, found.sax, found.views
+    timing = read_timing(request.timing, beside=path, phases=len(found.sax.timing), image=path.name)
+    return request, VolumeSeries(found.sax.grid, found.sax.values, timing), found.views
 
 
 def _sized(
@@ -177,9 +203,8 @@ def _warn_of_limits(result: "CineModel", request: BuildRequest) -> None:
         )
     if quality.slice_pitch_mm is not None:
         warn(
-            f"slices lie {quality.slice_pitch_mm:.1f} mm apart: motion was estimated within them only, "
-            "motion across them (shortening of the heart) is missing, and shape between two of them is "
-            "interpolated"
+            f"slices lie {quality.slice_pitch_mm:.1f} mm apart: motion was estimated within them only, and "
+            f"shape between two of them is interpolated; {_base_sentence(result)}"
         )
     if quality.folds:
         worst = int(quality.folded_share.argmax())
@@ -189,6 +214,41 @@ def _warn_of_limits(result: "CineModel", request: BuildRequest) -> None:
             f"the volume is largest in phase {int(result.volume_mm3.argmax())}, not in the labelled phase "
             f"{request.ed_phase}"
         )
+
+
+def _base_sentence(result: "CineModel") -> str:
+    base = result.base
+    if base is None:
+        return "the descent of the base through them is not known; give long-axis cines (--lax, --dicom)"
+    return (
+        f"the base descends by {base.largest_mm:.1f} ± {base.sigma_mm:.1f} mm through them, as {base.views} "
+        "long-axis views show"
+    )
+
+
+def _stack_payload(result: "CineModel") -> dict[str, Any]:
+    """Shifts between breath-holds and descent of the base, which long-axis views show."""
+    shifts, base = result.shifts, result.base
+    return {
+        "slice_shifts": None
+        if shifts is None
+        else {
+            "sax_mm": shifts.sax_mm.tolist(),
+            "sax_sigma_mm": shifts.sax_sigma_mm.tolist(),
+            "views_mm": shifts.views_mm.tolist(),
+            "correlation_before": shifts.before,
+            "correlation_after": shifts.after,
+        },
+        "base_descent": None
+        if base is None
+        else {
+            "largest_mm": base.largest_mm,
+            "sigma_mm": base.sigma_mm,
+            "base_mm": base.base_mm.tolist(),
+            "apex_mm": base.apex_mm.tolist(),
+            "views": base.views,
+        },
+    }
 
 
 def _payload(result: "CineModel", request: BuildRequest) -> dict[str, Any]:
@@ -212,6 +272,7 @@ def _payload(result: "CineModel", request: BuildRequest) -> dict[str, Any]:
             "p95": quality.closure_p95_mm,
         },
         "slice_pitch_mm": quality.slice_pitch_mm,
+        **_stack_payload(result),
         "replaced_phases": [
             {"phase": r.phase, "reason": r.reason.name.lower(), "jump_mm": r.jump_mm}
             for r in result.motion.replaced
@@ -253,9 +314,22 @@ def _phase_rows(result: "CineModel") -> list[tuple[str, ...]]:
     return rows
 
 
+def _shift_sentence(shifts: "SliceShifts") -> str:
+    import numpy as np
+
+    size = np.linalg.norm(shifts.sax_mm, axis=1)
+    return (
+        f"{size.mean():.1f} mm mean, {size.max():.1f} largest (± {np.median(shifts.sax_sigma_mm):.1f} a "
+        f"coordinate), corrected; correlation along intersections {shifts.before:.3f} before, "
+        f"{shifts.after:.3f} after"
+    )
+
+
 def _summary_rows(result: "CineModel") -> list[tuple[str, ...]]:
-    quality, budget = result.quality, result.budget
+    quality, budget, shifts = result.quality, result.budget, result.shifts
+    found = [] if shifts is None else [("slice shifts", _shift_sentence(shifts))]
     return [
+        *found,
         (
             "closure error",
             f"{quality.closure_mean_mm:.2f} mm mean, {quality.closure_p95_mm:.2f} p95 over the organ, "

@@ -24,6 +24,21 @@ LabelsOption = Annotated[
 ImageOption = Annotated[
     Path | None, typer.Option("--image", help="4-D image, for the motion of --labels or --seeds.")
 ]
+DicomOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--dicom",
+        help="Folder of an examination with all its series: short-axis stack and long-axis cines are found "
+        "by their geometry; the rest is left out with a reason.",
+    ),
+]
+SaxOption = Annotated[
+    Path | None, typer.Option("--sax", help="Short-axis 4-D stack, as --image, which --lax goes with.")
+]
+LaxOption = Annotated[
+    list[Path] | None,
+    typer.Option("--lax", help="Long-axis cine of one slice, with --sax or --image; once for each view."),
+]
 SeedsOption = Annotated[
     Path | None,
     typer.Option(

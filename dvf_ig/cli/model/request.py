@@ -30,6 +30,8 @@ class BuildRequest:
         knot_mm, accuracy_mm, margin_mm, threads: options of the fit; see ModelOptions.
         seed: seed of the random points at which errors are measured.
         voxel_mm: voxel size of an image whose header has lost it.
+        examination: the image is a folder of all series of an examination.
+        views: files of long-axis cines, one slice each.
     Raises:
         typer.BadParameter: options that do not go together.
         OutputError: the folder of the output does not exist.
@@ -53,12 +55,18 @@ class BuildRequest:
     threads: int
     seed: int
     voxel_mm: tuple[float, float, float] | None = None
+    examination: bool = False
+    views: tuple[Path, ...] = ()
 
     def __post_init__(self) -> None:
         if (self.surfaces is None) == (self.labels is None and self.image is None):
             raise typer.BadParameter("give --surfaces DIR, --labels SERIES, or --image and labels or seeds")
         if self.image is None and self.voxel_mm is not None:
             raise typer.BadParameter("--voxel-mm belongs to --image, the 4-D image whose header has lost it")
+        if self.views and (self.image is None or self.examination):
+            raise typer.BadParameter(
+                "--lax goes with --sax, the short-axis stack; --dicom finds the views itself"
+            )
         if self.image is None and self.seeds is not None:
             raise typer.BadParameter("--seeds needs --image, the 4-D image in which they are set")
         if self.surfaces is not None and (self.organ or self.cavity):
@@ -93,7 +101,8 @@ class BuildRequest:
     def patient_id(self, source: Path) -> str:
         from dvf_ig.io import dicom_patient_id, is_dicom_folder
 
-        recorded = dicom_patient_id(source) if not self.patient and is_dicom_folder(source) else ""
+        known = self.patient or self.examination or not is_dicom_folder(source)
+        recorded = "" if known else dicom_patient_id(source)
         return self.patient or recorded or source.name.split(".")[0]
 
     def model_options(self) -> "ModelOptions":

@@ -130,6 +130,8 @@ def rows_of(result: "RegistrationResult", name: str) -> list[tuple[str, str]]:
 
 
 def _overlap(result: "RegistrationResult") -> str:
+    if result.coverage is not None:
+        return result.coverage.advice
     of = "the fan" if result.evidence.pair is not None else f"{result.slices} slices' pixels"
     return f"{100 * result.overlap:.0f} % of {of}"
 

@@ -23,7 +23,7 @@ def first_scenario(file: "SpecFile", out: Path | None, *, print_spec: bool, as_j
     Raises:
         typer.BadParameter: options that do not belong together, or nowhere to write.
     """
-    from data_synth import describe_faults
+    from data_synth import describe_faults, scenario_examination
     from dvf_ig.intake import ScenarioNotes, write_scenario
     from dvf_ig.report import preview_png
 
@@ -36,7 +36,13 @@ def first_scenario(file: "SpecFile", out: Path | None, *, print_spec: bool, as_j
     if out is None:
         raise typer.BadParameter("give a folder to write with -o, or --print-spec")
     recorded, path = _made(file, spec)
-    notes = ScenarioNotes(describe_faults(spec.options), spec_text(file), preview_png(recorded))
+    exam = scenario_examination(spec)
+    notes = ScenarioNotes(
+        describe_faults(spec.options),
+        spec_text(file),
+        preview_png(recorded),
+        None if exam is None else exam.truth(),
+    )
     write_scenario(recorded, out, notes)
     emit(_facts(recorded, out, path), _rows(recorded, path), as_json=as_json)
     wrote(out, "mr, tracker")

@@ -21,6 +21,14 @@ PRESET_NAMES = (
 """Names written out, as the synthetic world is loaded only to make a scenario."""
 
 
+class Exam(StrEnum):
+    """Examination as which the phantom's MR is acquired."""
+
+    sax8 = "sax8"
+    sax10 = "sax10"
+    sax_lax = "sax+lax"
+
+
 class Anatomy(StrEnum):
     """Source of the beating heart."""
 
@@ -67,6 +75,14 @@ def scenario(
         str | None,
         typer.Option(
             "--heart", help="Phantom only: standard (default), varied, healthy, dilated or hypertrophic."
+        ),
+    ] = None,
+    exam: Annotated[
+        Exam | None,
+        typer.Option(
+            "--exam",
+            help="Phantom only: its MR as an examination: short-axis slices of 8 mm with gaps, of 10 mm, or "
+            "with three long-axis cines (default: isotropic 4-D MR).",
         ),
     ] = None,
     seconds: Annotated[
@@ -161,6 +177,7 @@ def scenario(
             "seconds": seconds,
             "seed": seed,
             "heart": heart,
+            "exam": None if exam is None else exam.value,
             "anatomy_seed": anatomy_seed,
             "motion_seed": motion_seed,
             "mismatch_seed": mismatch_seed,

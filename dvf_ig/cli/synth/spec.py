@@ -37,6 +37,7 @@ class SpecFile(BaseModel):
         probe_calibration, image_px: file with a real probe's image calibration, and its image's columns and
             rows; both or neither.
         heart: kind of heart of the phantom.
+        exam: examination as which its MR is acquired; without, isotropic 4-D MR.
         anatomy_seed, motion_seed, mismatch_seed, speckle_seed: if they differ from `seed`.
         options: changes to the preset, as deep as needed.
     """
@@ -60,6 +61,7 @@ class SpecFile(BaseModel):
     seconds: float = 60.0
     seed: int = 1
     heart: str = "standard"
+    exam: Literal["sax8", "sax10", "sax+lax"] | None = None
     anatomy_seed: int | None = None
     motion_seed: int | None = None
     mismatch_seed: int | None = None
@@ -108,7 +110,17 @@ def scenario_spec(file: SpecFile) -> "ScenarioSpec":
         changed,
         _calibrated_image(file),
         _heart(file),
+        _exam(file),
     )
+
+
+def _exam(file: SpecFile) -> Literal["sax8", "sax10", "sax+lax"] | None:
+    if file.exam is not None and file.anatomy != "phantom":
+        raise InvalidInputError(
+            "--exam images the phantom's heart; leave it out, or take --anatomy phantom: the pre-operative "
+            "data of a real heart are its own"
+        )
+    return file.exam
 
 
 def _heart(file: SpecFile) -> "HeartSpec":
@@ -151,7 +163,7 @@ def spec_text(file: SpecFile) -> str:
     document = full.model_dump(mode="json", by_alias=True)
     inputs = set().union(*(names for kind, names in _INPUTS.items() if kind != file.anatomy))
     inputs |= {key for key in _SEEDS if document[key] is None}
-    inputs |= {"world", "quality"}
+    inputs |= {"world", "quality"} | ({"exam"} if file.exam is None else set())
     if file.probe_calibration is None:
         inputs |= {"probe_calibration", "image_px"}
     complete = {key: value for key, value in document.items() if key not in inputs}

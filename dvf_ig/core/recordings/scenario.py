@@ -34,6 +34,7 @@ class Preop:
     Attributes:
         patient_id: identifier of the patient.
         mr: 4-D MR intensities.
+        views: long-axis cines of the examination whose short-axis stack `mr` is, one slice each.
         labels: 4-D label image, uint8.
         ed_labels: labels of end-diastole alone, on the grid of `mr`, whose motion carries them.
         ed_phase: phase of `mr` that `ed_labels` belong to.
@@ -56,6 +57,7 @@ class Preop:
     surfaces: tuple[SurfaceSeries, ...] = ()
     surface: str = "EPICARDIAL"
     cavity_labels: tuple[int, ...] = ()
+    views: tuple[VolumeSeries, ...] = ()
 
     @property
     def blood_labels(self) -> tuple[int, ...]:

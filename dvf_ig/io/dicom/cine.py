@@ -87,7 +87,7 @@ def read_dicom_cine(folder: Path, frame: str = "mr", *, timed: bool = True) -> D
             raise UnreadableFileError(f"{folder}: an image holds grey levels that are not finite")
         grid = Grid(frame, (columns, rows, slices), stack.origin_mm, stack.spacing_mm, stack.direction)
         names = tuple(dict.fromkeys(image.series_name or image.series for image in images))
-        return DicomCine(grid, _whole(values), stack.timing, images[0].patient, names)
+        return DicomCine(grid, whole_numbers(values), stack.timing, images[0].patient, names)
 
 
 def dicom_patient_id(folder: Path) -> str:
@@ -101,11 +101,12 @@ def dicom_patient_id(folder: Path) -> str:
 
 
 def _stack(folder: Path, *, timed: bool) -> tuple[CineStack, list[CineImage]]:
-    images = read_images(_dicom_files(folder))
+    images = read_images(dicom_files(folder))
     return stack_of(folder, images, timed=timed), images
 
 
-def _dicom_files(folder: Path) -> list[Path]:
+def dicom_files(folder: Path) -> list[Path]:
+    """List the DICOM files of a folder and the folders within it; says how many others were skipped."""
     candidates = _regular_files(folder)
     files = [path for path in candidates if _is_dicom(path)]
     if not files:
@@ -138,7 +139,7 @@ def _is_dicom(path: Path) -> bool:
         return stream.read(len(_MARK)) == _MARK
 
 
-def _whole(values: NDArray[np.float32]) -> NDArray[np.float32] | NDArray[np.int16]:
+def whole_numbers(values: NDArray[np.float32]) -> NDArray[np.float32] | NDArray[np.int16]:
     """Convert to 16-bit integers if no value changes."""
     info = np.iinfo(np.int16)
     if values.min() >= info.min and values.max() <= info.max and (values == np.rint(values)).all():

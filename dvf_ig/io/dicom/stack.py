@@ -65,9 +65,9 @@ def stack_of(folder: Path, images: Sequence[CineImage], *, timed: bool = True) -
     heights = np.array([float(along[group].mean()) for group in np.split(order, cuts)])
     pitch = _pitch(folder, heights)
     _require_stated_pitch(folder, images, pitch)
-    clock = _clock(folder, images)
+    clock = choose_clock(folder, images)
     slices = tuple(
-        _phases(folder, group, height, clock) for group, height in zip(groups, heights, strict=True)
+        ordered_phases(folder, group, height, clock) for group, height in zip(groups, heights, strict=True)
     )
     _require_equal_counts(folder, slices, heights)
     _require_one_order(folder, slices)
@@ -83,7 +83,9 @@ def stack_of(folder: Path, images: Sequence[CineImage], *, timed: bool = True) -
     direction = np.column_stack([*first.axes, first.normal])
     spacing = np.array([*first.spacing_mm, pitch])
     timing = (
-        _timing(folder, slices, clock) if timed else CycleTiming.uniform(len(slices[0]), 1.0, rr_assumed=True)
+        cycle_timing(folder, slices, clock)
+        if timed
+        else CycleTiming.uniform(len(slices[0]), 1.0, rr_assumed=True)
     )
     return CineStack(slices, origin, spacing, direction, timing)
 
@@ -169,7 +171,7 @@ _TEMPORAL = _Clock("temporal position", "", 1.0, lambda image: image.temporal)
 _NUMBER = _Clock("number", "", 1.0, lambda image: float(image.number))
 
 
-def _clock(folder: Path, images: Sequence[CineImage]) -> _Clock:
+def choose_clock(folder: Path, images: Sequence[CineImage]) -> _Clock:
     """Choose trigger times if they are those of a heart, else temporal positions, else instance numbers."""
     for clock, tag in ((_TRIGGER, "(0018,1060)"), (_TEMPORAL, "(0020,0100)")):
         without = [image for image in images if clock.value(image) is None]
@@ -195,7 +197,9 @@ def _clock(folder: Path, images: Sequence[CineImage]) -> _Clock:
     return _NUMBER
 
 
-def _phases(folder: Path, images: Sequence[CineImage], height: float, clock: _Clock) -> tuple[CineImage, ...]:
+def ordered_phases(
+    folder: Path, images: Sequence[CineImage], height: float, clock: _Clock
+) -> tuple[CineImage, ...]:
     """Order one slice by time."""
     ordered = sorted(images, key=clock.of)
     times = clock.scale * np.array([clock.of(one) for one in ordered])
@@ -263,7 +267,7 @@ def _require_equal_counts(folder: Path, slices: Sequence[Sequence[CineImage]], h
         raise UnreadableFileError(f"{folder} holds one phase; needed a cine through the cycle")
 
 
-def _timing(folder: Path, slices: Sequence[Sequence[CineImage]], clock: _Clock) -> CycleTiming:
+def cycle_timing(folder: Path, slices: Sequence[Sequence[CineImage]], clock: _Clock) -> CycleTiming:
     """Mean over slices of trigger time over RR, each slice having been acquired at its own RR."""
     own = np.array([_rr_s(folder, row) for row in slices])
     if clock is not _TRIGGER:

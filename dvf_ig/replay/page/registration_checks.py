@@ -43,10 +43,12 @@ def checks_of(result: RegistrationResult) -> list[Check]:
 
 
 def _overlap(result: RegistrationResult) -> Check:
-    least = result.options.min_overlap
+    least, whole = result.options.min_overlap, result.coverage is None
     return Check(
         "Overlap",
-        "share of the ultrasound that lies inside the pre-operative image",
+        "share of the ultrasound that lies inside the pre-operative image"
+        if whole
+        else "share that the ultrasound images of the part of the heart that the pre-operative image covers",
         f"{100 * result.overlap:.0f} %",
         f"at least {100 * least:.0f} %",
         _outcome(result.overlap >= least),

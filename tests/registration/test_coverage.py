@@ -1,0 +1,131 @@
+"""A heart that its images cover in part: what is compared, what is said of the sweep, and what wins."""
+
+from dataclasses import replace
+from time import perf_counter
+
+import numpy as np
+from toy_heart import CENTER_MM, toy_mr, toy_pose, toy_slices
+
+from dvf_ig.core import Grid, Rigid, Stop, VolumeSeries
+from dvf_ig.registration import (
+    CoveredPart,
+    HeartChannels,
+    Level,
+    RegistrationOptions,
+    RegistrationResult,
+    UltrasoundImages,
+    channels_from_mr,
+    covered_part,
+    ends_within,
+    register,
+)
+from dvf_ig.registration.coverage import RIM_MM
+
+SHELL = CENTER_MM + np.array([48.0, 40.0, 44.0]) * (lambda v: v / np.linalg.norm(v, axis=1, keepdims=True))(
+    np.random.default_rng(5).normal(size=(4000, 3))
+)
+"""Points on the toy heart's surface."""
+
+
+def lower_half() -> tuple[VolumeSeries, VolumeSeries]:
+    """Grey levels and labels of the toy heart up to 4 mm above its middle."""
+    mr = toy_mr()
+    top = 32
+    grid = Grid.axis_aligned("mr", (70, 64, top), mr.grid.origin_mm, 2.0)
+    inside = (((grid.centers_mm() - CENTER_MM) / [48.0, 40.0, 44.0]) ** 2).sum(axis=-1) < 1.0
+    labels = np.stack([inside, inside]).astype(np.uint8)
+    return VolumeSeries(grid, mr.values[..., :top], mr.timing), VolumeSeries(grid, labels, mr.timing)
+
+
+def half_heart() -> HeartChannels:
+    grey, labels = lower_half()
+    channels = channels_from_mr(grey, smoothing_mm=1.0)
+    return HeartChannels(channels, CENTER_MM, covered=covered_part(labels, SHELL))
+
+
+def covered() -> CoveredPart:
+    part = half_heart().covered
+    assert part is not None
+    return part
+
+
+def levels() -> tuple[Level, Level]:
+    made = [
+        Level(toy_slices(toy_mr(), toy_pose(), np.random.default_rng(50), pitch_mm=p, speckle=0.3), p)
+        for p in (3.0, 1.5)
+    ]
+    return made[0], made[1]
+
+
+def registered(images: tuple[Level, Level], start: Rigid) -> RegistrationResult:
+    return register(
+        UltrasoundImages(*images, options=RegistrationOptions(starts=4)),
+        half_heart(),
+        start,
+        rng=np.random.default_rng(0),
+        clock=perf_counter,
+    )
+
+
+def test_images_end_within_a_heart_that_they_hold_in_part() -> None:
+    grey, _ = lower_half()
+    assert ends_within(grey.grid, SHELL)
+    assert not ends_within(toy_mr().grid, SHELL)
+    assert not ends_within(grey.grid, SHELL + 500.0)
+
+
+def test_only_pixels_near_the_covered_heart_are_compared() -> None:
+    slices, part = levels()[0].slices, covered()
+    kept = part.compared(slices, toy_pose())
+    rng = np.random.default_rng(2)
+    for _ in range(400):
+        s, row, column = (int(rng.integers(n)) for n in slices.masks.shape)
+        place = toy_pose().apply_array(slices.frame_from_pixel[s] @ [column, row, 1.0])
+        voxel = np.rint(part.grid.to_index(place)).astype(int)
+        inside = ((voxel >= 0) & (voxel < part.grid.shape)).all()
+        center = part.grid.to_mm(voxel.astype(float)) - CENTER_MM
+        depth = np.linalg.norm(center / [48.0, 40.0, 44.0])
+        if abs(depth - 1.0) * 44.0 < 2.0 * RIM_MM and inside:
+            continue  # near the rim's edge the toy's depth is no distance
+        assert kept.masks[s, row, column] == (bool(inside) and depth < 1.0)
+    assert not kept.images[~kept.masks].any()
+
+
+def test_a_half_covered_heart_is_registered_by_its_half() -> None:
+    start = toy_pose().perturbed_left([0.08, -0.06, 0.05], [5.0, -4.0, 6.0], CENTER_MM)
+    result = registered(levels(), start)
+    assert result.stop is Stop.CONVERGED
+    targets = CENTER_MM + np.random.default_rng(1).uniform(-40, 40, (27, 3))
+    source = toy_pose().inverse().apply_array(targets)
+    apart = np.linalg.norm(result.target_from_source.apply_array(source) - targets, axis=1)
+    # a whole toy leaves 0.2 mm; its half is as sharp, but extrapolates to the other
+    assert apart.mean() < 1.0
+    assert result.coverage is not None
+    assert result.overlap == result.coverage.share
+    assert result.statistics is not None
+    assert result.statistics.overlap > 0.8, "of what is compared, chosen half a voxel wider"
+
+
+def test_a_sweep_of_a_corner_is_refused_with_the_side_to_image() -> None:
+    coarse, fine = levels()
+    part = covered()
+
+    def left_end(level: Level) -> Level:
+        slices = level.slices
+        masks = slices.masks.copy()
+        rows, columns = slices.images.shape[1:]
+        column, row = np.meshgrid(np.arange(columns), np.arange(rows))
+        pixel = np.stack([column, row, np.ones_like(row)], axis=-1)
+        for mask, frame_from_pixel in zip(masks, slices.frame_from_pixel, strict=True):
+            place = toy_pose().apply_array((pixel @ frame_from_pixel.T).reshape(-1, 3))
+            mask &= (place[:, 0] > CENTER_MM[0] + 30.0).reshape(rows, columns)
+        images = np.where(masks, slices.images, np.float32(0))
+        return replace(level, slices=replace(slices, images=images, masks=masks))
+
+    shown = part.imaged_by(left_end(coarse).slices, toy_pose())
+    assert shown.share < 0.35
+    assert "towards the patient's right" in shown.advice
+    assert part.imaged_by(coarse.slices, toy_pose()).share > 0.6
+    result = registered((left_end(coarse), left_end(fine)), toy_pose())
+    assert result.stop is Stop.LOW_OVERLAP
+    assert result.sentence.startswith("the sweep images")
