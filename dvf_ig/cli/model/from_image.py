@@ -78,7 +78,7 @@ def _images(request: BuildRequest, path: Path) -> tuple[BuildRequest, VolumeSeri
     request = replace(request, patient=request.patient or found.patient_id or None)
     if request.timing is None:
         return request, found.sax, found.views
-    timing = read_timing(request.timing, beside=path, phases=len(found.sax.timing), image=path.name)
+    timing = read_timing(request.timing, folder=path, phases=len(found.sax.timing), image=path.name)
     return request, VolumeSeries(found.sax.grid, found.sax.values, timing), found.views
 
 
