@@ -50,7 +50,7 @@ def test_a_prefix_gives_the_same_readings() -> None:
         (
             lambda t, v: np.where((t > 60) & (t < 75), ventilated(np.array([59.9]))[0], v),
             BreathEvent.PAUSE,
-            3.5,
+            6.8,
         ),
         (lambda t, v: np.where((t > 60) & (t < 75), 0.0, v), BreathEvent.DISCONNECTION, 0.3),
         (lambda t, v: v + 9 * np.exp(-0.5 * ((t - 62.5) / 0.08) ** 2), BreathEvent.COUGH, 2.6),
