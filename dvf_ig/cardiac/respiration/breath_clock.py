@@ -302,7 +302,7 @@ class BreathClock:
         return BreathState.LOCKED, BreathEvent.NONE
 
     def _extend_grid(self) -> None:
-        """Keep ρ on an even grid, and fit the forecast anew every second."""
+        """Keep ρ on an even grid, and fit the forecast again every second."""
         now_s = float(self._table[self._count - 1, 0])
         if math.isnan(self._grid_s):
             self._grid_s = now_s - STEP_S
