@@ -36,7 +36,7 @@ from toy_session import (
 from dvf_ig.live.igtl import Image, Incoming, Message, Status, Text, Transform, WireError, encode
 
 RR_S, STREAM_S, ECG_CHUNK = 0.5, 60.0, 5
-READY_S, GIVEN_S, ENDED_S = 60.0, 40.0, 20.0
+READY_S, GIVEN_S, ENDED_S = 240.0, 40.0, 20.0
 """Longest time that a busy machine may need to listen, to give a force, to end."""
 GUIDING_N = 0.02
 ROOT = Path(__file__).resolve().parents[1]

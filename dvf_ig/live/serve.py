@@ -7,10 +7,12 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from math import inf
 
+import numpy as np
+
 from dvf_ig.core import InvalidInputError, Landmarks
 from dvf_ig.guidance.servo.inputs import VALID_FOR_S
 from dvf_ig.intake.live import EcgFieldConfig, LiveConfig
-from dvf_ig.session import Event, Landmark, Session, SessionHistory, SessionSetup, ThreadedExecutor
+from dvf_ig.session import Event, Landmark, Session, SessionHistory, SessionSetup, ThreadedExecutor, ToolPose
 
 from .answers import last_messages
 from .devices import DeviceNames, flips_between
@@ -77,7 +79,7 @@ def live_session(setup: SessionSetup, options: LiveOptions) -> Iterator[LiveLoop
                 latch_after_s=VALID_FOR_S,
             )
         )
-        checksum(b"compiled or loaded before the first message")
+        _compile_kernels(setup)
         stack.enter_context(answering_soon())
         link = open_link(config, inbox)
         link.farewell = b"".join(map(encode, last_messages(CUT_OFF, None)))
@@ -95,6 +97,15 @@ def live_session(setup: SessionSetup, options: LiveOptions) -> Iterator[LiveLoop
             record=options.record,
             clock=options.clock,
         )
+
+
+def _compile_kernels(setup: SessionSetup) -> None:
+    """Compile, or load, what messages and states need; a session would be silent meanwhile."""
+    checksum(b"")
+    with Session(setup) as session:
+        for t_s in (0.0, 0.01):
+            session.push(ToolPose(t_s, np.eye(4)))
+            session.state(t_s)
 
 
 class SessionThread(threading.Thread):

@@ -175,6 +175,18 @@ def test_a_session_that_was_stopped_sends_zero_first_and_latches(toy, stopped_s)
     assert (toy.loop.running_share < 1.0) == silent
 
 
+def test_a_session_that_was_stopped_before_any_force_gives_one_without_an_operator(toy):
+    """As on a new machine, which compiles meanwhile: the hand has felt nothing."""
+    arrivals = streams_of(14.5)
+    for stop_s in (0.5, 3.0):
+        toy.run(arrivals, stop_s)
+        toy.now_s = round(toy.now_s + 1.3, 9)
+    toy.run(arrivals, 14.5)
+    assert not any(a.state.force_n.any() for a in toy.answers if a.state.now_s < 4.3)
+    assert toy.answers[-1].state.supervisor is SupervisorState.OK
+    assert toy.answers[-1].state.force_n.any()
+
+
 def test_lost_ecg_loses_the_phase_and_finds_it_again(toy):
     toy.run(without(streams_of(19.0), "EcgData", 13.0, 14.5), 19.0)
     lost = [a for a in toy.answers if 14.2 < a.state.now_s < 14.5]

@@ -11,7 +11,7 @@ from dvf_ig.guidance.fixtures import Fixtures
 from dvf_ig.guidance.places import Status
 from dvf_ig.guidance.pose_and_phase import PoseAndPhase
 from dvf_ig.guidance.supervision.hazards import Hazard
-from dvf_ig.guidance.supervision.supervisor import RearmAnswer
+from dvf_ig.guidance.supervision.supervisor import RearmAnswer, SupervisorState
 from dvf_ig.kernels.servo.layout import INPUTS, new_scratch, words
 from dvf_ig.kernels.servo.supervision import rearm
 from dvf_ig.kernels.servo.tick import withhold
@@ -34,7 +34,8 @@ class TrackedServo:
         limits: of the device that renders the force; the stiffness gives the slew limit.
         options: rate, damping, passivity.
         latch_after_s: without a publication for longer, nothing that was felt since is known: the next force
-            is zero and latched, by MISSED_DEADLINES. Infinite for a session that is asked rarely on purpose.
+            is zero and latched, by MISSED_DEADLINES. Before the first force nothing was felt: the servo begins
+            again, as while a new machine compiles. Infinite for a session that is asked rarely on purpose.
     Raises:
         InvalidInputError: as `bind_fixtures`.
     """
@@ -49,7 +50,8 @@ class TrackedServo:
     ) -> None:
         self._latch_after_s, self._stepped_s = latch_after_s, math.inf
         self._bound = bind_fixtures(fixtures, limits, options, latency_s=0.0)
-        self._scratch = new_scratch(len(fixtures.parts))
+        self._fixtures, self._felt = len(fixtures.parts), False
+        self._scratch = new_scratch(self._fixtures)
         self._tool: Any = np.zeros(1, TRACKED)[0]
         self._tip_mm, self._velocity = np.zeros(3), np.zeros(3)
         published = np.zeros(1, INPUTS)
@@ -83,6 +85,9 @@ class TrackedServo:
             self._margin_mm, published["margin_mm"][: len(margin_mm)] = margin_mm, margin_mm
         if tip is not None:
             self._tip_mm[:], self._velocity[:] = tip
+        silent = now_s - self._stepped_s > self._latch_after_s
+        if silent and not self._felt and self._scratch.row["state"][0] != SupervisorState.LATCHED:
+            self._scratch, self._tool = new_scratch(self._fixtures), np.zeros(1, TRACKED)[0]
         tick_until(
             self._bound,
             self._scratch,
@@ -93,9 +98,10 @@ class TrackedServo:
             tip_seen,
             now_s,
         )
-        if now_s - self._stepped_s > self._latch_after_s:
+        if silent and self._felt:
             withhold(self._bound, self._scratch, now_s)
         self._stepped_s = now_s
+        self._felt |= bool(self._scratch.row["sent_n"].any())
         return ServoTick(self._scratch.row)
 
     @property
