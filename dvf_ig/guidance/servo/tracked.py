@@ -34,8 +34,8 @@ class TrackedServo:
         limits: of the device that renders the force; the stiffness gives the slew limit.
         options: rate, damping, passivity.
         latch_after_s: without a publication for longer, nothing that was felt since is known: the next force
-            is zero and latched, by MISSED_DEADLINES. Before the first force nothing was felt: the servo begins
-            again, as while a new machine compiles. Infinite for a session that is asked rarely on purpose.
+            is zero and latched, by MISSED_DEADLINES. Before the first force nothing was felt, and the servo
+            begins again, as while a new machine compiles. Infinite for a session that is asked rarely.
     Raises:
         InvalidInputError: as `bind_fixtures`.
     """
