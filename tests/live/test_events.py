@@ -221,6 +221,7 @@ def test_a_field_with_other_channels_is_used_without_them(leads, lead, expected)
     source, _ = settled(ecg=EcgField("EcgData", 500.0, lead))
     fields = MappingProxyType({"EcgDataLeads": leads})
     (batch,) = events(source, Message("EcgData", 2.0 + ORIGIN_S, Text("1 2 3 4"), fields))
+    assert isinstance(batch, EcgSamples)
     np.testing.assert_array_equal(batch.samples, expected)
 
 
