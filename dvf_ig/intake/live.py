@@ -15,10 +15,13 @@ live:
   # ecg.lead: II                      # names of leads, separated by commas; default: all named as an ECG
 """
 
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import Discriminator, Field, Tag
 
+from dvf_ig.core.errors import InvalidInputError
+from dvf_ig.io.calibration_files import read_image_orientation
 from dvf_ig.io.yaml_config import KIND, Section
 
 DeviceName = Annotated[str, Field(strict=True, min_length=1, max_length=64)]
@@ -84,3 +87,30 @@ class LiveConfig(Section):
     def used_orientation(self) -> Orientation:
         """Orientation to which images are turned: the one that the probe was calibrated with."""
         return self.calibrated_orientation or "MF"
+
+
+def require_orientation(live: LiveConfig, probe: object, folder: Path) -> None:
+    """Compare the orientation of the images that the probe was calibrated with, with what `live` states.
+
+    Args:
+        live: who sends what.
+        probe: file of the calibration; anything else is read from images that are turned to MF.
+        folder: folder to which the file is relative.
+    Raises:
+        InvalidInputError: they differ, or neither states one and the images come in another one than MF.
+    """
+    key, stated = "live.calibrated_orientation", live.calibrated_orientation
+    given = probe if isinstance(probe, str) else "a phantom's sweep"
+    calibrated = read_image_orientation(folder / probe) if isinstance(probe, str) else "MF"
+    if None not in (calibrated, stated) and stated != calibrated:
+        raise InvalidInputError(
+            f"{key} is {stated}, but calibration.probe ({given}) holds for images in {calibrated}: they "
+            f"would be mirrored; remove {key}",
+            key=key,
+        )
+    if calibrated is None and stated is None and live.image_orientation != "MF":
+        raise InvalidInputError(
+            f"images come in {live.image_orientation} (live.image_orientation), and {given} does not state "
+            f"which images it calibrates; calibrate the probe again, or state {key}",
+            key=key,
+        )

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Literal
 from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
 from dvf_ig.core.recordings.scenario import Scenario
 from dvf_ig.core.timing.trigger import TriggerTimes
-from dvf_ig.io.calibration_files import read_image_orientation
 from dvf_ig.io.plus.names import ProbeNames, split_transform
 from dvf_ig.io.provenance import record_folder
 from dvf_ig.io.reading import reading
@@ -15,7 +14,7 @@ from dvf_ig.io.truth import read_truth
 from dvf_ig.io.yaml_config import read_yaml, validated
 
 from .fixtures import FixturesConfig, RetimingName, margin_options, read_fixtures
-from .live import EcgFieldConfig, LiveConfig
+from .live import EcgFieldConfig, LiveConfig, require_orientation
 from .parts import PARTS, Opened, SessionFiles
 from .problems import ProblemList
 from .readers import read_session_ecg
@@ -179,31 +178,8 @@ def _live_files(config: SessionConfig, folder: Path, path: Path) -> SessionFiles
     for part in PARTS:
         if part.live and not part.is_there(files):
             raise part.missing_error
-    _require_orientation(config.live, config.calibration.probe, folder)
+    require_orientation(config.live, config.calibration.probe, folder)
     return files
-
-
-def _require_orientation(live: LiveConfig, probe: object, folder: Path) -> None:
-    """Compare the orientation of the probe's calibration with what `live` states of it.
-
-    Raises:
-        InvalidInputError: they differ, or neither states one and the images come in another one than MF.
-    """
-    key, stated = "live.calibrated_orientation", live.calibrated_orientation
-    given = probe if isinstance(probe, str) else "a phantom's sweep"
-    calibrated = read_image_orientation(folder / probe) if isinstance(probe, str) else "MF"
-    if None not in (calibrated, stated) and stated != calibrated:
-        raise InvalidInputError(
-            f"{key} is {stated}, but calibration.probe ({given}) holds for images in {calibrated}: they "
-            f"would be mirrored; remove {key}",
-            key=key,
-        )
-    if calibrated is None and stated is None and live.image_orientation != "MF":
-        raise InvalidInputError(
-            f"images come in {live.image_orientation} (live.image_orientation), and {given} does not state "
-            f"which images it calibrates; calibrate the probe again, or state {key}",
-            key=key,
-        )
 
 
 def _named_by(path: Path) -> str:

@@ -1,4 +1,4 @@
-"""Traits of tables, points, tracked recordings and calibrations."""
+"""Traits of tables, points, meshes, tracked recordings and calibrations."""
 
 import json
 import random
@@ -12,7 +12,7 @@ import numpy as np
 from dvf_ig import io
 from dvf_ig.core import PoseStream, TrackedSequence
 
-from . import Target, Trait, drop_cell, in_cells, in_text, substituted, swap_columns
+from . import Target, Trait, drop_cell, in_cells, in_text, replaced, substituted, swap_columns
 
 
 def _cell(*values: str) -> Trait:
@@ -130,6 +130,46 @@ _TABLE = (
     in_cells(_renamed),
 )
 _STATUSES = ("undefined", "preview", "missing", "lost")
+_LAST = r"\1", r"\1 x", r"\1 nan", r"\1 1,5"
+_OBJ = (
+    substituted(r"^v .*\n", ""),
+    substituted(r"^(v \S+ \S+) \S+$", *_LAST),
+    substituted(r"^(v .*)$", r"\1 0.5", r"\1 1 0 0"),
+    substituted(
+        r"^f (\d+) (\d+) (\d+)$", r"f \1 \2", r"f \1 \2 9", r"f 0 \2 \3", r"f \1 \2 \3 \1", r"f \1 \2 \2"
+    ),
+    substituted(r"^f (\d+) (\d+) (\d+)$", r"f \1//1 \2//1 \3", r"l \1 \2 \3", "curv 0 1 1 2"),
+    replaced(("LPS", "SCANNER"), ("# SPACE=LPS", "# SPACE=RAS\n# SPACE=LPS")),
+)
+_PLY = (
+    replaced(
+        *(
+            (f"{name} {n}", f"{name} {n + step}")
+            for name, n in (("vertex", 6), ("face", 8))
+            for step in (-1, 1)
+        )
+    ),
+    replaced(
+        ("float z", "float w"), ("float z\n", "float z\nproperty float x\n"), ("property float z\n", "")
+    ),
+    replaced(
+        ("vertex_indices", "vertex_ind"), ("uchar int", "uchar float"), ("ascii", "binary_little_endian")
+    ),
+    replaced(("end_header", "element strips 1\nproperty list int int vertex_indices\nend_header")),
+    substituted(
+        r"^3 (\d) (\d) (\d)$", r"3 \1 \2", r"2 \1 \2", r"4 \1 \2 \3", r"3 \1 \2 9", r"3 \1 \2 \2", ""
+    ),
+    substituted(r"^([-\d.]+ [-\d.]+) [-\d.]+$", *_LAST, r"\1 1 2"),
+)
+_STL = (
+    substituted(r"^vertex .*\n", ""),
+    substituted(r"^(vertex \S+ \S+) \S+$", *_LAST, r"\1 1 2"),
+    substituted(r"^endfacet\n", ""),
+    substituted(r"^endloop\n", "", "endloop\nouter loop\n"),
+    substituted(r"^facet.*\n", ""),
+    substituted(r"^(vertex .*\n)vertex .*\n", r"\1\1"),
+    replaced(("endsolid heart\n", ""), ("LPS", "SCANNER")),
+)
 TRAITS = {
     "poses": Target(
         "geometry/poses.csv",
@@ -191,6 +231,9 @@ TRAITS = {
             _every(r"ToTrackerTransform = (.*) 0 0 0 1$", 1e-3),
         ),
     ),
+    "mesh-obj": Target("geometry/mesh.obj", io.read_mesh, _OBJ),
+    "mesh-ply": Target("geometry/mesh.ply", io.read_mesh, _PLY),
+    "mesh-stl": Target("geometry/mesh.stl", io.read_mesh, _STL),
     "image-map": Target(
         "geometry/probe.xml",
         io.read_image_map,
@@ -260,6 +303,7 @@ def write_seeds(folder: Path) -> None:
     placed = [f"{i},{x},{y},{z},0,0,0,1,1,1,0,{names[i]},,,2,0" for i, (x, y, z) in enumerate(xyz)]
     header = ["# CoordinateSystem = LPS", f"# columns = {columns}"]
     (folder / "points.fcsv").write_text("\n".join([*header, *placed]) + "\n")
+    _write_meshes(folder)
     turns = np.tile(np.eye(3), (12, 1, 1))
     stream = PoseStream("tracker", "probe", np.linspace(0.0, 0.55, 12), turns, places[:12], np.ones(12, bool))
     images = rng.integers(1, 127, (12, 2, 2)).astype(np.uint8)
@@ -278,3 +322,29 @@ def write_seeds(folder: Path) -> None:
     io.write_json(folder / "lag.json", {**verdict, "kind": "latency", "lag_s": 0.03})
     recording = make_nwire(rng)
     io.write_wire_points(folder / "wires.xml", "CalibrationData", recording.phantom, recording.points_px)
+
+
+def _write_meshes(folder: Path) -> None:
+    """Write an octahedron as text."""
+    xyz = [(35, 5, 5), (-25, 5, 5), (5, 35, 5), (5, -25, 5), (5, 5, 35), (5, 5, -25)]
+    faces = [(0, 2, 4), (2, 1, 4), (1, 3, 4), (3, 0, 4), (2, 0, 5), (1, 2, 5), (3, 1, 5), (0, 3, 5)]
+    corners = [" ".join(map(str, corner)) for corner in xyz]
+    lines = ["# SPACE=LPS", *(f"v {corner}" for corner in corners)]
+    lines += [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in faces]
+    (folder / "mesh.obj").write_text("\n".join(lines) + "\n")
+    head = ["ply", "format ascii 1.0", "comment SPACE=LPS", "element vertex 6"]
+    head += [f"property float {axis}" for axis in "xyz"]
+    head += ["element face 8", "property list uchar int vertex_indices", "end_header"]
+    (folder / "mesh.ply").write_text(
+        "\n".join([*head, *corners, *(f"3 {a} {b} {c}" for a, b, c in faces)]) + "\n"
+    )
+    solid = ["solid heart SPACE=LPS"]
+    for face in faces:
+        solid += [
+            "facet normal 0 0 0",
+            "outer loop",
+            *(f"vertex {corners[i]}" for i in face),
+            "endloop",
+            "endfacet",
+        ]
+    (folder / "mesh.stl").write_text("\n".join([*solid, "endsolid heart"]) + "\n")

@@ -75,6 +75,8 @@ def test_fcsv(tmp_path: Path) -> None:
     assert back.points.xyz_mm.tolist() == [[-1, -2, 3], [-4, -5, 6]]
     (tmp_path / "a.fcsv").write_text(text.replace("RAS", "LPS"))
     assert read_landmarks(tmp_path / "a.fcsv", "mr").points.xyz_mm[0].tolist() == [1, 2, 3]
+    (tmp_path / "a.fcsv").write_bytes(text.replace("F-2", "größer").encode("latin-1"))
+    assert read_landmarks(tmp_path / "a.fcsv", "mr").names == ("F, one", "größer")
     (tmp_path / "a.fcsv").write_text(text.replace("# CoordinateSystem = RAS\n", ""))
     with pytest.raises(UnreadableFileError, match="names no CoordinateSystem"):
         read_landmarks(tmp_path / "a.fcsv", "mr")

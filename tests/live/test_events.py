@@ -213,6 +213,25 @@ def test_ecg_is_where_its_time_says():
     assert events(source, message) == []
 
 
+@pytest.mark.parametrize(
+    ("leads", "lead", "expected"),
+    [("II Pleth", None, [[1], [3]]), ("II Pleth", "pleth", [[2], [4]]), ("one two", None, [[1, 2], [3, 4]])],
+)
+def test_a_field_with_other_channels_is_used_without_them(leads, lead, expected):
+    source, _ = settled(ecg=EcgField("EcgData", 500.0, lead))
+    fields = MappingProxyType({"EcgDataLeads": leads})
+    (batch,) = events(source, Message("EcgData", 2.0 + ORIGIN_S, Text("1 2 3 4"), fields))
+    assert isinstance(batch, EcgSamples)
+    np.testing.assert_array_equal(batch.samples, expected)
+
+
+def test_a_field_without_an_ecg_is_refused_by_name():
+    source, told = settled(ecg=EcgField("EcgData", 500.0))
+    fields = MappingProxyType({"EcgDataLeads": "ABP Resp"})
+    assert events(source, Message("EcgData", 2.0 + ORIGIN_S, Text("1 2 3 4"), fields)) == []
+    assert "the field EcgData has no channel of an ECG, only ABP, Resp" in told[0]
+
+
 def test_ecg_beside_an_image_is_read():
     source, _ = settled(ecg=EcgField("EcgData", 500.0))
     image = Message(

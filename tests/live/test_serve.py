@@ -13,14 +13,16 @@ from typer.testing import CliRunner
 from waiting import until
 
 from dvf_ig.cli.main import app
-from dvf_ig.core import DvfIgError, Points, Scenario, UnreadableFileError
+from dvf_ig.core import DvfIgError, InvalidInputError, Points, Scenario, UnreadableFileError
 from dvf_ig.intake import read_session
 from dvf_ig.intake.fit import require_live_fit
-from dvf_ig.intake.live import EcgFieldConfig, EcgTailConfig, LiveConfig
+from dvf_ig.intake.live import EcgFieldConfig, EcgTailConfig, LiveConfig, require_orientation
+from dvf_ig.io.json_file import write_json
 from dvf_ig.io.writing.listing import LISTING
 from dvf_ig.live.igtl import Image, Message, Transform
 from dvf_ig.live.link import Inbox, connect, listen
 from dvf_ig.live.player import ECG, IMAGE, PROBE, TOOL, messages_of, play
+from dvf_ig.live.serve import device_names
 from dvf_ig.replay.view_file import read_view_file
 
 RUNNER = CliRunner()
@@ -183,6 +185,42 @@ def test_live_section_that_is_wrong_names_its_key(tmp_path: Path, line: str, exp
     )
     with pytest.raises(UnreadableFileError, match=expected):
         read_session(file, "live")
+
+
+@pytest.mark.parametrize(
+    ("calibrated", "of_live", "flips", "sentence"),
+    [
+        ("MF", {}, (), None),
+        ("MFA", {"image_orientation": "UF"}, (1,), None),
+        (
+            "MF",
+            {"calibrated_orientation": "UF"},
+            (),
+            "calibrated_orientation is UF, but .*probe.json.* in MF",
+        ),
+        (None, {}, (), None),
+        (None, {"image_orientation": "UN", "calibrated_orientation": "UF"}, (0,), None),
+        (None, {"image_orientation": "UN"}, (), "images come in UN .* probe.json does not state"),
+    ],
+)
+def test_live_images_are_turned_to_those_of_the_calibration_or_refused(
+    tmp_path: Path,
+    calibrated: str | None,
+    of_live: dict[str, str],
+    flips: tuple[int, ...],
+    sentence: str | None,
+) -> None:
+    verdict = {"kind": "probe", "refused": False, "refused_because": [], "sensor_frame": "probe"}
+    verdict |= {"sensor_from_image": np.diag([0.1, 0.1, 1, 1]), "image_orientation": calibrated}
+    write_json(tmp_path / "probe.json", verdict)
+    live = LiveConfig.model_validate({"ecg": {"rate_hz": 500}, **of_live})
+    if sentence is not None:
+        with pytest.raises(InvalidInputError, match=sentence) as refused:
+            require_orientation(live, "probe.json", tmp_path)
+        assert refused.value.key == "live.calibrated_orientation"
+    else:
+        require_orientation(live, "probe.json", tmp_path)
+        assert device_names(live).flips == flips
 
 
 def test_kinds_of_ecg_are_told_apart() -> None:

@@ -68,7 +68,7 @@ def write_mesh(mesh: Mesh, path: Path | str) -> None:
 def warn_of_left_out(path: Path, meshes: Iterable[RawMesh]) -> None:
     """Log once the content of the files at `path` that is not part of the surface."""
     for text in dict.fromkeys(", ".join(raw.left_out) for raw in meshes if raw.left_out):
-        log.warning("%s: %s have no surface and are ignored", path, text)
+        log.warning("%s: %s have no area and add nothing to the surface", path, text)
 
 
 def decode_mesh(path: Path, data: bytes) -> RawMesh:
@@ -96,6 +96,9 @@ def decode_mesh(path: Path, data: bytes) -> RawMesh:
         raise UnreadableFileError(
             f"{path} is in the space '{', '.join(sorted(spaces))}'; needed LPS or RAS: export it again"
         )
+    a, b, c = raw.triangles.T
+    if collapsed := np.count_nonzero((a == b) | (b == c) | (c == a)):
+        raw = replace(raw, left_out=(*raw.left_out, f"{collapsed} triangles that name a vertex twice"))
     if spaces != {"RAS"}:
         return raw
     return replace(raw, vertices=raw.vertices * _TO_LPS, note="SPACE=LPS")

@@ -118,6 +118,7 @@ NAMED = [
         "3 0 2 1\n3 0 1 3\n3 1 2 3\n3 0 3 2\n0 1\n",
         "1 rows of 'edge'",
     ),
+    ("m.obj", VERTICES + FAN + "f 1 2 2\n", "1 triangles that name a vertex twice"),
     ("m.stl", BINARY + b"\r\n", "2 bytes after the 4 triangles"),
     ("m.stl", BINARY + bytes(500), "500 bytes after the 4 triangles"),
 ]
@@ -130,9 +131,10 @@ def test_what_has_no_area_is_named(
     (tmp_path / name).write_bytes(data.encode() if isinstance(data, str) else data)
     with caplog.at_level(logging.WARNING, "dvf_ig"):
         mesh = read_mesh(tmp_path / name)
-    np.testing.assert_allclose(mesh.vertices_mm[mesh.triangles], CORNERS[FACES])
+    np.testing.assert_allclose(mesh.vertices_mm[mesh.triangles[:4]], CORNERS[FACES])
+    assert len(mesh.triangles) == 4 + ("twice" in told)
     assert [r.getMessage().split(": ", 1)[1] for r in caplog.records] == [
-        f"{told} have no surface and are ignored"
+        f"{told} have no area and add nothing to the surface"
     ]
 
 
