@@ -69,7 +69,9 @@ def read_number_table(path: Path, what: str) -> NumberTable:
     count = len(names or cells[0][1])
     for i, row in cells:
         if len(row) != count:
-            raise UnreadableFileError(f"{path}, line {i}: {len(row)} cells; needed {count}")
+            raise UnreadableFileError(
+                f"{path}, line {i}: {len(row)} cells, but {count} in the first row; needed {what}"
+            )
     values = np.array([_numbers(path, i, row) for i, row in cells]).reshape(-1, count)
     parts = [_NAME.fullmatch(name.strip().strip('"').lower()) for name in names or [""] * count]
     units = tuple("" if part is None else (part[2] or part[3] or "").strip() for part in parts)

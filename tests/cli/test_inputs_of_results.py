@@ -20,7 +20,7 @@ from dvf_ig.io import write_ecg_csv, write_landmarks, write_model, write_transfo
 def lab(tmp_path: Path, ball: DvfModel, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A folder with a model, points, an ECG, pivot poses, and a transform with landmarks; one works in it."""
     write_model(ball, tmp_path / "ball.npz")
-    (tmp_path / "points.csv").write_text("1,2,9\n3,-4,8\n")
+    (tmp_path / "points.csv").write_text("x,y,z\n1,2,9\n3,-4,8\n")
     t_s = np.arange(0.0, 20.0, 0.004)
     peaks = np.exp(-0.5 * (((t_s + 0.4) % 0.8 - 0.4) / 0.012) ** 2)
     write_ecg_csv(Signal(peaks[:, None], 250.0, 0.0, ("II",)), tmp_path / "ecg.csv")

@@ -116,7 +116,7 @@ def test_a_recording_over_the_gate_still_shows_what_it_gives(data_dir: Path, tmp
     """Tip, residual, picture and JSON, and exit 7; the gate is moved knowingly."""
     poses, out = data_dir / "lsqrrecipes" / "pivotCalibrationData.txt", tmp_path / "tip.json"
     found = run("calibrate", "pivot", poses, "--max-residual-mm", 0.4, "-o", out, code=7)
-    assert "is 0.51 mm RMS, needed at most 0.4 mm" in found["refused_because"][0]
+    assert "is 0.51 mm RMS, above the gate of 0.4 mm" in found["refused_because"][0]
     held = json.loads(out.read_text())
     assert (held["tip_mm"], held["refused"]) == (found["tip_mm"], True)
     assert out.with_suffix(".png").stat().st_size > 10_000
@@ -132,7 +132,7 @@ def test_a_probe_swept_by_hand_is_no_pivot(fcal: Path, tmp_path: Path) -> None:
     found = run("calibrate", "pivot", poses, "--tool", "probe", "-o", out, code=7)
     turned, residual = found["refused_because"]
     assert "rotates by 4.9° only" in turned
-    assert "needed at most 2 mm" in residual
+    assert "2.13 mm RMS, above the gate of 2 mm" in residual
     assert found["rms_3d_mm"] == pytest.approx(2.13, abs=0.05)
     assert len(json.loads(out.read_text())["tip_mm"]) == 3
     assert out.with_suffix(".png").is_file()

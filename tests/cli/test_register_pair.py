@@ -167,7 +167,7 @@ def test_the_page_beside_the_transform_holds_the_same_numbers(files: Path, tmp_p
     assert all(entry.startswith("img data:") for entry in outline.loaded if entry != "a found.view.html")
     assert "a found.view.html" in outline.loaded
     assert '"kind":"registration"' in (tmp_path / "found.view.html").read_text(encoding="utf-8")
-    assert len(outline.images) == 12
+    assert len(outline.images) == 3 * 5
     assert len(page) < 3e6
     assert "us.nii.gz" in page
     assert "This registration may be used" in page
@@ -281,9 +281,9 @@ def test_exchanged_names_and_metres_are_named(truth: Path, tmp_path: Path) -> No
     other = markups(tmp_path / "other.fcsv", moving_of(POINTS), ["p0", "p3", "p2", "p1", "p4"])
     swapped = invoke("evaluate", "--transform", truth, "--landmarks", fixed, other)
     assert "the names p1 and p3 are exchanged on one side" in swapped.output
-    for marked, moving, side in (
-        (fixed, moving_of(POINTS) / 1000, "moving"),
-        (None, moving_of(POINTS), "fixed"),
+    for marked, moving, named in (
+        (fixed, moving_of(POINTS) / 1000, "m.fcsv"),
+        (None, moving_of(POINTS), "small.fcsv"),
     ):
         first = marked or markups(tmp_path / "small.fcsv", POINTS / 1000, names)
         refused = invoke(
@@ -295,7 +295,8 @@ def test_exchanged_names_and_metres_are_named(truth: Path, tmp_path: Path) -> No
             markups(tmp_path / "m.fcsv", moving, names),
         )
         assert refused.exit_code == 3
-        assert f"the {side} landmarks are in m, not mm" in refused.output
+        assert f"{named}: its points: the set is 0.0" in refused.output
+        assert "it is in m (then" in refused.output
 
 
 def test_landmarks_that_do_not_pair_up_get_one_sentence(truth: Path, tmp_path: Path) -> None:

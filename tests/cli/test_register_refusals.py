@@ -254,7 +254,7 @@ MISPLACED: dict[str, tuple[dict[str, Any], str]] = {
         at("start.touched", "patch.csv"),
         "touch more of the surface, on several sides of the heart",
     ),
-    "a transform as points": (at("start.touched", "start.tfm"), "is not x,y,z in mm"),
+    "a transform as points": (at("start.touched", "start.tfm"), "needed points: rows of x, y, z in mm"),
     "a sector beyond the image": (
         at("ultrasound.fan", {"apex_px": [5000, 5], "start_px": 20, "stop_px": 40, "half_angle_rad": 0.3}),
         "ultrasound.fan: the sector covers 0.0% of the images",

@@ -61,7 +61,9 @@ def lab(files: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The working directory; the ultrasound says that every start is right."""
     monkeypatch.chdir(files)
     monkeypatch.setattr("dvf_ig.replay.registration.build_heart", shape_alone)
-    monkeypatch.setattr("dvf_ig.replay.registration.gate_recording", lambda *_, **__: None)
+    monkeypatch.setattr(
+        "dvf_ig.replay.registration.gate_recording", lambda *_, **__: SimpleNamespace(enough=True)
+    )
     monkeypatch.setattr(
         "dvf_ig.replay.registration.register_frames",
         lambda recording, _frames, start, *, landmarks, touched, **_: against_touched(
@@ -144,4 +146,4 @@ def test_points_that_leave_the_pose_open_are_no_start(lab: Path, tmp_path: Path)
     write_points(tmp_path / "ball.csv", found.points.xyz_mm)
     done = register({"touched": f"{tmp_path}/ball.csv"}, model=f"{tmp_path}/heart.npz")
     assert done.exit_code == 7
-    assert "error: no start: the touched points leave the pose undetermined" in done.stderr
+    assert "error: start: no start: the touched points leave the pose undetermined" in done.stderr

@@ -161,7 +161,7 @@ def test_files_give_the_pose_of_arrays(lab: Path, tmp_path: Path) -> None:
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     outline = outline_of(page)
     assert outline.faults == []
-    assert len(outline.images) == 24
+    assert len(outline.images) == 6 * 5
     assert "a.nrrd, b.nrrd" in page
     assert "volume 2, across its third axis" in page
     assert f"<td>{payload['part_disagreement_mm']:.2f} mm</td><td>at most 2.5 mm</td>" in page

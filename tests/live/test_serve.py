@@ -3,7 +3,8 @@
 import json
 import threading
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -20,7 +21,7 @@ from dvf_ig.intake.live import EcgFieldConfig, EcgTailConfig, LiveConfig, requir
 from dvf_ig.io.json_file import write_json
 from dvf_ig.io.writing.listing import LISTING
 from dvf_ig.live.igtl import Image, Message, Transform
-from dvf_ig.live.link import Inbox, connect, listen
+from dvf_ig.live.link import Inbox, Link, connect, listen
 from dvf_ig.live.player import ECG, IMAGE, PROBE, TOOL, messages_of, play
 from dvf_ig.live.serve import device_names
 from dvf_ig.replay.view_file import read_view_file
@@ -52,10 +53,14 @@ def test_recording_comes_over_loopback(scenario: Scenario) -> None:
     inbox, stop = Inbox(), threading.Event()
     with listen("127.0.0.1", 0, None) as server, connect("127.0.0.1", server.port, inbox):
         until(lambda: server.peers)
-        timer = threading.Timer(0.1, stop.set)
-        timer.start()
-        sent = play(scenario, server, speed=10.0, origin_s=1000.0, stop=stop)
-        timer.join()
+
+        def send(messages: tuple[Message, ...]) -> None:
+            server.send(messages)
+            if messages[0].stamp_s >= 1001.0:
+                stop.set()
+
+        link = cast("Link", SimpleNamespace(send=send))
+        sent = play(scenario, link, speed=10.0, origin_s=1000.0, stop=stop)
         arrived: list[Any] = []
         while len(arrived) < sent:
             taken = inbox.take(2.0)

@@ -66,5 +66,5 @@ def test_force_surfaces_and_curves(rows: dict[str, list[tuple[float, dict[str, A
 
 def test_it_says_what_is_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(__import__("sys").modules, "rerun", None)
-    with pytest.raises(MissingDependencyError, match=r"pip install \"dvf-ig\[rerun\]\""):
+    with pytest.raises(MissingDependencyError, match=r"pip install '\.\[rerun\]'"):
         write_rerun(run_folder(), ball_model(), {}, tmp_path / "run.rrd")

@@ -181,7 +181,7 @@ def test_values_at_the_cursor_are_those_of_the_table(opened: Page, run: Path) ->
         assert (shown["status"], shown["supervisor"]) == (row["status"], row["supervisor"])
         assert "|".join(shown["hazards"]) == row["hazards"]
         text = opened.run("return document.getElementById('numbers').innerText.replace(/\\s+/g, ' ')")
-        assert f"{force:.3f} N" in text
+        assert f"force {force:.2f} N" in text
     result = json.loads((run / "result.json").read_text())
     largest = opened.run(
         "const s = dvf.viewer.series; return s.t.reduce((most, _, i) => Math.max(most, s.force(i)), 0)"

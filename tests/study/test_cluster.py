@@ -129,5 +129,5 @@ def test_no_scheduler_no_worker_and_no_package_are_sentences(
     assert done.exit_code == 3
     assert "no dask scheduler answers at nowhere://1" in done.output
     monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(MissingDependencyError, match=r"pip install 'dvf-ig\[cluster\]'"):
+    with pytest.raises(MissingDependencyError, match=r"pip install '\.\[cluster\]'"):
         run_trials(study, [1], tmp_path, scheduler="tcp://127.0.0.1:1")

@@ -132,7 +132,12 @@ def test_force_at_points(built, tmp_path):
 
 @pytest.mark.parametrize(
     ("text", "complaint"),
-    [("", "no points"), ("1,2\n", "2 columns"), ("1,2,3\na,b,c\n", "line 2"), (None, "does not exist")],
+    [
+        ("", "no rows of numbers"),
+        ("1,2\n", "2 columns"),
+        ("1,2,3\na,b,c\n", "line 2"),
+        (None, "does not exist"),
+    ],
 )
 def test_bad_points_exit_3_with_one_sentence(built, tmp_path, text, complaint):
     points = tmp_path / "points.csv"

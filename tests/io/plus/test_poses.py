@@ -129,7 +129,7 @@ def test_a_sequence_in_metres_is_refused(tmp_path: Path) -> None:
         ("1 2 3\n", "has 3 columns"),
         ("1 2 3 0 0 0 9\n", "quaternion of row 1 has length 9"),
         ("1 2 3 0 0 0 one\n", "line 1: 'one' is not a number"),
-        ("1 2 3 0 0 0 1\n1 2\n", "line 2: 2 cells; needed 7"),
+        ("1 2 3 0 0 0 1\n1 2\n", "line 2: 2 cells, but 7 in the first row; needed"),
         ("inf 2 3 0 0 0 1\n", "'inf' is not a number"),
         ("1,5 2,5 3,5 0,0 0,0 0,0 1,0\n", "may have decimal commas"),
         ("t,x,y,z,qx,qy,qz,qw\nnan,1,2,3,0,0,0,1\n", "a time that is not finite"),
