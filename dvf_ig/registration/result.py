@@ -106,6 +106,11 @@ class RegistrationResult:
         pair = self.evidence.pair
         if self.stop is Stop.LOW_OVERLAP and self.coverage is not None:
             return self.coverage.advice
+        if self.stop is Stop.DOUBTFUL and self.coverage is not None:
+            return (
+                f"the MR ends within the heart and nothing bounds the pose's error; {self.coverage.advice}, "
+                "or give MR of the whole heart"
+            )
         if self.stop is Stop.LOW_OVERLAP and pair is None:
             return f"{self.stop.value}, and check that its poses are the probe's and not the tool's"
         if pair is not None and self.stop in (Stop.DISAGREEMENT, Stop.AMBIGUOUS):

@@ -91,10 +91,14 @@ def test_only_pixels_near_the_covered_heart_are_compared() -> None:
     assert not kept.images[~kept.masks].any()
 
 
-def test_a_half_covered_heart_is_registered_by_its_half() -> None:
+def test_a_half_covered_heart_is_registered_by_its_half_and_refused_without_a_bound() -> None:
     start = toy_pose().perturbed_left([0.08, -0.06, 0.05], [5.0, -4.0, 6.0], CENTER_MM)
     result = registered(levels(), start)
-    assert result.stop is Stop.CONVERGED
+    assert result.stop is Stop.DOUBTFUL, "every check passes, but nothing bounds what the other half does"
+    assert result.tre_bound_mm is None
+    assert result.outside
+    assert result.sentence.startswith("the MR ends within the heart and nothing bounds the pose's error")
+    assert result.sentence.endswith("or give MR of the whole heart")
     targets = CENTER_MM + np.random.default_rng(1).uniform(-40, 40, (27, 3))
     source = toy_pose().inverse().apply_array(targets)
     apart = np.linalg.norm(result.target_from_source.apply_array(source) - targets, axis=1)

@@ -45,6 +45,8 @@ LARGEST = 1e3
 LARGEST_SCALE = 16.0
 """The covariance is multiplied by no more than this, and by no less than its inverse."""
 TABLES = "calibrated.json"
+PARTLY = " of a part"
+"""Ending of the kind of images of hearts that the pre-operative images cover in part."""
 NAMES = {
     "brightness": "the images' mean brightness",
     "contrast": "the images' contrast",
@@ -268,9 +270,15 @@ def _outside(table: Table, statistics: ImageStatistics) -> str:
     return sentence
 
 
-def table_of(kind: str | None) -> Table | None:
-    """The table of a kind of images ("sweep", "volumes", …); None without one."""
-    return None if kind is None else _tables().get(kind)
+def table_of(kind: str | None, *, partly: bool = False) -> Table | None:
+    """The table of a kind of images ("sweep", "volumes", …); None without one.
+
+    Args:
+        partly: the heart's images cover it in part, for which whole hearts say nothing.
+    """
+    if kind is None:
+        return None
+    return _tables().get(f"{kind}{PARTLY}" if partly else kind)
 
 
 @lru_cache(maxsize=1)
