@@ -177,7 +177,7 @@ def test_the_page_beside_the_transform_holds_the_same_numbers(files: Path, tmp_p
     assert f"<td>{result['pair_statistic']:.1f} (parts disagree by" in page
     assert f"<td>{result['contrast']:.1f}</td><td>at least 0.0</td>" in page
     assert f"<td>{result['disagreement_mm']:.2f} mm</td>" in page
-    assert page.count("– not checked") == 6
+    assert "not checked" not in page, "a pair shows the checks that apply to it"
     again = invoke(
         *("register", "--fixed", files / "us.nii.gz", "--moving", files / "mr.nii.gz"),
         *("-o", tmp_path / "found.tfm"),
