@@ -86,6 +86,7 @@ from .surface_points.touched import SurfaceDisagreement as SurfaceDisagreement
 from .surface_points.touched import TouchedPoints as TouchedPoints
 from .surface_points.touched import TouchedSurface as TouchedSurface
 from .tracking.pose_estimate import MEAN_SQUARE_OF_COORDINATES as MEAN_SQUARE_OF_COORDINATES
+from .tracking.pose_estimate import TARGET_RADIUS_MM as TARGET_RADIUS_MM
 from .tracking.pose_estimate import BeatMeasurement as BeatMeasurement
 from .tracking.pose_estimate import PoseEstimate as PoseEstimate
 from .tracking.pose_estimate import measure_beat as measure_beat

@@ -20,8 +20,14 @@ from math import inf
 
 import numpy as np
 
-from dvf_ig.core import PoseMotion, Rigid, Stop, mean_displacement_mm
-from dvf_ig.registration import BeatMeasurement, PoseEstimate, TipSighting, landmarks_disagree
+from dvf_ig.core import HEART_RADIUS_MM, PoseMotion, Rigid, Stop, mean_displacement_mm
+from dvf_ig.registration import (
+    TARGET_RADIUS_MM,
+    BeatMeasurement,
+    PoseEstimate,
+    TipSighting,
+    landmarks_disagree,
+)
 
 from .beat_evaluation import BeatEvaluation
 from .history import PoseUpdate, RegistrationDecision
@@ -59,7 +65,7 @@ CONSISTENT_LOG_RATIO = 5.0
 SUSPENDING_REFUSALS = 2
 """Registrations in a row that their own evidence refuses, after which the pose in use is suspended."""
 REFUSAL_SIGMA_MM = 1.0
-"""Standard deviation per coordinate that a refused registration adds to the error that the pose may have."""
+"""Standard error, RMS over the targets, that a refused registration adds to each coordinate of the pose."""
 REFUSAL_EVIDENCE = 6.0
 """Reduction of SHIFT_LIMIT by a refused registration: twice the logarithm of 19, for a working registration
 refuses 95 % of wrong poses and 5 % of good ones."""
@@ -220,7 +226,9 @@ def _weaken(pose: InUse, event: RegistrationRefused) -> Transition:
         doubt = Doubt(DoubtCause.PHASE_OFFSET if out_of_phase else DoubtCause.REFUSED)
         again = RegisterNext(max(now_s, asked_s + RECOVER_S), frames_from_s=asked_s, forget_landmarks=True)
         return _suspend(pose, doubt, now_s, again, needs_registration=out_of_phase)
-    shared = pose.estimate.shared_mm2 + REFUSAL_SIGMA_MM**2 * np.eye(6)
+    turn = (HEART_RADIUS_MM / TARGET_RADIUS_MM) ** 2
+    added_mm2 = REFUSAL_SIGMA_MM**2 * np.diag([turn, turn, turn, 1.0, 1.0, 1.0])
+    shared = pose.estimate.shared_mm2 + added_mm2
     estimate = replace(pose.estimate, shared_mm2=shared)
     pose, update = _moved(replace(pose, refusals=pose.refusals + 1), estimate, now_s)
     return pose, (update, retry_after(asked_s, now_s))

@@ -25,6 +25,7 @@ from dvf_ig.session.pose_states import (
     ELSEWHERE_BEATS,
     MAX_AGE_S,
     MAX_BOUND_MM,
+    MAX_BOUND_MM,
     MAX_CONFIRMING_BEATS,
     MAX_MISSED_BEATS,
     Candidate,
@@ -333,7 +334,8 @@ def test_a_beat_without_information_leaves_the_pose_and_makes_it_less_certain() 
 def test_refused_registrations_make_the_pose_less_certain_and_suspend_it() -> None:
     once = after(IN_USE, refused())
     assert isinstance(once, InUse)
-    assert once.estimate.sigma_mm() > 1.0 > IN_USE.estimate.sigma_mm()
+    assert once.estimate.sigma_mm() > 1.5 * IN_USE.estimate.sigma_mm()
+    assert IN_USE.confirmation.pose_bound_mm < once.confirmation.pose_bound_mm < MAX_BOUND_MM
     assert along(once) == 0.0
     assert isinstance(after(once, refused()), Suspended)
     assert isinstance(after(once, registered(0.1), refused()), InUse)
