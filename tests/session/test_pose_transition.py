@@ -25,7 +25,6 @@ from dvf_ig.session.pose_states import (
     ELSEWHERE_BEATS,
     MAX_AGE_S,
     MAX_BOUND_MM,
-    MAX_BOUND_MM,
     MAX_CONFIRMING_BEATS,
     MAX_MISSED_BEATS,
     Candidate,
