@@ -1,5 +1,6 @@
 """From a 4-D image and the labels of its end-diastole to the fixture model: Section III, end to end."""
 
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
@@ -36,6 +37,8 @@ from dvf_ig.preop.surface.from_labels import border_caps, surface_of_mask
 
 from .build import ModelOptions, build_model
 from .check import away_from_caps
+
+_LOG = logging.getLogger(__name__)
 
 MIN_IMAGED_SHARE = 0.02
 """Smallest share of the surface's area that the image must show (without caps and their rim). Seven slices of
@@ -164,8 +167,11 @@ def model_from_cine(
         progress=lambda x: report(0.8 + 0.2 * x),
         sources=(*sources, *(end.told for end in ends), *_stack_sources(image.grid, shifts, base)),
         chambers=[
-            _chamber(motion, image, mask, label_name(value, dict(options.label_names)), shifts)
+            chamber
             for value, mask in zip(options.cavity_labels, cavities, strict=True)
+            if (
+                chamber := _chamber(motion, image, mask, label_name(value, dict(options.label_names)), shifts)
+            )
         ],
     )
     model = replace(model, cine_fingerprint=image.fingerprint())
@@ -238,9 +244,18 @@ def _require_imaged(surface: Mesh, caps: BoolArray, grid: Grid) -> None:
 
 def _chamber(
     motion: CycleMotion, image: VolumeSeries, cavity: BoolArray, name: str, shifts: SliceShifts | None
-) -> Chamber:
-    """Propagate a cavity of end-diastole as the organ's surface."""
-    surface = _surface(cavity, image.grid)
+) -> Chamber | None:
+    """Propagate a cavity of end-diastole as the organ's surface.
+
+    None, with a warning, where the outermost slice of a stack shows no more than its end.
+    """
+    try:
+        surface = _surface(cavity, image.grid)
+    except InvalidInputError as exc:
+        if observable_axes(image.grid.spacing_mm)[2]:
+            raise
+        _LOG.warning("the slices hold too little of %s for a surface, and it is left out: %s", name, exc)
+        return None
     return chamber_of(_corrected(propagate_surface(motion, image, surface, name, ""), shifts))
 
 

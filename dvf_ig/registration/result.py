@@ -108,8 +108,8 @@ class RegistrationResult:
             return self.coverage.advice
         if self.stop is Stop.DOUBTFUL and self.coverage is not None:
             return (
-                f"the MR ends within the heart and nothing bounds the pose's error; {self.coverage.advice}, "
-                "or give MR of the whole heart"
+                "the MR ends within the heart, and the checks do not bound the pose's error; "
+                f"{self.coverage.advice}, or give MR of the whole heart"
             )
         if self.stop is Stop.LOW_OVERLAP and pair is None:
             return f"{self.stop.value}, and check that its poses are the probe's and not the tool's"

@@ -1,9 +1,11 @@
 """A heart that its images cover in part: what is compared, what is said of the sweep, and what wins."""
 
+import sys
 from dataclasses import replace
 from time import perf_counter
 
 import numpy as np
+import pytest
 from toy_heart import CENTER_MM, toy_mr, toy_pose, toy_slices
 
 from dvf_ig.core import Grid, Rigid, Stop, VolumeSeries
@@ -20,6 +22,8 @@ from dvf_ig.registration import (
     register,
 )
 from dvf_ig.registration.coverage import RIM_MM
+from dvf_ig.registration.evidence.assessment import Assessment, ImageStatistics, table_of
+from dvf_ig.registration.register import LARGEST_OF_PART_MM, _assessed
 
 SHELL = CENTER_MM + np.array([48.0, 40.0, 44.0]) * (lambda v: v / np.linalg.norm(v, axis=1, keepdims=True))(
     np.random.default_rng(5).normal(size=(4000, 3))
@@ -97,7 +101,7 @@ def test_a_half_covered_heart_is_registered_by_its_half_and_refused_without_a_bo
     assert result.stop is Stop.DOUBTFUL, "every check passes, but nothing bounds what the other half does"
     assert result.tre_bound_mm is None
     assert result.outside
-    assert result.sentence.startswith("the MR ends within the heart and nothing bounds the pose's error")
+    assert result.sentence.startswith("the MR ends within the heart, and the checks do not bound")
     assert result.sentence.endswith("or give MR of the whole heart")
     targets = CENTER_MM + np.random.default_rng(1).uniform(-40, 40, (27, 3))
     source = toy_pose().inverse().apply_array(targets)
@@ -108,6 +112,24 @@ def test_a_half_covered_heart_is_registered_by_its_half_and_refused_without_a_bo
     assert result.overlap == result.coverage.share
     assert result.statistics is not None
     assert result.statistics.overlap > 0.8, "of what is compared, chosen half a voxel wider"
+
+
+@pytest.mark.parametrize(("bound_mm", "stop"), [(LARGEST_OF_PART_MM, Stop.CONVERGED), (6.1, Stop.DOUBTFUL)])
+def test_a_bound_decides_of_a_part_alone(
+    bound_mm: float, stop: Stop, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    module = "dvf_ig.registration.register"
+    monkeypatch.setattr(sys.modules[module], "assess", lambda *_: Assessment(0.9, bound_mm))
+    statistics = ImageStatistics(*([1.0] * 10))
+    ended, assessment = _assessed(Stop.CONVERGED, None, {}, statistics, partly=True)
+    assert ended is stop
+    assert assessment.tre_bound_mm == (bound_mm if stop.usable else None)
+    assert _assessed(Stop.CONVERGED, None, {}, statistics, partly=False)[0] is Stop.CONVERGED
+
+
+def test_tables_of_whole_hearts_say_nothing_of_a_part() -> None:
+    assert table_of("volumes") is not None
+    assert table_of("volumes", partly=True) is None
 
 
 def test_a_sweep_of_a_corner_is_refused_with_the_side_to_image() -> None:

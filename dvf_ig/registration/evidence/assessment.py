@@ -45,7 +45,7 @@ LARGEST = 1e3
 LARGEST_SCALE = 16.0
 """The covariance is multiplied by no more than this, and by no less than its inverse."""
 TABLES = "calibrated.json"
-PARTLY = " of a part"
+PARTLY = "-of-part"
 """Ending of the kind of images of hearts that the pre-operative images cover in part."""
 NAMES = {
     "brightness": "the images' mean brightness",

@@ -10,7 +10,7 @@ are named here then.
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from functools import lru_cache
+from functools import lru_cache, partial
 from time import perf_counter
 from typing import Any
 
@@ -34,6 +34,7 @@ from data_synth import (
     second_world_recording,
 )
 from data_synth.heart.motion import MotionPreset
+from data_synth.mr.examination import ExamName
 from dvf_ig.core import (
     HEART_RADIUS_MM,
     FloatArray,
@@ -184,6 +185,8 @@ VARIED = HeartSpec("varied")
 """Drawn from a population of healthy, dilated and hypertrophic hearts."""
 MOTION = ("paper5mm", "physiological")
 """Motions of hearts with even and with odd numbers."""
+EXAM: tuple[ExamName, ExamName] = ("sax10", "sax+lax")
+"""Examinations of hearts that are covered in part, two after two: each comes with both motions."""
 SWEEP_S = 14.0
 """Length of a tracked sweep: what a session has seen when it registers first, and as much again."""
 START_MM = (4.0, 12.0)
@@ -282,12 +285,18 @@ def registered_heart(settings: Settings, number: int) -> RegisteredHeart:
         if condition.disturbed:
             raise InvalidInputError("the second world is for reporting; its hearts are not disturbed further")
         rng = child_rng(seed, "heart trial")
+        if settings["images"] == "sweep-of-part":
+            raise InvalidInputError("the second world has no short-axis slices; take --world first")
         quality: Any = condition.quality
         second = {"sweep": _second_sweep, "volumes": _second_volumes}[settings["images"]]
         return second(SecondWorldSpec(seed, quality, _motion(seed), SWEEP_S), rng)
     drawing = seed if condition.draw == 0 else number
     rng = child_rng(drawing, "heart trial")
-    first: Callable[..., RegisteredHeart] = {"sweep": _sweep, "volumes": _volumes}[settings["images"]]
+    first: Callable[..., RegisteredHeart] = {
+        "sweep": _sweep,
+        "sweep-of-part": partial(_sweep, exam=EXAM[seed // 2 % 2]),
+        "volumes": _volumes,
+    }[settings["images"]]
     return first(seed, drawing, condition, rng)
 
 
@@ -296,21 +305,23 @@ def _motion(seed: int) -> Any:
 
 
 @lru_cache(maxsize=1)
-def _prepared(seed: int) -> tuple[ImagedHeart, Heart]:
+def _prepared(seed: int, exam: ExamName | None) -> tuple[ImagedHeart, Heart]:
     """A heart of the first world with what is made of its pre-operative images, for all its trials."""
-    imaged = imaged_heart(ScenarioSpec(motion=_motion(seed), seed=seed, heart=VARIED))
+    imaged = imaged_heart(ScenarioSpec(motion=_motion(seed), seed=seed, heart=VARIED, exam=exam))
     return imaged, build_heart(imaged.preop)
 
 
-def _sweep(seed: int, drawing: int, condition: Condition, rng: np.random.Generator) -> RegisteredHeart:
+def _sweep(
+    seed: int, drawing: int, condition: Condition, rng: np.random.Generator, exam: ExamName | None = None
+) -> RegisteredHeart:
     """The probe's path, speckle and rhythm of disturbed recordings are drawn again, the heart is not."""
-    imaged, heart = _prepared(seed)
+    imaged, heart = _prepared(seed, exam)
     preset, drawn = PRESETS[condition.quality], {"sweep_s": SWEEP_S}
     if condition.disturbed:
         preset, drawn = _disturbed(preset, rng)
     same = replace(VARIED, anatomy_seed=seed, motion_seed=seed)
     spec = ScenarioSpec(
-        condition.quality, _motion(seed), drawn["sweep_s"], drawing, changed=preset, heart=same
+        condition.quality, _motion(seed), drawn["sweep_s"], drawing, changed=preset, heart=same, exam=exam
     )
     scenario = phantom_scenario(spec, imaged=imaged)
     return _registered_sweep(scenario, heart, seed, START_OF[condition.disturbed], rng, drawn)

@@ -60,6 +60,7 @@ class Images(StrEnum):
     """Kinds of registered images."""
 
     sweep = "sweep"
+    sweep_of_part = "sweep-of-part"
     volumes = "volumes"
 
 
@@ -69,7 +70,11 @@ class HeartsSettings:
 
     list: ListName = list_option()
     world: World = option("The second shares no table with the first; reported only.", World.first)
-    images: Images = option("A tracked sweep of 14 s, or gated 3-D volumes.", Images.sweep)
+    images: Images = option(
+        "A tracked sweep of 14 s, the same of a heart that short-axis slices cover in part, or gated 3-D "
+        "volumes.",
+        Images.sweep,
+    )
     quality: tuple[Quality, ...] = option("Image quality (repeatable; default: both).", ())
     disturbed: int = option(
         "Further sweeps of each heart and quality, with errors of calibration, clock, anatomy and start "
@@ -88,8 +93,8 @@ def heart_trial(settings: Settings, number: int) -> Line:
     """One recording of one heart of a list.
 
     Args:
-        settings: `world` ("first", "second"), `images` ("sweep": a tracked sweep, "volumes": gated 3-D
-            images), `qualities` (presets of scenarios), `disturbed` (see `conditions_of`).
+        settings: `world` ("first", "second"), `images` (see `Images`), `qualities` (presets of scenarios),
+            `disturbed` (see `conditions_of`).
         number: of the trial.
     """
     heart, condition = of_trial(number, settings)

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from short_axis_toy import CAVITY, WALL, contracting_stack
 
-from dvf_ig.core import Grid, Volume, VolumeSeries
+from dvf_ig.core import Grid, InvalidInputError, Volume, VolumeSeries
 from dvf_ig.preop import DisplacementField, assess_motion, dice, propagate_labels, track_cycle
+from dvf_ig.preop.cine_model import _chamber
 from dvf_ig.preop.motion.slice_stack import axis_of_lost_spacing, observable_axes
 
 END_SYSTOLE = 3
@@ -52,6 +53,18 @@ def test_the_slice_pitch_is_seen_in_the_grey_levels():
     assert axis_of_lost_spacing(rng.normal(size=(20, 20, 20)), np.ones(3)) is None
     assert observable_axes(np.array([1.5, 1.5, 2.9])).all()
     assert observable_axes(np.array([1.5, 1.5, 10.0])).tolist() == [True, True, False]
+
+
+def test_a_chamber_of_which_a_stack_holds_the_end_is_left_out_with_a_warning(stack, caplog):
+    image, labels = stack
+    motion = track_cycle(image, labels[0] > 0)
+    end = np.zeros(image.grid.shape, dtype=np.bool_)
+    end[10, 10:12, -1] = True
+    assert _chamber(motion, image, end, "left atrium", None) is None
+    assert "too little of left atrium" in caplog.text
+    close = Grid.axis_aligned("mr", image.grid.shape, np.zeros(3), 2.0)
+    with pytest.raises(InvalidInputError, match="fewer than a surface needs"):
+        _chamber(motion, VolumeSeries(close, image.values, image.timing), end, "left atrium", None)
 
 
 def test_what_comes_in_through_the_end_of_the_stack_is_continued(stack):

@@ -94,3 +94,8 @@ def test_a_trial_measures_the_registration_of_gated_volumes(monkeypatch: pytest.
     assert 4.0 <= line["start_mm"] <= 12.0
     assert line["tre_mm"] <= line["tre_max_mm"] < 1.0
     json.dumps(line, allow_nan=False)
+
+
+def test_hearts_of_the_second_world_are_not_covered_in_part() -> None:
+    settings = {"world": "second", "images": "sweep-of-part", "qualities": ["calm"], "disturbed": 0}
+    assert "no short-axis slices" in heart_trial(settings, 408100)["refused"]
