@@ -29,7 +29,17 @@ def compiled(source, folder):
         pytest.skip("no C compiler (cc), so no library with the vendor's symbols can be made")
     library = folder / f"{source}.so"
     subprocess.run(
-        [compiler, "-shared", "-fPIC", "-O1", "-pthread", str(HERE / f"{source}.c"), "-o", str(library)],
+        [
+            compiler,
+            "-shared",
+            "-fPIC",
+            "-O1",
+            "-pthread",
+            str(HERE / f"{source}.c"),
+            "-o",
+            str(library),
+            "-lm",
+        ],
         check=True,
     )
     return library
@@ -140,9 +150,38 @@ def test_a_force_dimension_device_is_driven_in_metres(dhd, ball, steady_ball):
     )
     assert number(dhd, "fake_forces_sent").value > 10
     np.testing.assert_array_equal(list(vector(dhd, "fake_force")), 0.0)
+    assert device.ends_force_after_s == 0.01
+    assert number(dhd, "fake_watchdog").value == 80
+    assert device.rate_hz == 4000.0
+    assert device.limits is None
     device.close()
     device.close()
     assert number(dhd, "fake_forces_on").value == 0
+
+
+@pytest.mark.parametrize(
+    ("kind", "fake", "button"),
+    [(ForceDimensionDevice, "dhd", "fake_button"), (OpenHapticsDevice, "hd", "fake_buttons")],
+)
+def test_a_button_is_read_while_a_servo_runs(kind, fake, button, request, ball, steady_ball):
+    library = request.getfixturevalue(fake)
+
+    def look(speak, place):
+        assert not device.pressed
+        number(library, button).value = 1
+        until(lambda: speak() is not None and device.pressed)
+        number(library, button).value = 0
+        until(lambda: speak() is not None and not device.pressed)
+
+    with closing(kind(path=library)) as device:
+        run_servo(ball, steady_ball, device, [10.0, -20.0, 30.0], look)
+
+
+def test_openhaptics_states_the_limits_of_its_driver(touch):
+    assert touch.limits is not None
+    assert touch.limits.stiffness_n_per_m == 500.0
+    assert touch.limits.continuous_force_n == 0.88
+    assert touch.limits.name == touch.name
 
 
 def test_a_force_dimension_device_that_breaks_latches(dhd, ball, steady_ball):
