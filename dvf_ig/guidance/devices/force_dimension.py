@@ -40,9 +40,9 @@ measured here."""
 
 
 WATCHDOG_STEP_S = 125e-6
-WATCHDOG_STEPS = 80
-"""The device's own watchdog ends the force 10 ms after the last command, as the servo's does, also after the
-program was killed."""
+WATCHDOG_STEPS = 120
+"""The device's own watchdog ends the force 15 ms after the last command, also after the program was killed:
+later than the servo's, which has latched by then."""
 
 
 class ForceDimensionDevice:
@@ -68,18 +68,23 @@ class ForceDimensionDevice:
             raise VendorLibraryError(
                 f"no Force Dimension device opened: {self._error()}; connect one and switch it on"
             )
-        if self._library.dhdEnableForce(ctypes.c_ubyte(1), ctypes.c_byte(self._id)) < 0:
-            self.close()
-            raise VendorLibraryError(f"the Force Dimension device does not enable forces: {self._error()}")
         self.ends_force_after_s: float | None = None
-        if self._library.dhdSetWatchdog(ctypes.c_ubyte(WATCHDOG_STEPS), ctypes.c_byte(self._id)) >= 0:
-            self.ends_force_after_s = WATCHDOG_STEPS * WATCHDOG_STEP_S
+        self.enable_force()
         self.functions = np.array([kernel.read_force_dimension.address, kernel.write_force_dimension.address])
         self.context = np.zeros(kernel.CONTEXT_SIZE, dtype=np.int64)
         self.context[kernel.GET_POSITION] = address_of(self._library, "dhdGetPosition")
         self.context[kernel.SET_FORCE] = address_of(self._library, "dhdSetForce")
         self.context[kernel.GET_BUTTON] = address_of(self._library, "dhdGetButton")
         self.context[kernel.DEVICE] = self._id
+
+    def enable_force(self) -> None:
+        """Switch forces on, and the device's own watchdog, which switches them off when it expires."""
+        if self._library.dhdEnableForce(ctypes.c_ubyte(1), ctypes.c_byte(self._id)) < 0:
+            reason = self._error()
+            self.close()
+            raise VendorLibraryError(f"the Force Dimension device does not enable forces: {reason}")
+        watched = self._library.dhdSetWatchdog(ctypes.c_ubyte(WATCHDOG_STEPS), ctypes.c_byte(self._id)) >= 0
+        self.ends_force_after_s = WATCHDOG_STEPS * WATCHDOG_STEP_S if watched else None
 
     @property
     def pressed(self) -> bool:

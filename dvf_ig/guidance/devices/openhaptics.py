@@ -123,6 +123,9 @@ class OpenHapticsDevice:
         """The first HD error that the scheduler's callback met; 0 none."""
         return int(self.context[kernel.ERROR])
 
+    def enable_force(self) -> None:
+        """No watchdog switches its forces off."""
+
     @property
     def pressed(self) -> bool:
         """Whether any of its buttons is pressed."""

@@ -55,3 +55,6 @@ class HeldDevice(HapticDevice, Protocol):
 
     @property
     def pressed(self) -> bool: ...
+
+    def enable_force(self) -> None:
+        """Switch forces on again after its own watchdog has expired; while a servo sends commands."""

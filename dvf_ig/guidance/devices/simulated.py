@@ -249,6 +249,9 @@ class SimulatedStylus:
         numbers[kernel.HAND_STIFFNESS] = hand.stiffness_n_per_m / MM_PER_M
         numbers[kernel.HAND_DAMPING] = hand.damping_n_s_per_m / MM_PER_M
 
+    def enable_force(self) -> None:
+        """No watchdog switches its forces off."""
+
     @property
     def ends_force_after_s(self) -> float:
         """It ends with its program."""

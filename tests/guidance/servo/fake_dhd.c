@@ -1,8 +1,9 @@
 /* A Force Dimension device that is not there: the vendor's symbols, with a state that a test can look at.
 
    With the variable FAKE_DHD it is the state of a file that another process shares, so that a test sees the forces
-   of a program that was killed. Numbers in it: position (m), force, broken, seconds that the next command hangs,
-   button, steps of the watchdog, number of commands; from 16 on the time and size of each. */
+   of a program that was killed. Numbers in it: position (m), force, broken (2: commands
+   still work), seconds that the next command hangs,
+   button, steps of the watchdog, numbers of commands and of enablings; from 16 on the time and size of each. */
 #include <fcntl.h>
 #include <math.h>
 #include <stdlib.h>
@@ -10,7 +11,7 @@
 #include <time.h>
 #include <unistd.h>
 
-enum { POSITION = 0, FORCE = 3, BROKEN = 6, HANG_S = 7, BUTTON = 8, WATCHDOG = 9, COUNT = 10, LOG = 16, KEPT = 200000 };
+enum { POSITION = 0, FORCE = 3, BROKEN = 6, HANG_S = 7, BUTTON = 8, WATCHDOG = 9, COUNT = 10, ENABLES = 11, LOG = 16, KEPT = 200000 };
 
 double fake_position[3] = {0.010, -0.020, 0.030};
 double fake_force[3];
@@ -37,6 +38,7 @@ int dhdOpen(void) {
 int dhdClose(char id) { return id == 3 ? 0 : -1; }
 int dhdEnableForce(unsigned char on, char id) {
   fake_forces_on = on;
+  if (shared && on) shared[ENABLES] += 1;
   return id == 3 ? 0 : -1;
 }
 int dhdSetWatchdog(unsigned char steps, char id) {
@@ -56,10 +58,11 @@ int dhdGetPosition(double *x, double *y, double *z, char id) {
   return 3; /* DHD_TIMEGUARD */
 }
 int dhdSetForce(double x, double y, double z, char id) {
-  if (fake_broken || id != 3 || (shared && shared[BROKEN] != 0)) return -1;
+  if (fake_broken || id != 3 || (shared && shared[BROKEN] == 1)) return -1;
   if (shared && shared[HANG_S] > 0) {
-    usleep((useconds_t)(1e6 * shared[HANG_S]));
-    shared[HANG_S] = 0;
+    double hang_s = shared[HANG_S];
+    shared[HANG_S] = 0; /* only one call hangs */
+    usleep((useconds_t)(1e6 * hang_s));
   }
   fake_force[0] = x;
   fake_force[1] = y;
