@@ -35,7 +35,11 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "dvf-ig serve session.yaml",
         "dvf-ig serve session.yaml --host 192.0.2.7 --allow 192.0.2.7 --page 8080",
         "dvf-ig serve demo --seconds 70 --json",
+        "dvf-ig serve demo --device simulated:omni --page 8080",
+        "dvf-ig serve session.yaml --device force-dimension -o run",
     ),
+    "device list": ("dvf-ig device list",),
+    "device test": ("dvf-ig device test", "dvf-ig device test --device force-dimension --seconds 30"),
     "synth stream": ("dvf-ig synth stream demo", "dvf-ig synth stream demo --port 18945 --speed 0.5"),
     "bench": ("dvf-ig bench", "dvf-ig bench --servo 60"),
     "view": ("dvf-ig view run", "dvf-ig view heart.npz", "dvf-ig view run -o run.html --recording demo"),
@@ -68,6 +72,10 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "dvf-ig calibrate landmarks stylus.igs.mha --device-set PlusDeviceSet.xml -o phantom.json",
     ),
     "calibrate hand-eye": ("dvf-ig calibrate hand-eye robot.csv camera.csv -o hand_from_camera.json",),
+    "calibrate device": (
+        "dvf-ig calibrate device corners.mrk.json --device force-dimension -o device.json",
+        "dvf-ig calibrate device corners.mrk.json --touched touched.mrk.json -o device.json",
+    ),
     "config init": (
         "dvf-ig config init --us ultrasound.igs.mha --ecg edf:ecg.edf -o session.yaml",
         f"dvf-ig config init --us ultrasound.igs.mha --ecg edf:ecg.edf {OWN} "
@@ -97,7 +105,7 @@ SECTIONS = {
     "Intervene": ("register", "evaluate", "replay", "serve", "force"),
     "Look, and hand on": ("view", "export"),
     "Try and measure": ("synth", "study", "bench"),
-    "This machine": ("doctor", "cache"),
+    "This machine": ("doctor", "device", "cache"),
 }
 """Commands and groups by heading, in the order of an intervention."""
 

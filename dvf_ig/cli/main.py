@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 import dvf_ig
-from dvf_ig.cli import bench, cache, config, doctor, evaluate, force, gate, replay, study, view
+from dvf_ig.cli import bench, cache, config, device, doctor, evaluate, force, gate, replay, study, view
 from dvf_ig.cli.calibrate import commands as calibrate
 from dvf_ig.cli.examples import show_examples
 from dvf_ig.cli.export import commands as export
@@ -43,6 +43,7 @@ app.command("register", cls=SessionCommand)(register.register)
 app.command("evaluate")(evaluate.evaluate)
 app.command("replay", cls=SessionCommand)(replay.replay)
 app.command("serve", cls=SessionCommand)(serve.serve)
+app.add_typer(device.app, name="device")
 app.command("view")(view.view)
 app.add_typer(export.app, name="export")
 app.add_typer(config.app, name="config")

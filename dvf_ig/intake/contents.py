@@ -14,6 +14,7 @@ from dvf_ig.core.recordings.signal import Signal
 from dvf_ig.core.recordings.stream import PoseStream
 from dvf_ig.core.space.image_map import ImageMap
 from dvf_ig.core.space.points import Points
+from dvf_ig.core.space.rigid import Rigid
 from dvf_ig.core.space.volume import VolumeSeries
 from dvf_ig.core.timing.cycle import CycleTiming
 from dvf_ig.core.timing.trigger import TriggerTimes
@@ -162,6 +163,13 @@ def tip_contents(tip: Points | PoseStream | None) -> str | None:
         return f"pivot recording, {_poses(tip)}"
     place = ", ".join(f"{side:.1f}" for side in tip.xyz_mm[0])
     return f"at ({place}) mm in the tool's own frame"
+
+
+def device_contents(place: Rigid | None) -> str | None:
+    """Place of a haptic device's origin."""
+    if place is None:
+        return None
+    return f"its origin at ({', '.join(f'{side:.1f}' for side in place.translation_mm)}) mm of the tracker"
 
 
 def start_contents(start: StartFiles) -> str | None:

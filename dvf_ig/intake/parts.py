@@ -19,6 +19,7 @@ from dvf_ig.core.recordings.signal import Signal
 from dvf_ig.core.recordings.stream import PoseStream
 from dvf_ig.core.space.image_map import ImageMap
 from dvf_ig.core.space.points import Points
+from dvf_ig.core.space.rigid import Rigid
 from dvf_ig.core.timing.trigger import TriggerTimes
 from dvf_ig.io.image.gated_volume import (
     GatedVolumeFile,
@@ -30,6 +31,7 @@ from dvf_ig.io.plus.names import ProbeNames
 from dvf_ig.io.respiration import read_respiration, split_respiration
 
 from .contents import (
+    device_contents,
     ecg_contents,
     heart_contents,
     latency_contents,
@@ -47,6 +49,7 @@ from .problems import Problem, ProblemList, Use, concerning
 from .readers import (
     StartFiles,
     Sweep,
+    read_device_place,
     read_latency_source,
     read_probe_source,
     read_session_ecg,
@@ -80,6 +83,7 @@ class SessionFiles:
 
     Attributes:
         volumes: gated 3-D ultrasound by its files, in place of a sweep.
+        device: tracker_from_device of a haptic device.
         fixtures, retiming: None if the configuration does not say.
         live: who sends what in a live session.
         folder: where names of files begin.
@@ -98,6 +102,7 @@ class SessionFiles:
     probe: ImageMap | NWireRecording | TargetRecording | None = None
     latency: float | LatencyRecording | None = None
     tip: Points | PoseStream | None = None
+    device: Rigid | None = None
     start: StartFiles = field(default_factory=StartFiles)
     fixtures: "FixtureSet | None" = None
     retiming: RetimingName | None = None
@@ -360,6 +365,11 @@ def _read_tip(at: Opened) -> Mapping[str, Any]:
     return {} if tip is None else {"tip": read_tip_source(tip, at.folder, name)}
 
 
+def _read_device(at: Opened) -> Mapping[str, Any]:
+    device = at.config.calibration.device
+    return {} if device is None else {"device": read_device_place(at.folder / device)}
+
+
 def _read_start(at: Opened) -> Mapping[str, Any]:
     return {"start": read_start(at.config.start, at.folder)}
 
@@ -443,6 +453,16 @@ PARTS = (
         lambda files: files.tip is not None,
         "replay",
         "a force needs a tool tip: dvf-ig calibrate pivot POSES -o tip.json",
+        live=True,
+    ),
+    Part(
+        "calibration.device",
+        "haptic device",
+        _read_device,
+        lambda files: device_contents(files.device),
+        lambda files: files.device is not None,
+        missing="a force needs the place of its haptic device: dvf-ig calibrate device POINTS --device NAME "
+        "-o device.json",
         live=True,
     ),
     Part(

@@ -14,7 +14,7 @@ from dvf_ig.core.space.image_map import ImageMap
 from dvf_ig.core.space.points import Landmarks, Points
 from dvf_ig.core.space.rigid import Rigid
 from dvf_ig.core.timing.trigger import TriggerTimes
-from dvf_ig.io.calibration_files import read_lag, read_probe, read_tip
+from dvf_ig.io.calibration_files import read_lag, read_landmark_map, read_probe, read_tip
 from dvf_ig.io.ecg.recording import read_ecg
 from dvf_ig.io.ecg.trigger import read_beat_source, split_ecg
 from dvf_ig.io.landmarks import read_landmarks
@@ -193,6 +193,20 @@ def read_latency_source(
             folder / source.tracker, folder / source.video, folder / source.lines, names
         )
     return float(source)
+
+
+def read_device_place(path: Path) -> Rigid:
+    """Read tracker_from_device that `dvf-ig calibrate device` wrote.
+
+    Raises:
+        UnreadableFileError: a transform between other frames.
+    """
+    place = read_landmark_map(path)
+    if (place.target, place.source) != ("tracker", "device"):
+        raise UnreadableFileError(
+            f"{path} is {place.name}; needed tracker_from_device: dvf-ig calibrate device POINTS -o FILE"
+        )
+    return place
 
 
 def read_tip_source(source: str | PivotConfig, folder: Path, tool: str) -> Points | PoseStream:

@@ -155,6 +155,7 @@ KEYS: dict[str, Key] = {
                                SOURCE, "--latency --lag-s FILE|SECONDS"),
     "calibration.tip": Key("of the tool, mm in its own frame; a force needs it", "", "tip.json", FILE,
                            "--tip FILE"),
+    "calibration.device": Key("place of a haptic device, for `serve --device`", "", "device.json", FILE),
     "start.transform": Key("coarse mr_from_tracker, within 10 mm or so: ITK .tfm or .h5", "landmarks",
                            "start.tfm", FILE, "--start FILE"),
     "start.landmarks_mr": Key("three points or more, marked on the images or model", "touched points",
@@ -372,6 +373,7 @@ class CalibrationConfig(Section):
     probe: ProbeSource | None = None
     latency: LatencySource | None = None
     tip: TipSource | None = None
+    device: FileName | None = None
 
 
 class StartConfig(Section):

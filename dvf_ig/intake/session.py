@@ -176,7 +176,7 @@ def _live_files(config: SessionConfig, folder: Path, path: Path) -> SessionFiles
         )
     files = _read_all(config, folder, str(path), "live")
     for part in PARTS:
-        if part.live and not part.is_there(files):
+        if part.live and part.needed_for and not part.is_there(files):
             raise part.missing_error
     require_orientation(config.live, config.calibration.probe, folder)
     return files

@@ -16,6 +16,7 @@ import numpy as np
 
 from dvf_ig.core import FloatArray
 from dvf_ig.guidance import SupervisorState
+from dvf_ig.guidance.servo import SentForce
 from dvf_ig.session import GuidanceState
 
 from .igtl import Message, Status, StatusCode, Text, Transform
@@ -60,13 +61,20 @@ def force_message(force_n: FloatArray, stamp_s: float | None) -> Message:
     return Message(FORCE_NAME, stamp_s, Transform(matrix))
 
 
-def state_messages(state: GuidanceState, stamp_s: float, *problems: str | None) -> tuple[Message, ...]:
+def state_messages(
+    state: GuidanceState, stamp_s: float, *problems: str | None, sent: SentForce | None = None
+) -> tuple[Message, ...]:
     """STATUS and STRING.
 
     Args:
+        sent: force of a haptic device's own servo, whose state and reasons count then.
         problems: what else is wrong, a sentence each: with the session's record, with who sends the tool.
     """
     supervisor, numbers = state.supervisor, state_numbers(state)
+    if sent is not None:
+        supervisor = sent.state
+        numbers["supervisor"] = numbers["servo"] = supervisor.name
+        numbers["reasons"] = [*sent.hazards.sentences, *state.registration_reasons]
     numbers["reasons"] += [problem for problem in problems if problem is not None]
     text = json.dumps(numbers, allow_nan=False)
     status = Status(

@@ -3,6 +3,7 @@
     arrivals ─► events ─► Session.push        each with its arrival, so that clocks that run away are found
     now      ─► Session.state                 at every tool pose, and STATE_EVERY_S without one
     state    ─► force, pose, state to the peers, at most ANSWERS_HZ
+                and inputs to the servo of a haptic device, whose tip is then the tool (`haptic`)
 
 Nothing here waits for a peer or a registration. It begins with the first tool pose: before, no
 tool is lost. However it ends, the last that it sends is no force, and why.
@@ -14,13 +15,16 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from math import inf
 
-from dvf_ig.core import DvfIgError
+from dvf_ig.core import DvfIgError, FloatArray
+from dvf_ig.guidance import SupervisorState
+from dvf_ig.guidance.servo import SentForce
 from dvf_ig.guidance.servo.inputs import VALID_FOR_S
 from dvf_ig.io import limits
 from dvf_ig.session import Event, GuidanceState, Landmark, Rearm, Session, ToolPose
 
 from .answers import force_message, last_messages, pose_message, state_messages
 from .events import EventSource
+from .haptic import HapticTool
 from .link import Inbox, Link
 from .priority import SESSION, schedule_first
 from .record import NO_RECORD, Record
@@ -46,11 +50,23 @@ class Answer:
         latency_s: from the arrival of the newest tool pose in it until it was handed to the network; NaN
             where no new one was in it.
         offset_s: the clock of the tool's peer less the session's.
+        sent: force of a haptic device's own servo; None without a device.
     """
 
     state: GuidanceState
     latency_s: float
     offset_s: float
+    sent: SentForce | None = None
+
+    @property
+    def force_n(self) -> FloatArray:
+        """(3,) N on the tool, frame "tracker"."""
+        return self.state.force_n if self.sent is None else self.sent.force_n
+
+    @property
+    def supervisor(self) -> SupervisorState:
+        """State of the servo whose force it is."""
+        return self.state.supervisor if self.sent is None else self.sent.state
 
 
 @dataclass(slots=True)
@@ -65,6 +81,7 @@ class LiveLoop:
         observe: called with every answer, `watch` with every event that was pushed.
         tell: called with a sentence about what cannot be used.
         record: receives everything in order.
+        haptic: device that is the tool; None if the peers send the tool's poses.
     """
 
     session: Session
@@ -77,6 +94,7 @@ class LiveLoop:
     watch: Callable[[Event], None] = lambda _: None
     landmarks: tuple[Landmark, ...] = ()
     record: Record = NO_RECORD
+    haptic: HapticTool | None = None
     clock: Callable[[], float] = time.monotonic
     began: bool = False
     refused: int = 0
@@ -101,7 +119,9 @@ class LiveLoop:
         self._withdraw("the session has ended")
 
     def _withdraw(self, sentence: str) -> None:
-        """The last messages; nothing that can fail is asked for them."""
+        """The last messages; nothing that can fail is asked for them. A device's force ends before."""
+        if self.haptic is not None:
+            self.haptic.withdraw(sentence)
         shown = sentence.encode("ascii", "replace").decode()[:SENTENCE_CHARACTERS]
         stamp_s = min(max(0.0, self.clock() + self.source.tool_offset_s), limits.WIRE_TIME_S)
         self.link.send_last(last_messages(shown, stamp_s))
@@ -120,6 +140,10 @@ class LiveLoop:
         now_s = self.clock()
         for event in (*self.source.overdue(now_s), *self.more_events()):
             self._push(event)
+        if self.haptic is not None:
+            for event in self.haptic.poses(now_s):
+                tool_came |= self._push(event)
+            self._rearm_asked |= self.haptic.rearm_pressed()
         if not self.began:
             return
         if self._rearm_asked:
@@ -130,6 +154,9 @@ class LiveLoop:
     def _push(self, event: LiveEvent) -> bool:
         """Whether the event was of the tool."""
         tool = isinstance(event.event, ToolPose)
+        if self.haptic is not None and isinstance(event.event, ToolPose) and not event.event.by_encoders:
+            self.haptic.follow(event.event)
+            return False
         if tool and not self.began:
             self.began = True
             for landmark in self.landmarks:
@@ -172,27 +199,33 @@ class LiveLoop:
         self._state_s = now_s
         state = self.session.state(now_s)
         self.record.state(state)
+        if self.haptic is not None:
+            self.haptic.publish(state)
         return state
 
     def _answer(self, state: GuidanceState) -> None:
         offset_s = self.source.tool_offset_s - self.session.clock_correction_s(ToolPose)
         stamp_s = max(0.0, state.now_s + offset_s)
-        messages = [*pose_message(state, stamp_s), force_message(state.force_n, stamp_s)]
+        sent = None if self.haptic is None else self.haptic.sent
+        force_n = state.force_n if sent is None else sent.force_n
+        messages = [*pose_message(state, stamp_s), force_message(force_n, stamp_s)]
         if state.now_s - self._states_sent_s >= STATES_SENT_EVERY_S:
             self._states_sent_s = state.now_s
             problems = (self.source.problem(state.now_s), self.record.problem)
-            messages += state_messages(state, stamp_s, *problems)
+            messages += state_messages(state, stamp_s, *problems, sent=sent)
         self.link.send(messages)
         sent_s = self._answer_s = self.clock()
         latency_s, self._tool_arrived_s = sent_s - self._tool_arrived_s, float("nan")
         self.record.answer(state)
-        self.observe(Answer(state, latency_s, offset_s))
+        self.observe(Answer(state, latency_s, offset_s, sent))
 
     def _rearm(self) -> None:
         self._rearm_asked = False
         event = Rearm(self.clock())
         self.record.event(event, None)
         self.session.push(event)
+        if self.haptic is not None:
+            self.haptic.rearm()
         self._advance()
 
 

@@ -18,6 +18,7 @@ from .answers import last_messages
 from .devices import DeviceNames, flips_between
 from .ecg.field import EcgField
 from .events import EventSource
+from .haptic import HapticTool
 from .igtl import encode
 from .igtl.codec import checksum
 from .link import LOOPBACK, Inbox, Link, connect, is_loopback, listen
@@ -47,6 +48,7 @@ class LiveOptions:
         observe: called with every answer, `watch` with every event, `tell` with a sentence about a problem.
         history: of registrations and beats; None keeps the last ones.
         record: receives everything in order.
+        haptic: device that is the tool, entered already; None if the peers send the tool's poses.
     """
 
     config: LiveConfig
@@ -57,6 +59,7 @@ class LiveOptions:
     tell: Callable[[str], None] = _nothing
     history: SessionHistory | None = None
     record: Record = NO_RECORD
+    haptic: HapticTool | None = None
     clock: Callable[[], float] = field(default=time.monotonic)
 
 
@@ -95,6 +98,7 @@ def live_session(setup: SessionSetup, options: LiveOptions) -> Iterator[LiveLoop
             watch=options.watch,
             landmarks=_touched(options),
             record=options.record,
+            haptic=options.haptic,
             clock=options.clock,
         )
 

@@ -51,9 +51,9 @@ class LiveSummary:
         """One answer that was sent."""
         self.answers += 1
         self.latency.add(answer.latency_s)
-        self.by_state[answer.state.supervisor.name] += 1
+        self.by_state[answer.supervisor.name] += 1
         self.by_status[answer.state.status] += 1
-        self.largest_n = max(self.largest_n, float(np.linalg.norm(answer.state.force_n)))
+        self.largest_n = max(self.largest_n, float(np.linalg.norm(answer.force_n)))
 
     def result(self, loop: LiveLoop) -> dict[str, Any]:
         """JSON values."""
@@ -82,7 +82,7 @@ class LiveSummary:
         """Table of the numbers for people."""
         latency = result["latency_ms"]
         usable = sum(one["usable"] for one in result["registrations"])
-        return [
+        rows: list[tuple[str, ...]] = [
             ("answers", str(result["answers"])),
             ("latency, tool pose in to force out", _latency(latency)),
             ("largest force", f"{self.largest_n:.2f} N"),
@@ -91,6 +91,23 @@ class LiveSummary:
             ("messages refused", str(result["messages_refused"])),
             ("messages dropped", f"{result['messages_dropped_in']} in, {result['messages_dropped_out']} out"),
         ]
+        return [*rows, *_device_rows(result["device"])] if "device" in result else rows
+
+
+def _device_rows(device: dict[str, Any]) -> list[tuple[str, ...]]:
+    """Rows of a haptic device's servo."""
+    late, deepest = device["lateness_us"], device["deepest_mm"]
+    depth = "–" if deepest is None else f"{deepest:.2f} mm"
+    return [
+        ("device", f"{device['name']}, {device['rate_hz']:.0f} Hz"),
+        ("servo's ticks", f"{device['ticks']}, {device['run_share']:.2%} of the deadlines"),
+        (
+            "lateness",
+            f"median {late['median']} us, p99 {late['p99']}, p99.9 {late['p999']}, max {late['max']:.0f}",
+        ),
+        ("force on the device", f"up to {device['largest_force_n']:.2f} N, deepest tip {depth}"),
+        ("latches", "; ".join(device["latches"]) or "none"),
+    ]
 
 
 def _ms(seconds: float | None) -> float | None:

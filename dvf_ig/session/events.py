@@ -97,10 +97,13 @@ class ToolPose:
     Attributes:
         t_s: when it was tracked.
         tracker_from_tool: (4, 4); None if the tracker did not report OK.
+        by_encoders: measured by a haptic device that is the tool: at rest it repeats bit by bit, and
+            ultrasound does not show it.
     """
 
     t_s: float
     tracker_from_tool: FloatArray | None
+    by_encoders: bool = False
 
     def __post_init__(self) -> None:
         _require_time(self.t_s, "a tool pose")

@@ -136,7 +136,8 @@ class Session:
         if isinstance(event, RespirationSample):
             return self._breathing.push(event)
         if isinstance(event, ToolPose):
-            self._tip.push(event)
+            if not event.by_encoders:
+                self._tip.push(event)
             return self._tool.push(event)
         if isinstance(event, TrackedFrame):
             first, used = not self._frames.any, self._frames.push(event)

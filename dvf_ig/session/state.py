@@ -123,6 +123,12 @@ class GuidanceState:
         sentences = self.supervised.sentences
         if self.supervisor is SupervisorState.LATCHED and self.rearmed is not None:
             sentences += (self.rearmed.value,)
+        return sentences + self.registration_reasons
+
+    @property
+    def registration_reasons(self) -> tuple[str, ...]:
+        """Why the pose is suspended, and why the last registration was not used."""
+        sentences: tuple[str, ...] = ()
         if self.doubt is not None:
             sentences += (self.doubt.sentence,)
         if self.registration is not None and not self.registration.usable:

@@ -163,7 +163,7 @@ class ToolTracker:
         if len(self._stamps_s) > 1:
             self._frame_s = median(after - before for before, after in pairwise(self._stamps_s))
         matrix = pose.tracker_from_tool
-        self._newest = self._hazard_of(matrix)
+        self._newest = self._hazard_of(matrix, pose.by_encoders)
         if matrix is None or self._newest:
             return
         rotation = matrix[:3, :3]
@@ -179,14 +179,15 @@ class ToolTracker:
         large = before.large and step.large
         self._back.append(large and float(before.moved_mm @ step.moved_mm) < 0.0)
 
-    def _hazard_of(self, matrix: FloatArray | None) -> Hazard:
+    def _hazard_of(self, matrix: FloatArray | None, by_encoders: bool) -> Hazard:
         if matrix is None:
             return Hazard.TOOL_LOST
         if not np.isfinite(matrix).all():
             return Hazard.NOT_FINITE
         if not is_rigid(matrix):
             return Hazard.TOOL_LOST
-        return Hazard.TOOL_FROZEN if self._repeated(matrix) else Hazard.NONE
+        frozen = self._repeated(matrix) and not by_encoders
+        return Hazard.TOOL_FROZEN if frozen else Hazard.NONE
 
     def _repeated(self, matrix: FloatArray) -> bool:
         """Check whether the pose has been the same, bit by bit, for FROZEN_POSES."""

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from haptic_toy import FollowingTool
 from live_toy import LATENCY_S, ORIGIN_S, LiveToy, arrival, arrivals_of
 from toy_session import GUIDED_S, HOME, run, toy_setup, toy_streams
 
@@ -227,6 +228,24 @@ def last_of(toy: LiveToy) -> tuple[float, StatusMessage]:
     assert isinstance(force, Transform)
     assert isinstance(status, StatusMessage)
     return float(np.linalg.norm(force.matrix[:3, 3])), status
+
+
+def test_answers_are_those_of_a_haptic_device_and_its_force_ends_first(toy):
+    toy.loop.haptic = haptic = FollowingTool()
+    toy.run(arrivals_of(toy_streams(2.0)), 2.0)
+    force = toy.sent.named("ToolForce")[-1].content.matrix[:3, 3]
+    assert force.tolist() == [0.1, 0.2, 0.3]
+    state = json.loads(toy.sent.named("DvfIgState")[-1].content.text)
+    assert state["servo"] == "LATCHED"
+    assert state["reasons"][0] == "the haptic device does not answer"
+    assert toy.answers[-1].supervisor is SupervisorState.LATCHED
+    toy.loop.ask_rearm()
+    toy.loop.step()
+    assert haptic.rearms == 1
+    stop = threading.Event()
+    stop.set()
+    toy.loop.run(stop)
+    assert haptic.ended == "the session has ended"
 
 
 def test_a_session_that_ends_withdraws_its_force(toy):

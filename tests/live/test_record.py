@@ -6,10 +6,11 @@ import time
 from io import BytesIO
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
+from haptic_toy import FollowingTool
 from live_toy import LiveToy, arrivals_of
 from toy_session import (
     ECG_HZ,
@@ -75,7 +76,9 @@ def attach(log: LogWriter) -> None:
     log.attach(LIVE, "application/json", live_document(setup.fixtures, setup.retiming, 7))
 
 
-def recorded(folder: Path, told: list[str], until_s: float) -> list[GuidanceState]:
+def recorded(
+    folder: Path, told: list[str], until_s: float, haptic: FollowingTool | None = None
+) -> list[GuidanceState]:
     """A session of the toy's patient with its record in a folder; what it said."""
     states: list[GuidanceState] = []
     with (
@@ -91,6 +94,7 @@ def recorded(folder: Path, told: list[str], until_s: float) -> list[GuidanceStat
 
         setattr(record, "state", state)  # noqa: B010
         toy.loop.record = record
+        toy.loop.haptic = cast(Any, haptic)
         arrivals = arrivals_of(toy_streams(until_s, chunk=5))
         toy.run(arrivals, until_s - 1.0)
         toy.loop.ask_rearm()
@@ -136,6 +140,22 @@ def test_repeated_from_its_record_a_session_says_the_same_to_the_last_bit(
     assert [bits(a) for a in again] == [bits(b) for b in states]
     assert any(state.force_n.any() for state in again)
     assert again[-1].rearmed is not None
+
+
+@pytest.mark.usefixtures("known_images")
+def test_session_whose_tool_is_a_haptic_device_is_repeated_too(tmp_path: Path) -> None:
+    haptic = FollowingTool()
+    states = recorded(tmp_path, [], 4.0, haptic)
+    assert haptic.published == len(states)
+    live = read(tmp_path / LOG).record
+    assert live is not None
+    poses = [step[0] for step in live.steps if isinstance(step, tuple) and isinstance(step[0], ToolPose)]
+    assert len(poses) > 100
+    assert all(pose.by_encoders for pose in poses)
+    again: list[GuidanceState] = []
+    with Session(toy_setup(), executor=AsRecorded(live.refused)) as session:
+        repeat(session, live, lambda _, state: again.append(state))
+    assert [bits(a) for a in again] == [bits(b) for b in states]
 
 
 def test_record_holds_what_was_answered_and_what_was_sent(run: tuple[Path, list[GuidanceState]]) -> None:

@@ -56,7 +56,7 @@ def test_recording_comes_over_loopback(scenario: Scenario) -> None:
 
         def send(messages: tuple[Message, ...]) -> None:
             server.send(messages)
-            if messages[0].stamp_s >= 1001.0:
+            if (messages[0].stamp_s or 0.0) >= 1001.0:
                 stop.set()
 
         link = cast("Link", SimpleNamespace(send=send))
@@ -235,3 +235,41 @@ def test_kinds_of_ecg_are_told_apart() -> None:
     assert isinstance(
         LiveConfig.model_validate({"ecg": {"tail": "x.csv", "rate_hz": 500}}).ecg, EcgTailConfig
     )
+
+
+@pytest.mark.usefixtures("toy_patient")
+def test_serve_drives_a_simulated_device_and_says_how_its_force_ended() -> None:
+    """The hand follows the poses of the tool that are sent; without a registration there is no force."""
+    with listen("127.0.0.1", 0, None) as server:
+        stop = threading.Event()
+
+        def send() -> None:
+            n = 0
+            while not stop.wait(0.01):
+                n += 1
+                pose = np.eye(4)
+                pose[0, 3] = 0.01 * n
+                server.send([Message(TOOL, 1000.0 + 0.01 * n, Transform(pose))])
+
+        sender = threading.Thread(target=send)
+        sender.start()
+        done = run(
+            "serve", "x", "--port", server.port, "--device", "simulated:omni", "--seconds", 2.0, "--json"
+        )
+        stop.set()
+        sender.join()
+    assert done.exit_code == 0, done.stderr
+    assert "simulated PHANToM Omni gives no force: the session has ended" in done.stderr
+    result = json.loads(done.stdout)
+    device = result["device"]
+    assert device["ticks"] > 0
+    assert device["largest_force_n"] == 0.0
+    assert device["ended"] == "the session has ended"
+    assert result["answers"] > 0
+
+
+@pytest.mark.usefixtures("toy_patient")
+def test_serve_refuses_a_device_that_is_missing_before_anything_is_connected() -> None:
+    done = run("serve", "x", "--device", "openhaptics", "--seconds", 0.1)
+    assert done.exit_code == 3
+    assert "install OpenHaptics" in done.stderr

@@ -167,3 +167,10 @@ def test_the_velocity_of_a_slow_tracker_is_finite(rate_hz: float) -> None:
         assert reading.hazard is Hazard.NONE
         assert np.isfinite(reading.velocity_mm_s).all()
         assert np.isfinite(reading.tip_tracker_mm).all()
+
+
+def test_a_device_at_rest_repeats_its_pose_and_is_not_frozen() -> None:
+    at_rest = [ToolPose(pose.t_s, pose_at(0.0), by_encoders=True) for pose in steady()]
+    readings = read(at_rest, np.arange(0.5, 1.5, 0.01))
+    assert all(reading.hazard is Hazard.NONE for reading in readings)
+    assert all(not reading.velocity_mm_s.any() for reading in readings)

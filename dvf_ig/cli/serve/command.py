@@ -5,7 +5,7 @@ import sys
 import threading
 from collections import deque
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -37,7 +37,9 @@ from .setup import live_setup
 from .undrained import queued_stderr
 
 if TYPE_CHECKING:
+    from dvf_ig.guidance.devices import HeldDevice
     from dvf_ig.intake.live import LiveConfig
+    from dvf_ig.live.haptic import HapticTool
     from dvf_ig.live.loop import Answer, LiveLoop
     from dvf_ig.live.record import Record
     from dvf_ig.live.summary import LiveSummary
@@ -110,6 +112,15 @@ def serve(
             "--log-file", callback=output_file, help="Append the messages with their times to this file."
         ),
     ] = None,
+    device: Annotated[
+        str | None,
+        typer.Option(
+            "--device",
+            metavar="[force-dimension|openhaptics|simulated[:premium|:omni]]",
+            help="Haptic device that is the tool and gives the force (guide, live session); a simulated one "
+            "is led by a hand that follows the tool's poses.",
+        ),
+    ] = None,
     law: LawOption = None,
     gamma: GammaOption = None,
     delta: DeltaOption = None,
@@ -130,10 +141,12 @@ def serve(
     Sends MrFromTracker and ToolForce (TRANSFORM, at most 60 a second), DvfIg (STATUS) and DvfIgState
     (STRING). Other machines are refused unless --allow names them. At the end latency and counts are printed.
     It reports who connects, registrations, and whenever force is given, released or latched, with the reason.
-    In a terminal, r and Enter re-arms after a latch; the network never does.
+    In a terminal, r and Enter re-arms after a latch, as does a device's button; the network never does.
     """
-    with queued_stderr(), command(threads), logged(log_level, log_file):
+    with queued_stderr(), command(threads), logged(log_level, log_file), ExitStack() as stack:
+        from dvf_ig.guidance.devices import limits_of, open_device
         from dvf_ig.intake import read_session
+        from dvf_ig.live.haptic import place_of
         from dvf_ig.live.serve import require_allowed
 
         require_own_model(session, model)
@@ -149,11 +162,15 @@ def serve(
         changes["allow"] = None if not allow else (*files.required_live.allow, *allow)
         live = files.required_live.model_copy(update={key: v for key, v in changes.items() if v is not None})
         require_allowed(live)
+        hardware = None if device is None else stack.enter_context(closing(open_device(device)))
+        if hardware is not None:
+            place_of(hardware, files.device)
+            options = replace(options, device=limits_of(hardware, options.device))
         ready = live_setup(files, model, with_margin(options, margin), mode, seed)
         typer.echo(ready.origin, err=True)
         for found in ready.findings:
             warn(f"{found.key}: {found.sentence}")
-        _serve(ready, live, page, seconds, out, as_json=as_json)
+        _serve(ready, live, page, seconds, out, hardware, as_json=as_json)
 
 
 def _serve(
@@ -162,6 +179,7 @@ def _serve(
     page: int | None,
     seconds: float | None,
     out: Path | None,
+    hardware: "HeldDevice | None",
     *,
     as_json: bool,
 ) -> None:
@@ -175,11 +193,11 @@ def _serve(
 
     summary, history = LiveSummary(), SessionHistory(REMEMBERED if out is None else None)
     if out is None:
-        result = _run_session(ready, live, page, seconds, summary, history, NO_RECORD)
+        result = _run_session(ready, live, page, seconds, summary, history, NO_RECORD, hardware)
         failure = None
     else:
         with recorded_session(out, ready) as record:
-            result = _run_session(ready, live, page, seconds, summary, history, record)
+            result = _run_session(ready, live, page, seconds, summary, history, record, hardware)
         failure = record.failure
         result["record"] = {"folder": str(out), "lost": record.lost, "failure": failure}
     last = history.last_registration
@@ -205,6 +223,7 @@ def _run_session(
     summary: "LiveSummary",
     history: "SessionHistory",
     record: "Record",
+    hardware: "HeldDevice | None",
 ) -> dict[str, Any]:
     """Until it ends; what it did, as JSON values."""
     from dvf_ig.live.ecg.source import ecg_events
@@ -223,12 +242,14 @@ def _run_session(
             feed.observe(answer)
 
     with ExitStack() as stack:
-        end_requested = stack.enter_context(_end_requests())
         tell = stack.enter_context(counted(LOG.warning))
+        haptic = None if hardware is None else stack.enter_context(_haptic_tool(ready, hardware))
+        end_requested = stack.enter_context(_end_requests(haptic))
         ecg = stack.enter_context(ecg_events(live, ready.files.folder, tell))
         options = LiveOptions(
             live, ready.landmarks, ecg=ecg, observe=observe, tell=tell, history=history, record=record
         )
+        options = replace(options, haptic=haptic)
         if feed is not None:
             options = replace(options, watch=feed.event)
         if feed is not None and page is not None:
@@ -241,12 +262,34 @@ def _run_session(
         def look() -> None:
             names = [peer.name for peer in loop.link.peers]
             narrator.peers(names, loop.link.last_end)
-            if newest:
+            if newest and haptic is None:  # a device reports its own servo
                 narrator.state(newest[-1].state)
 
         stack.enter_context(narrated(look))
-        _run(loop, seconds, end_requested)
-        return summary.result(loop)
+        try:
+            _run(loop, seconds, end_requested)
+        finally:
+            if haptic is not None:
+                LOG.info(f"{haptic.device.name} gives no force: {haptic.ended}")
+                if feed is not None:
+                    feed.end(haptic.ended)
+        result = summary.result(loop)
+    return result if haptic is None else {**result, "device": haptic.result()}
+
+
+def _haptic_tool(ready: "LiveSetup", hardware: "HeldDevice") -> "HapticTool":
+    """The device as the session's tool, within its limits."""
+    from dvf_ig.guidance import Fixtures
+    from dvf_ig.live.haptic import HapticTool, place_of
+
+    setup = ready.setup
+    if hardware.ends_force_after_s is None:
+        LOG.warning(
+            f"{hardware.name} does not state that it ends the force by itself if this program is killed"
+        )
+    fixtures = Fixtures(setup.heart.model, setup.fixtures)
+    place = place_of(hardware, ready.files.device)
+    return HapticTool(hardware, fixtures, setup.device, place, setup.calibrations.tip, LOG.warning)
 
 
 def _tell_where(live: "LiveConfig", loop: "LiveLoop") -> None:
@@ -269,18 +312,24 @@ def _run(loop: "LiveLoop", seconds: float | None, end_requested: Callable[[], bo
 
 
 @contextmanager
-def _end_requests() -> Iterator[Callable[[], bool]]:
+def _end_requests(haptic: "HapticTool | None") -> Iterator[Callable[[], bool]]:
     """Note Ctrl-C and the signals that end a program; a session answers them after its last messages.
 
-    Nothing is raised from a handler, so that no step of the end can be interrupted. A signal that the
-    program was started to ignore (nohup) stays ignored.
+    A haptic device's force ends at once. Nothing is raised from a handler, so that no step of the end can be
+    interrupted. A signal that the program was started to ignore (nohup) stays ignored.
     """
     received: list[int] = []
     if threading.current_thread() is not threading.main_thread():
         yield lambda: False
         return
+
+    def note(number: int, _: object) -> None:
+        received.append(number)
+        if haptic is not None:
+            haptic.withdraw(f"ended by {signal.Signals(number).name}")
+
     heeded = [one for one in ENDING if signal.getsignal(one) is not signal.SIG_IGN]
-    before = {one: signal.signal(one, lambda number, _: received.append(number)) for one in heeded}
+    before = {one: signal.signal(one, note) for one in heeded}
     try:
         yield lambda: bool(received)
     finally:

@@ -11,20 +11,38 @@ from pathlib import Path
 
 import numpy as np
 
+from dvf_ig.guidance.device import DeviceLimits
 from dvf_ig.kernels.servo import force_dimension as kernel
 
 from .vendor_library import VendorLibraryError, address_of, load_vendor_library
 
 VENDOR = "the Force Dimension SDK"
 LIBRARY = "libdhd.so"
-FUNCTIONS = ("dhdOpen", "dhdClose", "dhdGetPosition", "dhdSetForce", "dhdEnableForce", "dhdErrorGetLastStr")
+FUNCTIONS = (
+    "dhdOpen",
+    "dhdClose",
+    "dhdGetPosition",
+    "dhdGetButton",
+    "dhdSetForce",
+    "dhdEnableForce",
+    "dhdSetWatchdog",
+    "dhdErrorGetLastStr",
+)
 ADVICE = (
     "install the SDK from forcedimension.com and set FORCEDIM_SDK to its folder (forcedimension-core wants "
     "it too), or give the path of libdhd.so"
 )
+FASTEST_HZ = 4000.0
+"""Rate at which its controller exchanges positions and forces (SDK documentation)."""
 LATENCY_S = 0.001
 """A USB frame from command to motor, and one from encoder to reading, half a millisecond each on average; not
 measured here."""
+
+
+WATCHDOG_STEP_S = 125e-6
+WATCHDOG_STEPS = 120
+"""The device's own watchdog ends the force 15 ms after the last command, also after the program was killed:
+later than the servo's, which has latched by then."""
 
 
 class ForceDimensionDevice:
@@ -38,6 +56,8 @@ class ForceDimensionDevice:
     """
 
     name = "Force Dimension device"
+    rate_hz = FASTEST_HZ
+    limits: DeviceLimits | None = None
 
     def __init__(self, path: str | Path | None = None, *, latency_s: float = LATENCY_S) -> None:
         self.latency_s = latency_s
@@ -48,14 +68,28 @@ class ForceDimensionDevice:
             raise VendorLibraryError(
                 f"no Force Dimension device opened: {self._error()}; connect one and switch it on"
             )
-        if self._library.dhdEnableForce(ctypes.c_ubyte(1), ctypes.c_byte(self._id)) < 0:
-            self.close()
-            raise VendorLibraryError(f"the Force Dimension device does not enable forces: {self._error()}")
+        self.ends_force_after_s: float | None = None
+        self.enable_force()
         self.functions = np.array([kernel.read_force_dimension.address, kernel.write_force_dimension.address])
         self.context = np.zeros(kernel.CONTEXT_SIZE, dtype=np.int64)
         self.context[kernel.GET_POSITION] = address_of(self._library, "dhdGetPosition")
         self.context[kernel.SET_FORCE] = address_of(self._library, "dhdSetForce")
+        self.context[kernel.GET_BUTTON] = address_of(self._library, "dhdGetButton")
         self.context[kernel.DEVICE] = self._id
+
+    def enable_force(self) -> None:
+        """Switch forces on, and the device's own watchdog, which switches them off when it expires."""
+        if self._library.dhdEnableForce(ctypes.c_ubyte(1), ctypes.c_byte(self._id)) < 0:
+            reason = self._error()
+            self.close()
+            raise VendorLibraryError(f"the Force Dimension device does not enable forces: {reason}")
+        watched = self._library.dhdSetWatchdog(ctypes.c_ubyte(WATCHDOG_STEPS), ctypes.c_byte(self._id)) >= 0
+        self.ends_force_after_s = WATCHDOG_STEPS * WATCHDOG_STEP_S if watched else None
+
+    @property
+    def pressed(self) -> bool:
+        """State of its first button, as the servo read it last."""
+        return int(self.context[kernel.PRESSED]) > 0
 
     def close(self) -> None:
         """Switch forces off and let go of the device; a second time does nothing."""

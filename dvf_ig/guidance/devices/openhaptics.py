@@ -12,6 +12,7 @@ from typing import ClassVar
 import numpy as np
 
 from dvf_ig.core import IntArray
+from dvf_ig.guidance.device import MM_PER_M, DeviceLimits
 from dvf_ig.kernels.servo import openhaptics as kernel
 
 from .vendor_library import VendorLibraryError, address_of, load_vendor_library
@@ -30,6 +31,7 @@ FUNCTIONS = (
     "hdBeginFrame",
     "hdEndFrame",
     "hdGetDoublev",
+    "hdGetIntegerv",
     "hdSetDoublev",
     "hdGetError",
 )
@@ -38,6 +40,8 @@ ADVICE = (
     "the path of libHD.so"
 )
 HD_FORCE_OUTPUT = 0x4000
+HD_NOMINAL_MAX_STIFFNESS = 0x2602
+HD_NOMINAL_MAX_CONTINUOUS_FORCE = 0x2604
 HD_INVALID_HANDLE = 0xFFFFFFFF
 HD_MAX_SCHEDULER_PRIORITY = 0xFFFF
 LATENCY_S = 0.0015
@@ -45,6 +49,7 @@ LATENCY_S = 0.0015
 the link's; not measured here."""
 
 LOST_AFTER_S = 0.02
+SCHEDULER_HZ = 1000.0
 
 
 class _ErrorInfo(ctypes.Structure):
@@ -67,6 +72,10 @@ class OpenHapticsDevice:
         VendorLibraryError: no library, or a device that does not open.
     """
 
+    rate_hz = SCHEDULER_HZ
+    ends_force_after_s: float | None = None
+    """No function of the library states or sets it."""
+
     def __init__(
         self,
         configured: str | None = None,
@@ -86,6 +95,7 @@ class OpenHapticsDevice:
                 f"{self.name} does not open (HD error 0x{code:04X}); connect it, and set it up with the "
                 "driver's Touch_Setup and Touch_Diagnostic"
             )
+        self.limits = _limits(library, self.name)
         self.context = np.zeros(kernel.CONTEXT_SIZE, dtype=np.int64)
         self.functions = np.array([kernel.read_openhaptics.address, kernel.write_openhaptics.address])
         self.context[kernel.HANDLE] = handle
@@ -96,6 +106,7 @@ class OpenHapticsDevice:
             (kernel.END_FRAME, "hdEndFrame"),
             (kernel.GET_DOUBLES, "hdGetDoublev"),
             (kernel.SET_DOUBLES, "hdSetDoublev"),
+            (kernel.GET_INTEGERS, "hdGetIntegerv"),
             (kernel.GET_ERROR, "hdGetError"),
         ):
             self.context[at] = address_of(library, name)
@@ -112,6 +123,14 @@ class OpenHapticsDevice:
         """The first HD error that the scheduler's callback met; 0 none."""
         return int(self.context[kernel.ERROR])
 
+    def enable_force(self) -> None:
+        """No watchdog switches its forces off."""
+
+    @property
+    def pressed(self) -> bool:
+        """Whether any of its buttons is pressed."""
+        return int(self.context[kernel.BUTTONS]) != 0
+
     def close(self) -> None:
         """Switch forces off and let go of the device; a second time does nothing."""
         self._let_go()
@@ -125,11 +144,30 @@ def _let_go(library: ctypes.CDLL, handle: int, scheduled: int, context: IntArray
     library.hdDisableDevice(handle)
 
 
+def _limits(library: ctypes.CDLL, name: str) -> DeviceLimits | None:
+    """Limits that the driver states (N/mm and N); None if it states none."""
+    stated = []
+    for parameter in (HD_NOMINAL_MAX_STIFFNESS, HD_NOMINAL_MAX_CONTINUOUS_FORCE):
+        value = ctypes.c_double(0.0)
+        library.hdGetDoublev(parameter, ctypes.byref(value))
+        stated.append(value.value)
+    if library.hdGetError().error_code != 0 or not all(value > 0.0 for value in stated):
+        return None
+    stiffness, force_n = stated
+    return DeviceLimits(
+        rate_hz=SCHEDULER_HZ,
+        stiffness_n_per_m=MM_PER_M * stiffness,
+        continuous_force_n=force_n,
+        name=name,
+    )
+
+
 def _declare(library: ctypes.CDLL) -> None:
     library.hdInitDevice.argtypes, library.hdInitDevice.restype = [ctypes.c_char_p], ctypes.c_uint
     library.hdDisableDevice.argtypes, library.hdDisableDevice.restype = [ctypes.c_uint], None
     library.hdEnable.argtypes = library.hdDisable.argtypes = [ctypes.c_uint]
     library.hdEnable.restype = library.hdDisable.restype = None
+    library.hdGetDoublev.argtypes, library.hdGetDoublev.restype = [ctypes.c_uint, ctypes.c_void_p], None
     library.hdStartScheduler.restype = library.hdStopScheduler.restype = None
     library.hdGetError.restype = _ErrorInfo
     schedule = library.hdScheduleAsynchronous

@@ -2,6 +2,8 @@
 
 from typing import Any, Protocol
 
+from dvf_ig.guidance.device import DeviceLimits
+
 
 class HapticDevice(Protocol):
     """An open haptic device, driven by two C functions so that no tick waits for Python.
@@ -29,3 +31,30 @@ class HapticDevice(Protocol):
 
     def close(self) -> None:
         """Switch forces off and let go of the device; a second time does nothing."""
+
+
+class HeldDevice(HapticDevice, Protocol):
+    """Haptic device that a person holds: it also states its limits and has a button.
+
+    Attributes:
+        rate_hz: rate at which a servo drives it.
+        limits: what it can render; None if its library does not say.
+        ends_force_after_s: time after the last command at which the device itself ends the force, also after
+            a killed process; None if it does not.
+        pressed: state of its button.
+    """
+
+    @property
+    def rate_hz(self) -> float: ...
+
+    @property
+    def limits(self) -> DeviceLimits | None: ...
+
+    @property
+    def ends_force_after_s(self) -> float | None: ...
+
+    @property
+    def pressed(self) -> bool: ...
+
+    def enable_force(self) -> None:
+        """Switch forces on again after its own watchdog has expired; while a servo sends commands."""

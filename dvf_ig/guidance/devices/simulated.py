@@ -144,6 +144,9 @@ OMNI = SimulatedDevice("PHANToM Omni", 0.045, 0.005, 0.26, 0.055, 3.3, continuou
 largest (3.3 N) and continuous force (0.88 N). No viscous friction is published: that of the Premium is
 used."""
 
+FASTEST_MM_S = 200.0
+"""Speed of a hand up to which the limits of a simulated stylus hold."""
+
 DEVICES = {"premium": PREMIUM, "omni": OMNI}
 """Simulated devices by name."""
 
@@ -195,8 +198,9 @@ class SimulatedStylus:
         longest_s = (kernel.QUEUE_LENGTH - 2) / device.rate_hz
         if not 0.0 <= delay_s <= longest_s:
             raise InvalidInputError(f"the device's delay is {delay_s:g} s; needed 0 to {longest_s:g} s")
-        self.device = device
+        self.device, self.rate_hz = device, device.rate_hz
         self.name = f"simulated {device.name}"
+        self.pressed = False
         self.latency_s = delay_s
         self.context = np.zeros(kernel.CONTEXT_SIZE, dtype=np.int64)
         self.functions = np.array([kernel.read_simulated.address, kernel.write_simulated.address])
@@ -214,6 +218,17 @@ class SimulatedStylus:
         self.hold(hand)
 
     @property
+    def limits(self) -> DeviceLimits:
+        """Its continuous force, and the largest stiffness at which it is passive up to FASTEST_MM_S."""
+        whole = self.device.limits(fastest_mm_s=FASTEST_MM_S)
+        return DeviceLimits(
+            rate_hz=self.rate_hz,
+            stiffness_n_per_m=MM_PER_M * whole.allowed_stiffness_n_per_mm,
+            continuous_force_n=whole.continuous_force_n,
+            name=self.name,
+        )
+
+    @property
     def _numbers(self) -> FloatArray:
         return self.context.view(np.float64)
 
@@ -222,6 +237,10 @@ class SimulatedStylus:
         """(3,) true position now, frame "device"."""
         return self._numbers[:3].copy()
 
+    def place(self, position_mm: FloatArray) -> None:
+        """Put the tip at (3,) mm, at rest; for a stylus that no servo drives yet."""
+        self._numbers[:6] = np.append(position_mm, np.zeros(3))
+
     def hold(self, hand: Hand) -> None:
         """Another hand from now on."""
         numbers = self._numbers
@@ -229,6 +248,14 @@ class SimulatedStylus:
         numbers[kernel.HAND_MM : kernel.HAND_MM + 3] = hand.place_mm
         numbers[kernel.HAND_STIFFNESS] = hand.stiffness_n_per_m / MM_PER_M
         numbers[kernel.HAND_DAMPING] = hand.damping_n_s_per_m / MM_PER_M
+
+    def enable_force(self) -> None:
+        """No watchdog switches its forces off."""
+
+    @property
+    def ends_force_after_s(self) -> float:
+        """It ends with its program."""
+        return 0.0
 
     def close(self) -> None:
         """No resource is open."""

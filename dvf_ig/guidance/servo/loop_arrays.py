@@ -91,6 +91,20 @@ class LoopArrays:
             histogram=np.zeros_like(self.histogram),
         )
 
+    def unused(self) -> "LoopArrays":
+        """Copy for a loop that has not run, in which nothing has been published."""
+        inputs, numbers = np.zeros(1, INPUTS), np.zeros_like(self.numbers)
+        inputs["valid_until_s"], inputs["pose_and_phase"]["pose_until_s"] = np.inf, -np.inf
+        kept = [kernel.LATE_NS, kernel.SILENT_NS, kernel.WATCHED]
+        numbers[kept] = self.numbers[kept]
+        return replace(
+            self,
+            counter=shared.new_counter(),
+            published=inputs,
+            numbers=numbers,
+            histogram=np.zeros_like(self.histogram),
+        )
+
     def new_scratch(self) -> Scratch:
         """Memory before the first tick, and working space."""
         return new_scratch(len(self.bound.packed))

@@ -1,5 +1,6 @@
 """Record of a servo's ticks, and how late they were."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -55,6 +56,12 @@ def deadlines_of(lateness_us: FloatArray, skipped: int) -> Deadlines:
     """Summarise ticks timed one by one."""
     bins = np.minimum(np.maximum(lateness_us, 0.0).astype(np.int64), BINS - 1)
     return Deadlines(np.bincount(bins, minlength=BINS), float(np.max(lateness_us, initial=0.0)), skipped)
+
+
+def deadlines_together(parts: Sequence[Deadlines]) -> Deadlines:
+    """Summarise the ticks of one or several loops that ran one after another."""
+    counts = np.sum([part.counts for part in parts], axis=0)
+    return Deadlines(counts, max(part.worst_us for part in parts), sum(part.skipped for part in parts))
 
 
 @read_only_arrays

@@ -1,5 +1,6 @@
 """Servo of a haptic device: starts, feeds and ends the real-time loop."""
 
+import copy
 import os
 import sys
 import threading
@@ -99,13 +100,28 @@ class Servo:
         self.realtime = False
         """The machine schedules this servo before all ordinary programs."""
         self._read_to = 0
+        self._latched = False
+
+    def successor(self) -> "Servo":
+        """Return a servo for the same device and fixtures, once this one has ended.
+
+        It begins latched: after a watchdog has tripped, an operator's `rearm` of it gives a force again.
+        """
+        new = copy.copy(self)
+        new._loop, new._ring, new._threads = self._loop.unused(), np.zeros_like(self._ring), []
+        new._read_to, new._latched = 0, True
+        return new
 
     def __enter__(self) -> "Servo":
         if self._threads or self._loop.numbers[kernel.STOP]:
             raise InvalidInputError("a servo runs once; make a new one")
         loop = self._loop
         self._warm_up()
-        self._begin("dvf-ig servo", kernel.run_servo, *loop.arguments(loop.new_scratch(), self._ring))
+        scratch = loop.new_scratch()
+        if self._latched:
+            memory = scratch.memory["supervision"]
+            memory["state"], memory["cause"] = SupervisorState.LATCHED, Hazard.MISSED_DEADLINES
+        self._begin("dvf-ig servo", kernel.run_servo, *loop.arguments(scratch, self._ring))
         if self._watchdog:
             watched = (loop.functions, loop.context, loop.numbers)
             self._begin("dvf-ig watchdog", kernel.watch, *watched, CHECK_NS)
@@ -114,21 +130,26 @@ class Servo:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        shared.store_number(self._loop.numbers, kernel.STOP, 1)
+        self.withdraw()
         for thread in self._threads:
             thread.join()
 
-    def publish(self, inputs: ServoInputs) -> None:
-        """Tell the servo what the session knows now; never waits.
+    def publish(self, inputs: ServoInputs, clock_s: float | None = None) -> None:
+        """Hand the servo what the session knows; never waits.
 
-        `inputs.now_s` is taken to be this moment of the session's clock.
+        Args:
+            clock_s: the machine's monotonic clock at `inputs.now_s`; None: now.
         """
-        self._loop.publish(inputs, time.monotonic_ns() * 1e-9)
+        self._loop.publish(inputs, time.monotonic_ns() * 1e-9 if clock_s is None else clock_s)
+
+    def withdraw(self) -> None:
+        """Stop for good: the next tick sends no force; from any thread, also within a signal's handler."""
+        shared.store_number(self._loop.numbers, kernel.STOP, 1)
 
     def rearm(self) -> RearmAnswer:
         """An operator's request to leave LATCHED, judged by the servo in its next tick.
 
-        A servo whose watchdog has tripped is not re-armed: stop it, find out why, and start a new one.
+        A servo whose watchdog has tripped is not re-armed: end it, and re-arm its `successor`.
         """
         request = shared.load_number(self._loop.numbers, kernel.REARM_ASKED) + 1
         shared.store_number(self._loop.numbers, kernel.REARM_ASKED, request)
@@ -163,6 +184,11 @@ class Servo:
             sent = self.read().newest() or sent
         hazards = Hazard.MISSED_DEADLINES | (sent.hazards if sent is not None else Hazard.NONE)
         return SentForce(self._now_s(), np.zeros(3), SupervisorState.LATCHED, hazards)
+
+    @property
+    def silent(self) -> bool:
+        """No force has been sent for too long: the last one counts as zero, latched."""
+        return bool(kernel.silent_too_long(self._loop.numbers, _elapsed_ns()))
 
     @property
     def ticks(self) -> int:

@@ -74,6 +74,8 @@ class EventKind(IntEnum):
     TOOL = 2
     LANDMARK = 3
     REARM = 4
+    DEVICE = 5
+    """Pose of a tool that is a haptic device, by its encoders."""
 
 
 class LiveDocument(Section):
@@ -134,6 +136,8 @@ def event_messages(event: Event, arrived_s: float) -> Iterator[Timed]:
 
 
 def _kind(event: Event) -> EventKind:
+    if isinstance(event, ToolPose) and event.by_encoders:
+        return EventKind.DEVICE
     for kind, types in (
         (EventKind.ECG, EcgSamples | Trigger),
         (EventKind.FRAME, TrackedFrame),

@@ -97,8 +97,8 @@ class _Reading:
         if kind is EventKind.ECG:
             return EcgSamples(t_s, self.numbers)
         pose = _matrix(self.numbers)
-        if kind is EventKind.TOOL:
-            return ToolPose(t_s, pose)
+        if kind in (EventKind.TOOL, EventKind.DEVICE):
+            return ToolPose(t_s, pose, kind is EventKind.DEVICE)
         cut_off = self.images and self.image is None and self.numbers[-1] == 1.0
         return None if cut_off else TrackedFrame(t_s, self.image, pose)
 

@@ -6,14 +6,19 @@ import numpy as np
 from numba import carray
 
 from .device_call import device_function
-from .foreign import call_get_position, call_set_force
+from .foreign import call_get_button, call_get_position, call_set_force
 
 # Offsets in its context.
 GET_POSITION = 0
 SET_FORCE = 1
 DEVICE = 2
 SCRATCH = 3
-CONTEXT_SIZE = 6
+GET_BUTTON = 6
+PRESSED = 7
+READS = 8
+CONTEXT_SIZE = 9
+READS_PER_BUTTON = 32
+"""The button is read with every 32nd position: a person presses it for 0.1 s and longer."""
 MM_PER_M = 1000.0
 
 
@@ -29,6 +34,9 @@ def read_force_dimension(context: Any, now_ns: int, out: Any) -> int:
         return 1
     for k in range(3):
         position[k] = MM_PER_M * numbers[SCRATCH + k]
+    if c[READS] % READS_PER_BUTTON == 0:
+        c[PRESSED] = call_get_button(c[GET_BUTTON], c[DEVICE])
+    c[READS] += 1
     return 0
 
 

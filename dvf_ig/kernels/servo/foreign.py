@@ -51,6 +51,17 @@ def call_set_force(typing: Any, address: int, x: float, y: float, z: float, devi
 
 
 @intrinsic
+def call_get_button(typing: Any, address: int, device: int) -> Any:
+    """int dhdGetButton(int index, char id) of the first button: 1 while it is pressed."""
+
+    def build(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        function = _function(builder, args[0], _INT32, _INT32, _INT8)
+        return builder.call(function, [ir.Constant(_INT32, 0), builder.trunc(args[1], _INT8)])
+
+    return types.int32(types.int64, types.int64), build
+
+
+@intrinsic
 def call_with_handle(typing: Any, address: int, handle: int) -> Any:
     """void hdBeginFrame(HHD), void hdEndFrame(HHD), void hdMakeCurrentDevice(HHD)."""
 
@@ -69,6 +80,19 @@ def call_doubles(typing: Any, address: int, name: int, numbers: Any, i: int) -> 
         function = _function(builder, args[0], ir.VoidType(), _INT32, _NUMBERS)
         first = _numbers_at(context, builder, signature.args[2], args[2], args[3])
         builder.call(function, [builder.trunc(args[1], _INT32), first])
+        return context.get_dummy_value()
+
+    return types.none(types.int64, types.int64, numbers, types.int64), build
+
+
+@intrinsic
+def call_integers(typing: Any, address: int, name: int, numbers: Any, i: int) -> Any:
+    """void hdGetIntegerv(HDenum, HDint *), into the lower half of the int64 numbers[i]."""
+
+    def build(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        function = _function(builder, args[0], ir.VoidType(), _INT32, _INT32.as_pointer())
+        place = _numbers_at(context, builder, signature.args[2], args[2], args[3])
+        builder.call(function, [builder.trunc(args[1], _INT32), builder.bitcast(place, _INT32.as_pointer())])
         return context.get_dummy_value()
 
     return types.none(types.int64, types.int64, numbers, types.int64), build

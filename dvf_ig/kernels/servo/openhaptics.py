@@ -15,11 +15,12 @@ from dvf_ig.kernels.compiled import callback
 
 from .clock import elapsed_ns
 from .device_call import device_function
-from .foreign import call_doubles, call_error_code, call_with_handle
+from .foreign import call_doubles, call_error_code, call_integers, call_with_handle
 from .shared import load_relaxed, publish, read_shared, store_relaxed
 
 types: Any = core.types
 
+HD_CURRENT_BUTTONS = 0x2000
 HD_CURRENT_POSITION = 0x2050
 HD_CURRENT_FORCE = 0x2700
 HD_CALLBACK_CONTINUE = 1
@@ -42,6 +43,9 @@ CALLBACK_CLOCK = 39
 FRAME = 41
 """(3,) numbers in the vendor's order; (4,) the force read last; (4,) of the reads."""
 ERROR = 56
+GET_INTEGERS = 57
+BUTTONS = 58
+"""Bits of the pressed buttons."""
 # Of the servo's thread:
 SEEN_POSITION = 64
 READ_NS = 65
@@ -63,6 +67,7 @@ def exchange(context: Any) -> int:
     c, n = carray(context, CONTEXT_SIZE, np.int64), carray(context, CONTEXT_SIZE, np.float64)
     call_with_handle(c[BEGIN_FRAME], c[HANDLE])
     call_doubles(c[GET_DOUBLES], HD_CURRENT_POSITION, n, FRAME)
+    call_integers(c[GET_INTEGERS], HD_CURRENT_BUTTONS, c, BUTTONS)
     seen = read_shared(
         c[FORCE_LOCK : FORCE_LOCK + 1],
         n[FORCE : FORCE + 4],

@@ -7,13 +7,14 @@ runs: JSON of a whole heart holds the interpreter for longer than a session may 
 
 import json
 from collections import deque
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any, TypeVar
 
 import numpy as np
 
 from dvf_ig.core import FloatArray
 from dvf_ig.guidance import SupervisorState
+from dvf_ig.guidance.servo import SentForce
 from dvf_ig.live.loop import Answer
 from dvf_ig.live.sentences import REARM
 from dvf_ig.report.viewer import (
@@ -36,6 +37,7 @@ ECG_HZ = 250.0
 """Rate to which the ECG is thinned."""
 JUDGED_AFTER_S = 5.0
 """Time after which a registration that heart beats have not confirmed is reported as refused."""
+LAST_AFTER_S = 1e-3
 KEPT = 512
 """Largest number of ECG batches, or marks, that wait for the page."""
 
@@ -69,6 +71,8 @@ class PageFeed:
         self._scene = json.dumps(rest, allow_nan=False)[:-1].encode()
         """Scene as JSON, without its image and the closing brace."""
         self._answer: Answer | None = None
+        self._ended = ""
+        """Why the session has ended; empty while it runs."""
         self._ecg: deque[EcgSamples] = deque(maxlen=KEPT)
         self._frame: TrackedFrame | None = None
         self._frame_s = self._told_s = float("-inf")
@@ -82,6 +86,17 @@ class PageFeed:
         """Store an answer that was sent."""
         self._note_history(answer.state.now_s)
         self._answer = answer
+
+    def end(self, sentence: str) -> None:
+        """Store the last answer again with no force, latched, and why; after the session has ended."""
+        answer = self._answer
+        if answer is None:
+            return
+        now_s = answer.state.now_s + LAST_AFTER_S
+        hazards = answer.state.supervised.hazards if answer.sent is None else answer.sent.hazards
+        last = SentForce(now_s, np.zeros(3), SupervisorState.LATCHED, hazards)
+        self._ended = sentence
+        self._answer = replace(answer, state=replace(answer.state, now_s=now_s), sent=last)
 
     def event(self, event: Event) -> None:
         """Store an event that was pushed."""
@@ -127,8 +142,11 @@ class PageFeed:
         self._told_s = answer.state.now_s
         batches, peaks, marks = _taken(self._ecg), _taken(self._peaks), _taken(self._marks)
         state = answer.state
-        event = state_event(state)
-        event["reasons"] = [*state.reasons, *([REARM] if state.supervisor is SupervisorState.LATCHED else [])]
+        event = state_event(state, answer.sent)
+        reasons = state.reasons if answer.sent is None else answer.sent.hazards.sentences
+        event["reasons"] = [*reasons, *([REARM] if answer.supervisor is SupervisorState.LATCHED else [])]
+        if self._ended:
+            event["reasons"] = [self._ended]
         if batches:
             event["ecg"] = self._thinned(batches)
         if peaks:

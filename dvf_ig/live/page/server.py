@@ -207,6 +207,8 @@ class PageServer:
         return self
 
     def __exit__(self, *_: object) -> None:
+        self._server.publish()
+        self._server.stopped.wait(2.0 / EVENTS_HZ)  # the watchers get what came last
         self._server.wake()
         self._server.shutdown()
         self._server.server_close()

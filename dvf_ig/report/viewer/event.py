@@ -8,6 +8,7 @@ import numpy as np
 
 from dvf_ig.core import FloatArray, PhaseState
 from dvf_ig.guidance import Hazard
+from dvf_ig.guidance.servo import SentForce
 from dvf_ig.session import GuidanceState
 
 from .columns import FORCE_MR, FORCE_TRACKER, SHAFT, STEPS, TIP
@@ -15,16 +16,20 @@ from .columns import FORCE_MR, FORCE_TRACKER, SHAFT, STEPS, TIP
 _DECIMALS = {name: max(0, round(-np.log10(step))) for name, step in STEPS.items()}
 
 
-def state_event(state: GuidanceState) -> dict[str, Any]:
+def state_event(state: GuidanceState, sent: SentForce | None = None) -> dict[str, Any]:
     """Build the fields that every live event has (`dvf_ig/report/web/README.md`).
 
     The caller adds new data: `ecg`, `r_peaks_s`, `frame` (see `frame_event`) and `marks`.
+
+    Args:
+        sent: force of a haptic device's own servo, which is shown then.
     """
     now_s, phase, transform = state.now_s, state.phase, state.transform
+    force_n = state.force_n if sent is None else sent.force_n
     tip, shaft, force_mr = (np.full(3, np.nan) for _ in range(3))
     if transform.pose is not None and now_s < transform.pose_until_s:
         pose = transform.pose.at(now_s)
-        force_mr = pose.rotation @ state.force_n
+        force_mr = pose.rotation @ force_n
         if not state.tool.hazard:
             tip = pose.apply_array(state.tool.tip_tracker_mm)
             shaft = pose.rotation @ state.tool.rotation @ shaft_in_tool(state.calibrations.tip.xyz_mm[0])
@@ -37,17 +42,17 @@ def state_event(state: GuidanceState) -> dict[str, Any]:
         **_axes(TIP, tip),
         **_axes(SHAFT, shaft),
         "distance_mm": state.distance_mm,
-        **_axes(FORCE_TRACKER, state.force_n),
+        **_axes(FORCE_TRACKER, force_n),
         **_axes(FORCE_MR, force_mr),
         "pose_age_s": state.pose_age_s,
         "pose_bound_mm": state.pose_bound_mm,
         "margin_mm": float(state.margin_mm[0]),
     }
-    hazards = Hazard(state.supervised.hazards)
+    hazards = Hazard(state.supervised.hazards) if sent is None else sent.hazards
     return {
         **{name: _known(value, _DECIMALS[name]) for name, value in numbers.items()},
         "status": state.status.name.lower(),
-        "supervisor": state.supervisor.name.lower(),
+        "supervisor": (state.supervisor if sent is None else sent.state).name.lower(),
         "hazards": "|".join(one.name.lower() for one in hazards if one.name),
     }
 

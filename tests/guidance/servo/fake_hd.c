@@ -11,7 +11,7 @@ typedef unsigned (*Callback)(void *);
 
 double fake_position[3] = {10.0, -20.0, 30.0};
 double fake_force[3];
-int fake_devices = 1, fake_forces_on = 0, fake_in_frame = 0, fake_misuse = 0, fake_stalled = 0, fake_running = 0;
+int fake_devices = 1, fake_forces_on = 0, fake_in_frame = 0, fake_misuse = 0, fake_stalled = 0, fake_running = 0, fake_buttons = 0;
 unsigned fake_error = 0;
 static Callback callback;
 static void *data;
@@ -38,7 +38,7 @@ void hdStartScheduler(void) {
   pthread_create(&thread, 0, run, 0);
 }
 void hdStopScheduler(void) {
-  fake_running = 0;
+  fake_running = 0, fake_buttons = 0;
   pthread_join(thread, 0);
 }
 unsigned long hdScheduleAsynchronous(Callback function, void *user, unsigned short priority) {
@@ -56,6 +56,10 @@ void hdEndFrame(unsigned handle) {
   fake_in_frame = 0;
 }
 void hdGetDoublev(unsigned name, double *out) {
+  if (name == 0x2602 || name == 0x2604) {
+    *out = name == 0x2602 ? 0.5 : 0.88;
+    return;
+  }
   fake_misuse |= !fake_in_frame || name != 0x2050;
   for (int k = 0; k < 3; k++) out[k] = fake_position[k];
 }
@@ -66,4 +70,8 @@ void hdSetDoublev(unsigned name, const double *in) {
 ErrorInfo hdGetError(void) {
   ErrorInfo info = {fake_devices > 0 ? fake_error : 0x0305u, 42, 5};
   return info;
+}
+void hdGetIntegerv(unsigned name, int *out) {
+  fake_misuse |= !fake_in_frame || name != 0x2000;
+  *out = fake_buttons;
 }

@@ -3,13 +3,12 @@
 import ctypes
 import gc
 import shutil
-import subprocess
 import time
 from contextlib import closing
-from pathlib import Path
 
 import numpy as np
 import pytest
+from fake_library import compiled
 from waiting import until
 
 from dvf_ig.core import Rigid
@@ -19,20 +18,6 @@ from dvf_ig.guidance.servo import Servo, ServoInputs
 from dvf_ig.kernels.servo.openhaptics import exchange
 
 from .conftest import PATIENT_S
-
-HERE = Path(__file__).parent
-
-
-def compiled(source, folder):
-    compiler = shutil.which("cc")
-    if compiler is None:
-        pytest.skip("no C compiler (cc), so no library with the vendor's symbols can be made")
-    library = folder / f"{source}.so"
-    subprocess.run(
-        [compiler, "-shared", "-fPIC", "-O1", "-pthread", str(HERE / f"{source}.c"), "-o", str(library)],
-        check=True,
-    )
-    return library
 
 
 @pytest.fixture
@@ -140,9 +125,38 @@ def test_a_force_dimension_device_is_driven_in_metres(dhd, ball, steady_ball):
     )
     assert number(dhd, "fake_forces_sent").value > 10
     np.testing.assert_array_equal(list(vector(dhd, "fake_force")), 0.0)
+    assert device.ends_force_after_s == 0.015
+    assert number(dhd, "fake_watchdog").value == 120
+    assert device.rate_hz == 4000.0
+    assert device.limits is None
     device.close()
     device.close()
     assert number(dhd, "fake_forces_on").value == 0
+
+
+@pytest.mark.parametrize(
+    ("kind", "fake", "button"),
+    [(ForceDimensionDevice, "dhd", "fake_button"), (OpenHapticsDevice, "hd", "fake_buttons")],
+)
+def test_a_button_is_read_while_a_servo_runs(kind, fake, button, request, ball, steady_ball):
+    library = request.getfixturevalue(fake)
+
+    def look(speak, place):
+        assert not device.pressed
+        number(library, button).value = 1
+        until(lambda: speak() is not None and device.pressed)
+        number(library, button).value = 0
+        until(lambda: speak() is not None and not device.pressed)
+
+    with closing(kind(path=library)) as device:
+        run_servo(ball, steady_ball, device, [10.0, -20.0, 30.0], look)
+
+
+def test_openhaptics_states_the_limits_of_its_driver(touch):
+    assert touch.limits is not None
+    assert touch.limits.stiffness_n_per_m == 500.0
+    assert touch.limits.continuous_force_n == 0.88
+    assert touch.limits.name == touch.name
 
 
 def test_a_force_dimension_device_that_breaks_latches(dhd, ball, steady_ball):
