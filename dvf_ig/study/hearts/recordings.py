@@ -292,12 +292,12 @@ def registered_heart(settings: Settings, number: int) -> RegisteredHeart:
         return second(SecondWorldSpec(seed, quality, _motion(seed), SWEEP_S), rng)
     drawing = seed if condition.draw == 0 else number
     rng = child_rng(drawing, "heart trial")
-    first: Callable[..., RegisteredHeart] = {
+    first: dict[str, Callable[..., RegisteredHeart]] = {
         "sweep": _sweep,
         "sweep-of-part": partial(_sweep, exam=EXAM[seed // 2 % 2]),
         "volumes": _volumes,
-    }[settings["images"]]
-    return first(seed, drawing, condition, rng)
+    }
+    return first[settings["images"]](seed, drawing, condition, rng)
 
 
 def _motion(seed: int) -> Any:
