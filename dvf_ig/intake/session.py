@@ -174,6 +174,13 @@ def _live_files(config: SessionConfig, folder: Path, path: Path) -> SessionFiles
             "ecg: {field: EcgData, rate_hz: 500}}",
             key="live",
         )
+    if config.respiration is not None:
+        raise InvalidInputError(
+            f"{path} names a recording of breathing, which a live session cannot follow yet: forces would be "
+            "given as if the heart did not move with the breath; remove 'respiration' only for apnoea or "
+            "high-frequency ventilation, or replay the recording",
+            key="respiration",
+        )
     files = _read_all(config, folder, str(path), "live")
     for part in PARTS:
         if part.live and part.needed_for and not part.is_there(files):

@@ -14,9 +14,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from dvf_ig.cardiac.respiration import (
+    PARTING,
     BreathClock,
     BreathClockOptions,
-    BreathEvent,
     BreathReading,
     BreathState,
 )
@@ -43,8 +43,6 @@ REMEMBERED_BREATHS = 40
 LOST_S = BreathClockOptions().lost_s
 AHEAD_S = 0.1
 """A published motion reaches this far; the next sample replaces it long before."""
-_UNKNOWN = (BreathEvent.DEEP_BREATH, BreathEvent.COUGH, BreathEvent.DISCONNECTION)
-"""Events in which the surrogate and the heart may part."""
 
 
 @read_only_arrays
@@ -164,7 +162,7 @@ class BreathingTracker:
         """Return breathing at the moments of frames; None if nothing follows the breath."""
         if not self.follows:
             return None
-        features = self._clock.features(event_s)
+        features = self._features(event_s)
         resting = np.asarray(features[:, 1:].max(axis=1) <= self._rest_level)
         if self._model is None:
             nothing = np.zeros(len(event_s), dtype=np.bool_)
@@ -198,7 +196,7 @@ class BreathingTracker:
         """Return the pose of the moment, with its rate, from that of the resting heart."""
         if self._model is None or not self._learnt:
             return resting
-        features = self._clock.features(np.array([now_s, now_s + AHEAD_S]))
+        features = self._features(np.array([now_s, now_s + AHEAD_S]))
         if not self._model.knows(features[:1])[0] or not np.isfinite(features).all():
             return resting
         now, then = self._xi_mm(self._model, features)
@@ -237,16 +235,23 @@ class BreathingTracker:
         nothing = np.zeros((6, 6))
         if not self.follows:
             return _Moment(changed_s, False, nothing, 0.0)
-        reading, features = self._clock.reading(now_s), self._clock.features(np.array([now_s]))
-        if reading.state in (BreathState.INIT, BreathState.LOST) or not np.isfinite(features).all():
+        reading, features = self._clock.reading(now_s), self._features(np.array([now_s]))
+        lost = reading.state in (BreathState.INIT, BreathState.LOST) or reading.event in PARTING
+        if lost or not np.isfinite(features).all():
             return _Moment(changed_s, True, nothing, 0.0)
         model = self.model
         if model is None:
             return _Moment(changed_s, not features[0, 1:].max() <= self._rest_level, nothing, 0.0)
         covariance = model.covariance_mm2(features - self._rest)[0]
         bound_mm = float(2.0 * np.sqrt(MEAN_SQUARE_OF_COORDINATES @ np.diag(covariance)))
-        withheld = bool(reading.event in _UNKNOWN or not model.knows(features)[0])
-        return _Moment(changed_s, withheld, covariance, bound_mm)
+        return _Moment(changed_s, not model.knows(features)[0], covariance, bound_mm)
+
+    def _features(self, t_s: FloatArray) -> FloatArray:
+        """Compute (n, 4) features; NaN also where they do not tell where the heart is."""
+        features = self._clock.features(t_s)
+        if np.isfinite(features).any():
+            features[~self._clock.tells(t_s)] = nan
+        return features
 
     def _xi_mm(self, model: BreathingPose, features: FloatArray) -> FloatArray:
         """Compute the motion from rest at (n, 4) features."""

@@ -172,6 +172,18 @@ def test_session_without_live_says_what_to_write(tmp_path: Path) -> None:
     assert "ecg: {field" in done.stderr
 
 
+def test_breathing_that_a_live_session_cannot_follow_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "session.yaml"
+    file.write_text(
+        "schema: dvf_ig.session/1\npreop: {model: heart.npz}\nlive: {ecg: {field: EcgData, rate_hz: 500}}\n"
+        "calibration: {probe: probe.json, latency: 0.05, tip: tip.json}\n"
+        "respiration: {file: 'csv:ventilator.csv#pressure'}\n"
+    )
+    done = run("serve", file)
+    assert done.exit_code == 3
+    assert "a live session cannot follow yet" in done.stderr
+
+
 @pytest.mark.parametrize(
     ("line", "expected"),
     [

@@ -33,6 +33,7 @@ from dvf_ig.core import (
     OutputError,
     Points,
     Preop,
+    Respiration,
     Scenario,
     SurfaceSeries,
     TriggerTimes,
@@ -81,6 +82,7 @@ def awkward() -> Scenario:
         start=FIRST,
         touched=Points("tracker", rng.normal(size=(4, 3))),
         touched_phase=0.3,
+        respiration=Respiration(shaken + 0.01, rng.normal(size=(10, 3)) * 30, "chest"),
         preop=Preop(
             "ball",
             mr=preop.mr,

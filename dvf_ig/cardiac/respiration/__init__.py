@@ -1,6 +1,7 @@
 """The clock of breathing: what follows the breath, its state, and its forecast; causal."""
 
 from .breath_clock import LAG_S as LAG_S
+from .breath_clock import PARTING as PARTING
 from .breath_clock import BreathClock as BreathClock
 from .breath_clock import BreathClockOptions as BreathClockOptions
 from .breath_clock import BreathEvent as BreathEvent

@@ -7,7 +7,7 @@ from enum import IntEnum
 
 import numpy as np
 
-from dvf_ig.core import FloatArray, InvalidInputError
+from dvf_ig.core import BoolArray, FloatArray, InvalidInputError
 
 from .forecast import HORIZONS, LAGS, STEP_S, Forecast, fit_forecast, hold
 from .surrogate import HIGH, LOW, SurrogateScale, learn_scale
@@ -23,6 +23,8 @@ RANGE_S = 15.0
 ARM, BEGIN = 0.3, 0.5
 """Shares of that range of L₀.₃ρ, free of the heartbeat in a channel: a breath begins at the second, once it
 was below the first."""
+BEFORE_S = 0.5
+"""Samples this long before an event of PARTING was noticed may already belong to it."""
 
 
 class BreathState(IntEnum):
@@ -43,6 +45,10 @@ class BreathEvent(IntEnum):
     PAUSE = 3
     CHANGED_RATE = 4
     DISCONNECTION = 5
+
+
+PARTING = (BreathEvent.DEEP_BREATH, BreathEvent.COUGH, BreathEvent.DISCONNECTION)
+"""Events in which the heart may be elsewhere than what follows the breath tells."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +84,7 @@ class BreathReading:
         rho_rate: its rate, 1/s.
         phase: share of the usual breath since this one began, below 1.
         period_s: usual length of a breath; NaN before the first two.
-        state, event: see their classes; the event is that which ended LOCKED.
+        state, event: see their classes; the event is that which ended LOCKED, or the first of PARTING since.
     """
 
     rho: float
@@ -97,7 +103,7 @@ class BreathClock:
         self._options = options or BreathClockOptions()
         self._scale: SurrogateScale | None = None
         self._waiting: list[tuple[float, FloatArray]] = []
-        self._table = np.empty((1024, 4))  # time, ρ, its two lags
+        self._table = np.empty((1024, 5))  # time, ρ, its two lags, 1 where they do not tell the heart's place
         self._count = 0
         self._rate = 0.0
         self._usual_rate: deque[float] = deque(maxlen=8)  # largest rate of each of the last breaths
@@ -107,6 +113,7 @@ class BreathClock:
         self._onsets: deque[float] = deque(maxlen=7)
         self._ordinary = 0  # breaths in a row
         self._event = BreathEvent.NONE
+        self._parted = False  # since an event of PARTING, until an ordinary breath
         self._grid: deque[float] = deque(maxlen=700)  # ρ every STEP_S
         self._grid_s = math.nan
         self._forecast: Forecast = hold(1.0)
@@ -170,9 +177,17 @@ class BreathClock:
             rho = self._ahead(ahead_s)[0]
             mean = 0.5 * (rho + table[-1, 1])
             shares = [1.0 - math.exp(-ahead_s / tau) for tau in LAG_S]
-            lags = [old + share * (mean - old) for old, share in zip(table[-1, 2:], shares, strict=True)]
+            lags = [old + share * (mean - old) for old, share in zip(table[-1, 2:4], shares, strict=True)]
             out[i] = (1.0, rho, *lags)
         return out
+
+    def tells(self, t_s: FloatArray) -> BoolArray:
+        """Return whether `features` at (n,) times tell where the heart is.
+
+        They do not in gaps of the samples, and from an event of PARTING until an ordinary breath followed it.
+        """
+        table = self._table[: self._count]
+        return np.asarray(np.interp(t_s, table[:, 0], table[:, 4]) == 0.0)
 
     def rest_level(self, share: float) -> float:
         """Return the level below which ρ and both of its lags were for `share` of the remembered time.
@@ -182,13 +197,19 @@ class BreathClock:
         """
         if not self._count:
             return math.nan
-        return float(np.quantile(self._table[: self._count, 1:].max(axis=1), share))
+        return float(np.quantile(self._usual_rows().max(axis=1), share))
 
     def rest_features(self, share: float) -> FloatArray:
         """Return the mean (4,) row of `features` below that level."""
-        rows = self._table[: self._count, 1:]
+        rows = self._usual_rows()
         low = rows[rows.max(axis=1) <= self.rest_level(share)]
         return np.concatenate([[1.0], low.mean(axis=0)])
+
+    def _usual_rows(self) -> FloatArray:
+        """Return (n, 3) ρ and its lags where they tell where the heart is; all of them if they never do."""
+        table = self._table[: self._count]
+        usual = table[:, 4] == 0.0
+        return table[usual, 1:4] if usual.any() else table[:, 1:4]
 
     def _learn(self, at_s: float, value: FloatArray) -> None:
         """Wait until the scale can be learnt, then take up what was waiting."""
@@ -206,7 +227,7 @@ class BreathClock:
 
     def _add(self, at_s: float, rho: float) -> None:
         if not self._count:
-            row = np.array([at_s, rho, rho, rho])
+            row = np.array([at_s, rho, rho, rho, 0.0])
         else:
             before = self._table[self._count - 1]
             step_s = at_s - float(before[0])
@@ -216,18 +237,23 @@ class BreathClock:
             mean = 0.5 * (smooth + float(before[1]))
             lags = [
                 old + (1.0 - math.exp(-step_s / tau)) * (mean - old)
-                for old, tau in zip(before[2:].tolist(), LAG_S, strict=True)
+                for old, tau in zip(before[2:4].tolist(), LAG_S, strict=True)
             ]
-            row = np.array([at_s, smooth, *lags])
+            gap = step_s > self._options.lost_s
+            before[4] = max(before[4], gap)
+            row = np.array([at_s, smooth, *lags, gap])
         self._remember(row)
         self._watch(at_s, float(row[1]))
+        self._parted &= self._ordinary == 0
+        if self._parted:
+            self._table[self._count - 1, 4] = 1.0
         self._extend_grid()
 
     def _remember(self, row: FloatArray) -> None:
         if self._count == len(self._table):
             table = self._table
             recent = table[table[:, 0] >= row[0] - KEEP_S]
-            self._table = np.empty((max(1024, 2 * len(recent)), 4))
+            self._table = np.empty((max(1024, 2 * len(recent)), 5))
             self._table[: len(recent)], self._count = recent, len(recent)
         self._table[self._count] = row
         self._count += 1
@@ -278,8 +304,13 @@ class BreathClock:
             self._ordinary += 1
 
     def _break(self, event: BreathEvent) -> None:
-        if self._ordinary or self._event is BreathEvent.NONE:
+        parts = event in PARTING and self._event not in PARTING
+        if self._ordinary or self._event is BreathEvent.NONE or parts:
             self._event = event
+        if event in PARTING and not self._parted:
+            table = self._table[: self._count]
+            table[table[:, 0] >= table[-1, 0] - BEFORE_S, 4] = 1.0
+            self._parted = True
         self._ordinary = 0
 
     def _usual(self) -> float:

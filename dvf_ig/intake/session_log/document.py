@@ -113,6 +113,8 @@ class SessionDocument(Section):
     touched: PointsEntry | None
     touched_phase: Annotated[float, Field(ge=0.0, lt=1.0)] | None
     preop: PreopConfig
+    respiration: str | None = None
+    """Name of what follows the breath; None if nothing does."""
 
 
 def document_of(scenario: Scenario, image: ImageMap, lag_s: float, tip: Points, preop: PreopConfig) -> bytes:
@@ -131,6 +133,7 @@ def document_of(scenario: Scenario, image: ImageMap, lag_s: float, tip: Points, 
         has_timestamps=sequence.has_timestamps,
         orientation=sequence.orientation,
         preop=preop,
+        respiration=None if scenario.respiration is None else scenario.respiration.name,
         **_of_patient(SessionFiles.of(scenario), image, lag_s, tip),
     )
 

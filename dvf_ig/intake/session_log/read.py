@@ -1,6 +1,7 @@
 """Read a session's log as a recording: the events that its replay pushes are those that were logged."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ from dvf_ig.core import (
     FloatArray,
     InvalidInputError,
     PoseStream,
+    Respiration,
     Scenario,
     Signal,
     TrackedSequence,
@@ -32,7 +34,7 @@ from .document import SessionDocument, read_document
 from .heart import MODEL
 from .live import LIVE, LiveDocument
 from .live_read import read_live_streams
-from .topics import DOCUMENT, ECG, EXACT_FRAME, EXACT_TOOL, IMAGE, STREAMS, TRIGGER
+from .topics import DOCUMENT, ECG, EXACT_FRAME, EXACT_TOOL, IMAGE, RESPIRATION, STREAMS, TRIGGER
 
 _POSE = 14
 """Count of numbers of a pose: stamp, validity, rotation, translation."""
@@ -106,7 +108,19 @@ def _recorded(
         document.orientation,
     )
     tool = _stream("tool", np.array(arrays[EXACT_TOOL]).reshape(-1, _POSE))
-    return _scenario(document, heart, _beats(document, arrays), sequence, tool)
+    scenario = _scenario(document, heart, _beats(document, arrays), sequence, tool)
+    return replace(scenario, respiration=_breaths(document, arrays[RESPIRATION]))
+
+
+def _breaths(document: SessionDocument, rows: list[FloatArray]) -> Respiration | None:
+    """Build the recording of breathing that the document names."""
+    if document.respiration is None:
+        return None
+    if len({len(row) for row in rows}) != 1:
+        raise InvalidInputError("the log's samples of breathing differ in length, or there are none")
+    table = np.array(rows)
+    limits.require_times(table[:, :1], "breathing")
+    return Respiration(table[:, 0], table[:, 1:], document.respiration)
 
 
 def _scenario(

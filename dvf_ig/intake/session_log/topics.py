@@ -8,13 +8,14 @@ from dvf_ig.io.ros import messages as ros
 
 DOCUMENT = "session.json"
 ECG, IMAGE, TRIGGER = "/ecg", "/ultrasound/image", "/trigger"
-EXACT_FRAME, EXACT_TOOL = "/exact/ultrasound", "/exact/tool"
+EXACT_FRAME, EXACT_TOOL, RESPIRATION = "/exact/ultrasound", "/exact/tool", "/exact/respiration"
 STREAMS = {
     ECG: ros.ARRAY,
     TRIGGER: ros.ARRAY,
     IMAGE: ros.IMAGE,
     EXACT_FRAME: ros.ARRAY,
     EXACT_TOOL: ros.ARRAY,
+    RESPIRATION: ros.ARRAY,
 }
 """Topics that a replay reads, with the type of each."""
 POSE_LABEL = "t_s, valid, rotation (9, row-major), translation_mm (3): tracker_from_{}"

@@ -33,6 +33,7 @@ from dvf_ig.intake.session_log.topics import (
     IMAGE,
     IMAGE_LABEL,
     POSE_LABEL,
+    RESPIRATION,
     STATUS_EVERY_S,
     TRIGGER,
     exact_pose,
@@ -89,7 +90,9 @@ def write_session_log(
 
 
 def _recorded(scenario: Scenario) -> Iterator[Timed]:
-    yield from merge(_beats(scenario), _frames(scenario), _tool(scenario), key=itemgetter(0))
+    yield from merge(
+        _beats(scenario), _breaths(scenario), _frames(scenario), _tool(scenario), key=itemgetter(0)
+    )
 
 
 def _beats(scenario: Scenario) -> Iterator[Timed]:
@@ -102,6 +105,15 @@ def _beats(scenario: Scenario) -> Iterator[Timed]:
     for first in range(0, len(ecg), ECG_CHUNK):
         message = ros.array(ecg.samples[first : first + ECG_CHUNK], ("samples", label))
         yield ecg.start_s + first / ecg.rate_hz, ECG, ros.ARRAY, message
+
+
+def _breaths(scenario: Scenario) -> Iterator[Timed]:
+    recorded = scenario.respiration
+    if recorded is None:
+        return
+    for t_s, values in zip(recorded.t_s.tolist(), recorded.values, strict=True):
+        row = ros.array(np.array([t_s, *values]), (f"t_s, then {recorded.name}",))
+        yield t_s, RESPIRATION, ros.ARRAY, row
 
 
 def _frames(scenario: Scenario) -> Iterator[Timed]:
