@@ -1,6 +1,8 @@
 """What a replay must catch: a patient who moves, a probe whose marker slips, a wrong probe calibration."""
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,7 +12,7 @@ from data_synth.scenario.presets import ScenarioSpec
 from data_synth.scenario.recording import ImagedHeart, phantom_scenario
 from data_synth.seeds import child_rng
 from dvf_ig.core import BoolArray, DvfModel, Scenario, ScenarioTruth
-from dvf_ig.guidance import Status
+from dvf_ig.guidance import Hazard, Status
 from dvf_ig.guidance.supervision.supervisor import FADE_S
 from dvf_ig.preop import ModelOptions, model_from_labels
 from dvf_ig.replay import Replay, run_replay
@@ -97,6 +99,20 @@ def test_after_the_marker_slips_on_the_probe_no_force_is_given_again(
     assert last.begin_s == pytest.approx(stopped_s, abs=0.002)
     assert (last.end_s, last.rule) == (end_s, "contradicted")
     assert without_force_s(replay.ticks) >= end_s - stopped_s - FADE_S
+
+
+def test_a_pose_withheld_for_the_breath_is_not_said_to_lack_beats() -> None:
+    posed = np.array([True, True, False, False, True])
+    ticks = SimpleNamespace(
+        t_s=np.arange(5.0),
+        mr_from_tracker=np.where(posed, 1.0, np.nan)[:, None, None] * np.ones((5, 3, 4)),
+        hazards=np.where(posed, Hazard.NONE, Hazard.BREATHING),
+        pose_age_s=np.zeros(5),
+        pose_bound_mm=np.ones(5),
+    )
+    replay: Any = SimpleNamespace(ticks=ticks, history=SimpleNamespace(updates=[]))
+    (span,) = withheld_spans(replay)
+    assert (span.begin_s, span.end_s, span.rule) == (2.0, 4.0, "breathing")
 
 
 def test_a_wrong_probe_calibration_is_refused_by_touched_landmarks(

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from dvf_ig.core import FloatArray, Rigid
+from dvf_ig.guidance import Hazard
 from dvf_ig.registration import PoseChart, target_errors_mm
 from dvf_ig.replay.engine import Replay
 from dvf_ig.replay.preconditions import RATE_HZ
@@ -119,6 +120,8 @@ def _rule(ticks: Ticks, updates: Sequence[PoseUpdate], begin: int) -> tuple[str,
     last = next((u for u in reversed(updates) if u.from_s <= ticks.t_s[begin]), None)
     if last is not None and last.pose is None:
         return "contradicted", "pose contradicted" if last.doubt is None else last.doubt.sentence
+    if ticks.hazards[begin] & Hazard.BREATHING:
+        return "breathing", "the heart's place in the breath was not known"
     if ticks.pose_age_s[begin] >= MAX_AGE_S:
         return f"{MAX_AGE_S:g} s old", f"no heart beat confirmed the pose for {MAX_AGE_S:g} s"
     if ticks.pose_bound_mm[begin] >= MAX_BOUND_MM:
