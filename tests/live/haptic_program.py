@@ -28,7 +28,7 @@ def main() -> None:
                 tool.publish(steady_state(time.monotonic()))
                 tool.poses(time.monotonic())
 
-        thread = threading.Thread(target=publish)
+        thread = threading.Thread(target=publish, daemon=True)
         thread.start()
         until(lambda: tool.sent.force_n.any())
         say("ready")

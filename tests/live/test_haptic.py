@@ -135,6 +135,11 @@ def test_a_button_rearms_only_below_0_2_n(dhd: SharedDhd) -> None:
     assert any("is re-armed" in sentence for sentence in told)
 
 
+def heed_interrupts() -> None:
+    """Heed Ctrl-C, which a shell's background job and its children ignore."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 class Program:
     """The program of `haptic_program.py` with a fake device."""
 
@@ -146,6 +151,7 @@ class Program:
             stdout=subprocess.PIPE,
             text=True,
             env={**os.environ, "PYTHONPATH": os.pathsep.join(map(str, paths)), "FAKE_DHD": str(dhd.path)},
+            preexec_fn=heed_interrupts,
         )
         said: Any = self.process.stdout
         while (line := said.readline().strip()) != "ready":
