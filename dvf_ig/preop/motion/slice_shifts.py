@@ -65,6 +65,7 @@ class SliceShifts:
         return np.asarray(xyz_mm - np.stack(shift, axis=-1))
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class _Slice:
     """One slice through the cycle."""
