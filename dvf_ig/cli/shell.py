@@ -154,6 +154,10 @@ def _emit_error(
         _write_json({"error": {"kind": kind, "exit_code": code, "message": sentence, **where}})
 
 
+USAGE_ERROR: Any = typer.BadParameter.__bases__[0]
+"""Mistake in options; typer has had click's class, and since 0.26 one of its own."""
+
+
 class Program(TyperGroup):
     """The whole program, which knows whether JSON is due on stdout when it fails."""
 
@@ -166,9 +170,8 @@ class Program(TyperGroup):
         """Run the command; a mistake in its options is also printed as JSON."""
         try:
             return super().invoke(ctx)
-        except typer.TyperException as error:
-            if hasattr(error, "format_message"):
-                _emit_error(error.format_message(), 2, "Usage")
+        except USAGE_ERROR as error:
+            _emit_error(error.format_message(), 2, "Usage")
             raise
 
 
