@@ -32,6 +32,7 @@ from toy_session import (
     register_known,
     tool_events,
 )
+from waiting import heed_interrupts
 
 from dvf_ig.live.igtl import Image, Incoming, Message, Status, Text, Transform, WireError, encode
 
@@ -549,7 +550,7 @@ def run_fault(fault: Fault, folder: Path, messages: list[tuple[float, Message]])
             stdin=subprocess.DEVNULL,
             cwd=ROOT,
             env=environment,
-            preexec_fn=_heed_interrupts,
+            preexec_fn=heed_interrupts,
         )
     os.close(write_end)
     terminal = _Terminal(read_end)
@@ -560,11 +561,6 @@ def run_fault(fault: Fault, folder: Path, messages: list[tuple[float, Message]])
             process.kill()
             process.wait()
         terminal.end()
-
-
-def _heed_interrupts() -> None:
-    """Restore Ctrl-C, which a shell's background job and its children ignore."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 class _Terminal:

@@ -16,6 +16,7 @@ from html_outline import outline_of
 from scipy.spatial.transform import Rotation
 from typer.main import get_command
 from typer.testing import CliRunner
+from waiting import heed_interrupts
 
 import dvf_ig
 from dvf_ig.cli import main
@@ -358,6 +359,12 @@ def test_ctrl_c_does_not_wait_for_threads() -> None:
         "sys.argv = ['dvf-ig', str(main.app.registered_commands[0].name)]\n"
         "main.run()"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=900)
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        timeout=900,
+        preexec_fn=heed_interrupts,
+    )
     assert done.returncode == main.INTERRUPTED
     assert done.stderr.strip() == "interrupted"

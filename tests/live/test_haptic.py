@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from fake_library import BROKEN, BUTTON, ENABLES, WATCHDOG, SharedDhd, compiled
 from haptic_toy import NEVER_NS, TIP, steady_state, toy_tool
-from waiting import until
+from waiting import heed_interrupts, until
 
 import dvf_ig
 from dvf_ig.core import InvalidInputError
@@ -133,11 +133,6 @@ def test_a_button_rearms_only_below_0_2_n(dhd: SharedDhd) -> None:
         until(lambda: step(tool) is not None and tool.sent.state is not SupervisorState.LATCHED)
     assert any("0.2 N" in sentence for sentence in told)
     assert any("is re-armed" in sentence for sentence in told)
-
-
-def heed_interrupts() -> None:
-    """Heed Ctrl-C, which a shell's background job and its children ignore."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 class Program:

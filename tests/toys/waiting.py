@@ -1,5 +1,6 @@
 """Waiting for what another thread or program does, as long as a busy machine may need."""
 
+import signal
 import time
 from collections.abc import Callable
 from typing import TypeVar
@@ -16,3 +17,8 @@ def until(condition: Callable[[], T], found: Callable[[], str] = lambda: "") -> 
         assert time.monotonic() < end, f"it did not happen in time; {found()}"
         time.sleep(0.002)
     return answer
+
+
+def heed_interrupts() -> None:
+    """Heed Ctrl-C in a new process, which a shell's background job and its children ignore."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
