@@ -1,6 +1,5 @@
 """Read and write recorded breathing: a channel of a monitor or ventilator, or a marker on the chest."""
 
-import csv
 import importlib
 import logging
 import re
@@ -14,6 +13,7 @@ from dvf_ig.core.errors import InvalidInputError, MissingDependencyError, Unread
 from dvf_ig.core.recordings.respiration import Respiration
 from dvf_ig.core.recordings.signal import Signal
 from dvf_ig.io import limits
+from dvf_ig.io.ecg.table_text import parse_table
 from dvf_ig.io.ecg.trigger import EcgName
 from dvf_ig.io.ecg.wfdb import existing_record
 from dvf_ig.io.plus.poses import read_poses
@@ -119,19 +119,11 @@ def _wfdb(record: Path) -> Table:
 
 
 def _table(path: Path, rate_hz: float | None) -> Table:
-    """Parse a text table with a header; commas are decimal marks if cells are separated otherwise."""
-    text = read_text(path, "a table of breathing")
-    first = text.partition("\n")[0]
-    separator = next((mark for mark in ";\t" if mark in first), ",")
-    rows = list(csv.reader(text.splitlines(), delimiter=separator))
-    header = [name.strip() for name in rows[0]] if rows else []
-    try:
-        cells = [[_number(cell, separator) for cell in row] for row in rows[1:] if row]
-    except ValueError as exc:
-        raise UnreadableFileError(f"{path}: {exc}; needed numbers under a header") from exc
-    if len(cells) < 2 or any(len(row) != len(header) for row in cells):
-        raise UnreadableFileError(f"{path}: needed a header, and rows with a cell for each of its names")
-    values = np.array(cells)
+    """Read a text table that names its columns."""
+    table = parse_table(path, read_text(path, "a table of breathing"))
+    if table.columns is None:
+        raise UnreadableFileError(f"{path}: needed a header that names its columns")
+    header, values = [column.heading for column in table.columns], table.values
     at = next((i for i, name in enumerate(header) if _TIME.fullmatch(name)), None)
     kept = [i for i in range(len(header)) if i != at]
     names = tuple(header[i] for i in kept)
@@ -143,10 +135,6 @@ def _table(path: Path, rate_hz: float | None) -> Table:
             "sampling rate with --rate"
         )
     return np.arange(len(values)) / rate_hz, names, values
-
-
-def _number(cell: str, separator: str) -> float:
-    return float(cell.replace(",", ".") if separator != "," else cell) if cell.strip() else float("nan")
 
 
 def _seconds(times: FloatArray, name: str) -> FloatArray:
