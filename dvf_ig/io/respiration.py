@@ -1,21 +1,19 @@
 """Read and write recorded breathing: a channel of a monitor or ventilator, or a marker on the chest."""
 
-import importlib
 import logging
 import re
-import warnings
 from pathlib import Path
 
 import numpy as np
 
 from dvf_ig.core.arrays import FloatArray
-from dvf_ig.core.errors import InvalidInputError, MissingDependencyError, UnreadableFileError
+from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
 from dvf_ig.core.recordings.respiration import Respiration
 from dvf_ig.core.recordings.signal import Signal
 from dvf_ig.io import limits
 from dvf_ig.io.ecg.table_text import parse_table
 from dvf_ig.io.ecg.trigger import EcgName
-from dvf_ig.io.ecg.wfdb import existing_record
+from dvf_ig.io.ecg.wfdb import existing_record, quiet, wfdb_package
 from dvf_ig.io.plus.poses import read_poses
 from dvf_ig.io.reading import read_text, reading
 from dvf_ig.io.writing.atomic import write_text
@@ -103,15 +101,10 @@ def _column(path: Path, names: tuple[str, ...], wanted: str) -> int:
 
 
 def _wfdb(record: Path) -> Table:
+    wfdb = wfdb_package()
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            wfdb = importlib.import_module("wfdb")
+        with quiet():
             data = wfdb.rdrecord(str(existing_record(record).resolve()))
-    except ModuleNotFoundError as exc:
-        raise MissingDependencyError(
-            "reading a WFDB record needs the package wfdb: pip install '.[ecg]'"
-        ) from exc
     except (ValueError, LookupError, TypeError, OSError) as exc:
         raise UnreadableFileError(f"{record}: not a readable WFDB record ({exc}); copy it again") from exc
     values = np.asarray(data.p_signal, dtype=np.float64)

@@ -53,14 +53,14 @@ def read_wfdb(record: Path, lead: str | None = None, rate_hz: float | None = Non
         MissingDependencyError: the package wfdb is absent.
         UnreadableFileError: a file of the record is absent or damaged; no ECG, or leads of several rates.
     """
-    wfdb = _package()
+    wfdb = wfdb_package()
     record = existing_record(record)
     header = read_record_header(record)
     for file in header.files:
         refuse_lfs_pointer(file)
     _compare_lengths(record, header)
     try:
-        with _quiet(), _readable(record, header) as readable:
+        with quiet(), _readable(record, header) as readable:
             data = wfdb.rdrecord(str(readable.resolve()), smooth_frames=False)
     except _DAMAGE as exc:
         raise UnreadableFileError(f"{record}: not a readable WFDB record ({exc}); copy it again") from exc
@@ -140,18 +140,23 @@ def existing_record(record: Path) -> Path:
 
 
 @contextmanager
-def _quiet() -> Iterator[None]:
+def quiet() -> Iterator[None]:
     """Silence warnings of the package's own dependencies; a user cannot act on them."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         yield
 
 
-def _package() -> ModuleType:
+def wfdb_package() -> ModuleType:
+    """Return the package that reads WFDB.
+
+    Raises:
+        MissingDependencyError: absent.
+    """
     try:
-        with _quiet():
+        with quiet():
             return importlib.import_module("wfdb")
     except ModuleNotFoundError as exc:
         raise MissingDependencyError(
-            f"reading this ECG needs the package wfdb; {install_extra('ecg')}"
+            f"reading a WFDB record needs the package wfdb; {install_extra('ecg')}"
         ) from exc
