@@ -232,7 +232,6 @@ def _run_session(
     from dvf_ig.live.serve import LiveOptions, live_session
 
     feed = None if page is None else PageFeed(ready.setup, live.ecg.rate_hz, history)
-
     newest: deque[Answer] = deque(maxlen=1)
 
     def observe(answer: "Answer") -> None:
@@ -247,12 +246,17 @@ def _run_session(
         end_requested = stack.enter_context(_end_requests(haptic))
         ecg = stack.enter_context(ecg_events(live, ready.files.folder, tell))
         options = LiveOptions(
-            live, ready.landmarks, ecg=ecg, observe=observe, tell=tell, history=history, record=record
+            live,
+            ready.landmarks,
+            ecg=ecg,
+            observe=observe,
+            tell=tell,
+            history=history,
+            record=record,
+            haptic=haptic,
         )
-        options = replace(options, haptic=haptic)
-        if feed is not None:
-            options = replace(options, watch=feed.event)
         if feed is not None and page is not None:
+            options = replace(options, watch=feed.event)
             server = stack.enter_context(PageServer(feed, page))
             LOG.info(f"the session is shown at http://127.0.0.1:{server.port}")
         loop = stack.enter_context(live_session(ready.setup, options))
