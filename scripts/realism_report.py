@@ -3,12 +3,20 @@
 import os
 import sys
 import time
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
+import SimpleITK
 
-from data_synth import MOTIONS
+from data_synth import (
+    MOTIONS,
+    ScenarioSpec,
+    SecondWorldSpec,
+    phantom_scenario,
+    second_world_recording,
+)
 from data_synth.heart.anatomy import PhantomAnatomy, phantom_anatomy
 from data_synth.heart.motion_report import motion_report
 from data_synth.realism.gates import (
@@ -25,6 +33,7 @@ from data_synth.realism.gates import (
     speckle_gates,
     texture_gates,
 )
+from data_synth.realism.grey_levels import GreyLevels, grey_levels
 from data_synth.realism.heart import heart_gates
 from data_synth.realism.motion import EARLY_SYSTOLE, beating_gates, block_matching_gates
 from data_synth.realism.pictures import attenuation_db, contrasts_db, heart_views, points_db
@@ -32,12 +41,13 @@ from data_synth.realism.scan import real_pair_gates
 from data_synth.ultrasound.sequence import simulate_sequence
 from data_synth.ultrasound.views import standard_view
 from data_synth.ultrasound.volume import MatrixProbe, simulate_volume
-from dvf_ig.io import read_sequence, write_text
+from dvf_ig.io import read_sequence, read_volume, write_text
 from dvf_ig.io.writing.atomic import write_bytes
 from dvf_ig.report import png_bytes
 from dvf_ig.report.realism import RealismPictures, bounds_text, realism_figure, realism_html
 
 OUT = Path("out/realism")
+DATA = Path(os.environ.get("DVF_IG_DATA", "../shared/data"))
 PAIR = ("UltrasonixCurvilinearBrightnessData.igs.mha", "UltrasonixCurvilinearScanConvertedData.igs.mha")
 
 
@@ -76,13 +86,70 @@ def main() -> int:
     OUT.mkdir(parents=True, exist_ok=True)
     write_bytes(OUT / "pictures.png", picture)
     title = "How real the synthetic world is"
-    write_text(OUT / "index.html", realism_html(gates, picture, title))
+    compared = _compared()
+    for row in compared:
+        print(f"{row[0]:<18}", *(f"{cell:>15}" for cell in row[1:]))
+    write_text(OUT / "index.html", realism_html(gates, picture, title, compared))
     print(f"wrote {OUT}/index.html and {OUT}/pictures.png", file=sys.stderr)
     return 0 if all(g.passed for g in gates) else 7
 
 
+def _recorded() -> dict[str, GreyLevels]:
+    """Grey levels of the real recordings that are there."""
+    found = {}
+    if (sweep := DATA / "imfusion-liver-sweep" / "liver_sweep.npz").is_file():
+        with np.load(sweep) as arrays:
+            column_mm, row_mm = arrays["spacing_mm"]
+            found["liver"] = grey_levels(arrays["images"][::4], (float(row_mm), float(column_mm)))
+    if (clip := DATA / "echo-clips" / "pydicom_examples_ybr_color_A4C.dcm").is_file():
+        # halved from 640 columns, for which its header states region and pixel size
+        frames = SimpleITK.GetArrayFromImage(SimpleITK.ReadImage(clip))[:, 16:207, 42:298, 0]
+        found["apical 4-chamber"] = grey_levels(np.ascontiguousarray(frames), (1.02, 1.02))
+    if (brain := DATA / "resect-case2" / "case2_us_0.5mm.nii.gz").is_file():
+        volume = read_volume(brain)
+        levels = np.clip(255.0 * volume.values.T / volume.values.max(), 0, 255).astype(np.uint8)
+        along = volume.grid.spacing_mm
+        found["brain"] = grey_levels(levels[20:90:4], (float(along[1]), float(along[0])))
+    return found
+
+
+def _simulated(world: str, quality: Literal["calm", "poor-image"]) -> list[GreyLevels]:
+    """Grey levels of two short sweeps of a synthetic world, of hearts that are for tuning."""
+    measured = []
+    for seed in (1, 2):
+        made = (
+            phantom_scenario(ScenarioSpec(quality, seconds=5.0, seed=1000 + seed))
+            if world == "first"
+            else second_world_recording(SecondWorldSpec(5000 + seed, quality, seconds=5.0)).scenario
+        )
+        if made.ultrasound.images is None or made.truth is None:
+            raise TypeError("a synthetic sweep has images and their truth")
+        column_mm, row_mm = made.truth.probe_from_image.scale_mm_per_px
+        measured.append(grey_levels(made.ultrasound.images[::3], (float(row_mm), float(column_mm))))
+    return measured
+
+
+def _compared() -> list[list[str]]:
+    """A table of grey levels: real recordings, then the ranges of both worlds; empty without recordings."""
+    real = _recorded()
+    if not real:
+        print(f"note: no real recordings at {DATA}; set DVF_IG_DATA", file=sys.stderr)
+        return []
+    qualities: tuple[Literal["calm", "poor-image"], ...] = ("calm", "poor-image")
+    worlds = {f"{world} {q}": _simulated(world, q) for world in ("first", "second") for q in qualities}
+    rows = [["grey levels", *real, *worlds]]
+    for field in fields(GreyLevels):
+        ranges = [[getattr(one, field.name) for one in measured] for measured in worlds.values()]
+        rows.append(
+            [field.name]
+            + [f"{getattr(one, field.name):.2f}" for one in real.values()]
+            + [f"{min(values):.2f}–{max(values):.2f}" for values in ranges]
+        )
+    return rows
+
+
 def _scan_conversion() -> list[Gate]:
-    folder = Path(os.environ.get("DVF_IG_DATA", "../shared/data")) / "plus-scanconv"
+    folder = DATA / "plus-scanconv"
     if not folder.is_dir():
         print(f"note: no real scan-conversion pair at {folder}; set DVF_IG_DATA", file=sys.stderr)
         return []

@@ -16,7 +16,7 @@ from scipy.stats import rayleigh
 
 from dvf_ig.core.arrays import FloatArray, read_only_arrays
 
-from .page import html_page, png_tag
+from .page import html_page, png_tag, section, table
 from .style import ESTIMATE, FAINT, TRUTH
 
 if TYPE_CHECKING:
@@ -92,17 +92,27 @@ def realism_figure(shown: RealismPictures) -> Figure:
     return figure
 
 
-def realism_html(figures: Iterable[BoundedFigure], picture_png: bytes, title: str) -> str:
-    """Build a self-contained page."""
+def realism_html(
+    figures: Iterable[BoundedFigure], picture_png: bytes, title: str, compared: Sequence[Sequence[str]] = ()
+) -> str:
+    """Build a self-contained page.
+
+    Args:
+        compared: rows of a table beside real recordings, its heading first; empty leaves it out.
+    """
     rows = "".join(
         f"<tr class='{'ok' if f.passed else 'no'}'><td>{html.escape(f.name)}</td><td>{f.value:.4g}</td>"
         f"<td>{bounds_text(f)}</td><td>{'pass' if f.passed else 'FAIL'}</td></tr>"
         for f in figures
     )
     head = "<tr><th>measured figure</th><th>value</th><th>bounds</th><th></th></tr>"
-    return html_page(
-        title, f"{png_tag(picture_png, 'pictures')}<table>{head}{rows}</table>", style=_PAGE_STYLE
-    )
+    body = f"{png_tag(picture_png, 'pictures')}<table>{head}{rows}</table>"
+    if compared:
+        note = (
+            "Smallest to largest of the synthetic recordings. The real ones are of other organs and scanners."
+        )
+        body += section("Grey levels beside real recordings", note, table(compared[0], compared[1:]))
+    return html_page(title, body, style=_PAGE_STYLE)
 
 
 def bounds_text(figure: BoundedFigure) -> str:
