@@ -27,6 +27,9 @@ from .evidence.covariance import USUAL_PLACEMENT as USUAL_PLACEMENT
 from .evidence.covariance import LeastConstrained as LeastConstrained
 from .evidence.covariance import PlacementUncertainty as PlacementUncertainty
 from .evidence.covariance import least_constrained_direction as least_constrained_direction
+from .evidence.image_offset import ImageOffset as ImageOffset
+from .evidence.image_offset import ProbePoses as ProbePoses
+from .evidence.image_offset import fit_image_offset as fit_image_offset
 from .evidence.pair_evidence import PairEvidence as PairEvidence
 from .evidence.phase_offset import PhaseOffset as PhaseOffset
 from .evidence.phase_offset import offset_of as offset_of

@@ -10,6 +10,7 @@ from dvf_ig.registration.surface_points.touched import SurfaceDisagreement
 
 from .coverage import Coverage
 from .images import RegistrationOptions
+from .start import LANDMARKS_MM, landmarks_disagree
 
 
 @read_only_arrays
@@ -103,7 +104,14 @@ class RegistrationResult:
         """How it ended, as a user reads it."""
         if self.stop is Stop.PHASE_OFFSET and self.evidence.phase_offset is not None:
             return self.evidence.phase_offset.sentence
-        pair = self.evidence.pair
+        pair, landmarks_mm = self.evidence.pair, self.landmarks_mm
+        images_agree = self.evidence.worst_test_ratio(self.options.limits) <= 1.0
+        if self.stop is Stop.DISAGREEMENT and images_agree and landmarks_disagree(landmarks_mm):
+            return (
+                f"the images agree among themselves, and put the heart {landmarks_mm:.1f} mm from where the "
+                f"touched landmarks do (at most {LANDMARKS_MM:g}); do not guide by it. Check in this order: "
+                "probe calibration (of another day or probe, or its marker moved), the tool's tip, landmarks"
+            )
         if self.stop is Stop.LOW_OVERLAP and self.coverage is not None:
             return self.coverage.advice
         if self.stop is Stop.DOUBTFUL and self.coverage is not None:

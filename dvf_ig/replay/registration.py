@@ -18,6 +18,7 @@ from dvf_ig.session import (
     UltrasoundRecording,
     build_heart,
     gate_recording,
+    image_offset_of,
     register_frames,
 )
 
@@ -87,13 +88,16 @@ def prepare_registration(
     return PreparedRegistration(scenario, recording, frames, start)
 
 
-def explain_refusal(prepared: PreparedRegistration, *, seed: int = 0) -> str | None:
+def explain_refusal(prepared: PreparedRegistration, refused: Rigid, *, seed: int = 0) -> str | None:
     """Say which single mistake in preparing the recording would explain a refused registration.
 
     Each is undone, and the registration tried again without displaced starts; None if none then passes its
     checks.
+
+    Args:
+        refused: the pose that was refused.
     """
-    for sentence, undone in _undone(prepared):
+    for sentence, undone in _undone(prepared, refused):
         try:
             result = undone.register(seed=seed, warm=True)
         except NoOverlapError:
@@ -103,7 +107,7 @@ def explain_refusal(prepared: PreparedRegistration, *, seed: int = 0) -> str | N
     return None
 
 
-def _undone(prepared: PreparedRegistration) -> Iterator[tuple[str, PreparedRegistration]]:
+def _undone(prepared: PreparedRegistration, refused: Rigid) -> Iterator[tuple[str, PreparedRegistration]]:
     recording, start = prepared.recording, prepared.start
     for axis, side in ((2, "left to right"), (1, "top to bottom")):
         images = np.ascontiguousarray(np.flip(recording.images, axis=axis))
@@ -120,6 +124,14 @@ def _undone(prepared: PreparedRegistration) -> Iterator[tuple[str, PreparedRegis
         "with x and y of the start reversed the registration passes its checks: the start is in RAS where it "
         "says LPS, or the reverse",
         replace(prepared, start=flipped),
+    )
+    offset, calibrations = image_offset_of(recording, prepared.frames, refused), recording.calibrations
+    image_map = replace(calibrations.probe_from_image, rigid=offset.probe_from_image)
+    moved = replace(recording, calibrations=replace(calibrations, probe_from_image=image_map))
+    yield (
+        f"with its image {offset.text} the registration passes its checks: the probe calibration is of "
+        "another day or probe, or its marker has moved on the probe; calibrate the probe again",
+        replace(prepared, recording=moved, start=offset.pose),
     )
 
 

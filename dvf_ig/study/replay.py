@@ -1,15 +1,18 @@
 """Make interventions, replay each from raw streams to force, and score it: TRE, force, and hazard_s.
 
 hazard_s is the time in which a force was given on a pose more than 5 mm off; the table shows the largest over
-the seeds. The unit is the seed: it draws heart, patient and noise.
+the seeds. The unit is the seed: it draws patient and noise, and with `--heart varied` the heart too; the
+share of pose updates within their bound has an interval over resampled seeds.
 
     dvf-ig study replay --preset lost-ultrasound --seeds 10 -o study
+    dvf-ig study replay --preset calm --heart varied --seconds 40 --seeds 20 --seed 7101 -o study
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
+from data_synth.heart.heart_spec import HeartSpec
 from data_synth.scenario.presets import PRESETS, ScenarioSpec, preset_name
 from data_synth.scenario.recording import phantom_scenario
 from dvf_ig.intake.model_cache import cached_model
@@ -27,7 +30,7 @@ from dvf_ig.study.driver import (
     seed_option,
     seeds_option,
 )
-from dvf_ig.study.statistics import median_of, number_text
+from dvf_ig.study.statistics import Estimate, estimate_text, median_of, number_text, share_over_hearts
 
 
 class Motion(StrEnum):
@@ -37,12 +40,20 @@ class Motion(StrEnum):
     physiological = "physiological"
 
 
+class HeartKind(StrEnum):
+    """Hearts that the seeds draw."""
+
+    standard = "standard"
+    varied = "varied"
+
+
 @dataclass(frozen=True, kw_only=True)
 class ReplaySettings:
     """Options of the study."""
 
     preset: tuple[str, ...] = option("One preset; may be repeated (default: all).", ())
     motion: Motion = option("How far the heart moves.", Motion.paper5mm)
+    heart: HeartKind = option("One heart for all seeds, or another for each.", HeartKind.standard)
     seconds: float = option("Length of each intervention.", 60.0)
     seeds: int = seeds_option(10)
     seed: int = seed_option(1)
@@ -65,6 +76,8 @@ class PresetSummary:
         latched_s: time in which the operator had to re-arm.
         tip_seen: replays in which images showed the tool's tip; tip_elsewhere: of them
             for so long away from its expected position that no pose was used.
+        pose_updates: updates of poses in use; pose_bound_mm: median over seeds of the median stated bound.
+        pose_bound_covers: share of these updates whose RMS error over the heart is within the stated bound.
     """
 
     preset: str
@@ -82,6 +95,9 @@ class PresetSummary:
     latched_s: float | None
     tip_seen: int
     tip_elsewhere: int
+    pose_updates: int
+    pose_bound_mm: float | None
+    pose_bound_covers: Estimate
 
 
 def summarise_replays(lines: Sequence[Line], presets: Sequence[str]) -> list[PresetSummary]:
@@ -95,6 +111,7 @@ def summarise_replays(lines: Sequence[Line], presets: Sequence[str]) -> list[Pre
 def _summary(preset: str, lines: Sequence[Line]) -> PresetSummary:
     scored = [line for line in lines if "refused" not in line]
     tre = [line["tre_mm"]["median"] for line in scored if line["tre_mm"]]
+    bounds = [line["pose_bound_mm"] for line in scored if line["pose_bound_mm"]]
     return PresetSummary(
         preset=preset,
         seeds=len(lines),
@@ -114,7 +131,16 @@ def _summary(preset: str, lines: Sequence[Line]) -> PresetSummary:
             x["tip_in_image"] is not None and x["tip_in_image"]["elsewhere_beats"] >= ELSEWHERE_BEATS
             for x in scored
         ),
+        pose_updates=sum(bound["updates"] for bound in bounds),
+        pose_bound_mm=median_of([bound["median"] for bound in bounds]),
+        pose_bound_covers=share_over_hearts([_held(bound) for bound in bounds]),
     )
+
+
+def _held(bound: Mapping[str, float]) -> list[bool]:
+    """Whether the bound held, for each update of one replay."""
+    count = round(bound["coverage"] * bound["updates"])
+    return [place < count for place in range(int(bound["updates"]))]
 
 
 KEPT = (
@@ -129,6 +155,7 @@ KEPT = (
     "ticks",
     "supervisor",
     "tip_in_image",
+    "pose_bound_mm",
     "seconds",
 )
 """Fields of a replay's result that a line keeps."""
@@ -149,11 +176,17 @@ def replay_trial(settings: Settings, number: int) -> Line:
     """Make, replay and score one intervention.
 
     Args:
-        settings: `presets`, `motion`, `seconds`.
+        settings: `presets`, `motion`, `heart`, `seconds`.
         number: see `trial_of`.
     """
     seed, preset = trial_of(settings, number)
-    spec = ScenarioSpec(preset=preset, motion=settings["motion"], seconds=settings["seconds"], seed=seed)
+    spec = ScenarioSpec(
+        preset=preset,
+        motion=settings["motion"],
+        heart=HeartSpec(settings["heart"]),
+        seconds=settings["seconds"],
+        seed=seed,
+    )
     scenario = phantom_scenario(spec)
     result = result_of(run_replay(scenario, model=cached_model(scenario.preop).model))
     return {
@@ -172,7 +205,12 @@ def run(settings: ReplaySettings, driver: Driver) -> Result:
     checked = ScenarioSpec(
         preset=presets[0], motion=settings.motion.value, seconds=settings.seconds, seed=settings.seed
     )
-    fields = {"presets": presets, "motion": checked.motion, "seconds": checked.seconds}
+    fields = {
+        "presets": presets,
+        "motion": checked.motion,
+        "heart": settings.heart.value,
+        "seconds": checked.seconds,
+    }
     lines = driver.trials(
         Trials("replay", fields, replay_trial),
         trial_numbers(len(presets), settings.seed, settings.seeds),
@@ -185,7 +223,7 @@ def run(settings: ReplaySettings, driver: Driver) -> Result:
 
 def _table(rows: Sequence[PresetSummary]) -> Rows:
     head = ("preset", "guided", "TRE mm, worst", "force error N", "valid", "in contact", "hazard s")
-    more = ("at a stretch", "withheld s", "latched s", "tip seen, elsewhere")
+    more = ("at a stretch", "withheld s", "latched s", "tip seen, elsewhere", "pose bound mm", "it covers")
     return [(*head, *more), *(_cells(row) for row in rows)]
 
 
@@ -203,6 +241,8 @@ def _cells(row: PresetSummary) -> tuple[str, ...]:
         number_text(row.withheld_s, "{:.1f}", ""),
         number_text(row.latched_s, "{:.1f}", ""),
         f"{row.tip_seen}, {row.tip_elsewhere}",
+        number_text(row.pose_bound_mm, "{:.1f}", ""),
+        f"{estimate_text(row.pose_bound_covers, '{:.0%}')} of {row.pose_updates} updates",
     )
 
 

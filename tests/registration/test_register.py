@@ -259,3 +259,5 @@ def test_landmarks_elsewhere_rule_a_pose_out(off_mm: float, stop: Stop) -> None:
     assert result.stop is stop
     assert result.landmarks_mm == pytest.approx(off_mm, abs=0.6)
     assert (result.tre_bound_mm, result.touched) == (None, None)
+    named = "Check in this order: probe calibration" in result.sentence
+    assert named is (stop is Stop.DISAGREEMENT)

@@ -7,15 +7,19 @@ import numpy as np
 import pytest
 from toy_lab import sweep
 
-from dvf_ig.core import Rigid
+from dvf_ig.core import ImageMap, Rigid
+from dvf_ig.registration import ImageOffset
+from dvf_ig.replay import registration
 from dvf_ig.replay.registration import PreparedRegistration, explain_refusal
-from dvf_ig.session import UltrasoundRecording
+from dvf_ig.session import UltrasoundCalibration, UltrasoundRecording
 
 START = Rigid("mr", "tracker", np.eye(3), np.array([10.0, 20.0, 30.0]))
 
 
 def prepared() -> PreparedRegistration:
-    recording = UltrasoundRecording(sweep(), 0, None, None, (), None, "two-segment")
+    image = ImageMap(Rigid("probe", "image", np.eye(3), np.zeros(3)), np.ones(2))
+    calibrations = UltrasoundCalibration(image, 0.0)
+    recording = UltrasoundRecording(sweep(), 0, None, None, (), calibrations, "two-segment")
     return PreparedRegistration(None, recording, None, START)
 
 
@@ -25,6 +29,7 @@ def prepared() -> PreparedRegistration:
         ("mirrored", "mirrored left to right"),
         ("upside down", "mirrored top to bottom"),
         ("flipped", "the start is in RAS"),
+        ("calibrated another day", "moved by 4.0 mm and turned by 2.0° on its probe"),
         ("another", None),
     ],
 )
@@ -32,6 +37,9 @@ def test_the_mistake_that_is_undone_is_named(
     monkeypatch: pytest.MonkeyPatch, mistake: str, words: str | None
 ) -> None:
     recorded = prepared()
+    moved = Rigid("probe", "image", np.eye(3), np.array([4.0, 0.0, 0.0]))
+    offset = ImageOffset(moved, Rigid("mr", "tracker", np.eye(3), np.zeros(3)), 4.0, 2.0, 30.0)
+    monkeypatch.setattr(registration, "image_offset_of", lambda *_: offset)
 
     def register(self: PreparedRegistration, **_: Any) -> Any:
         images, before = self.recording.images, recorded.recording.images
@@ -39,10 +47,12 @@ def test_the_mistake_that_is_undone_is_named(
             "mirrored": np.array_equal(images, before[:, :, ::-1]),
             "upside down": np.array_equal(images, before[:, ::-1]),
             "flipped": np.array_equal(self.start.translation_mm, [-10.0, -20.0, 30.0]),
+            "calibrated another day": self.start is offset.pose
+            and self.recording.calibrations.probe_from_image.rigid is offset.probe_from_image,
             "another": False,
         }
         return SimpleNamespace(stop=SimpleNamespace(usable=usable[mistake]))
 
     monkeypatch.setattr(PreparedRegistration, "register", register)
-    cause = explain_refusal(recorded)
+    cause = explain_refusal(recorded, START)
     assert (cause is None) if words is None else (cause is not None and words in cause)

@@ -19,6 +19,9 @@ def line(number: int, tre_mm: float | None, hazard_s: float) -> dict[str, Any]:
         "ticks": 1000,
         "supervisor": {"latched_s": 0.0},
         "tip_in_image": None,
+        "pose_bound_mm": None
+        if tre_mm is None
+        else {"median": 2.0 * tre_mm, "updates": 20, "coverage": 0.95},
     }
 
 
@@ -36,4 +39,6 @@ def test_the_worst_seed_gives_the_hazard_and_the_median_the_error() -> None:
     assert (calm.tre_median_mm, calm.tre_worst_mm) == (2.0, 3.0)
     assert (calm.hazard_s, calm.hazard_longest_s) == (4.0, 2.0)
     assert calm.valid_share == 0.8
+    assert (calm.pose_updates, calm.pose_bound_mm) == (40, 4.0)
+    assert calm.pose_bound_covers.value == 0.95
     assert (other.seeds, other.hazard_s) == (0, None)

@@ -121,12 +121,21 @@ def rows_of(result: "RegistrationResult", name: str) -> list[tuple[str, str]]:
         ("moved from start", f"{result.moved_mm:.1f} mm"),
         ("similarity", f"{result.start_similarity:.3f} at the start, {result.similarity:.3f} now"),
         *_checks(result),
+        *_landmarks(result.landmarks_mm),
         *([] if touched is None else [("touched surface", touched.sentence)]),
         ("overlap", _overlap(result)),
         ("standard deviation", f"{_triple(rotation)} deg, {_triple(shift)} mm (x, y, z)"),
         ("least constrained", least_constrained_direction(result.covariance).sentence()),
         ("time", f"{result.seconds:.1f} s, {result.evaluations} evaluations"),
     ]
+
+
+def _landmarks(apart_mm: float | None) -> list[tuple[str, str]]:
+    from dvf_ig.registration import LANDMARKS_MM
+
+    if apart_mm is None:
+        return []
+    return [("touched landmarks", f"{apart_mm:.1f} mm from the pose (at most {LANDMARKS_MM:g})")]
 
 
 def _overlap(result: "RegistrationResult") -> str:

@@ -1,0 +1,155 @@
+"""How the image lies to its probe, by the views of the heart themselves, where a calibration may be wrong.
+
+A wrong probe calibration moves every image by the same step in the probe's frame, and so by another step in
+the tracker's for each position of the probe: no one pose of the heart undoes it. Pose ξ and step η are found
+together, from the pose of a registration on, by the gradient of LC2 over each slice (`Lc2.cost_gradient`): a
+step η about the image's middle m moves slice i as ξ = A_i η does. A Gaussian prior keeps to the calibration
+what the views say nothing of.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from scipy.optimize import minimize
+
+from dvf_ig.core import HEART_RADIUS_MM, FloatArray, Rigid, read_only_arrays
+from dvf_ig.registration.lc2.lc2 import Lc2
+from dvf_ig.registration.lc2.slices import SliceSet
+from dvf_ig.registration.pose_chart import PoseChart
+
+PRIOR_SIGMA_MM = 8.0
+"""Standard deviation of each coordinate of the step: of a marker put on the probe again."""
+ROUNDS, STEPS = 3, 12
+"""Searches one after the other, each about the end of the last and with steps at most."""
+
+
+@read_only_arrays
+@dataclass(frozen=True, slots=True, eq=False)
+class ProbePoses:
+    """Poses of the probe at which the slices were seen.
+
+    Attributes:
+        rotations, translations_mm: (s, 3, 3), (s, 3) tracker_from_probe.
+        probe_from_image: calibration that placed the slices, without its scale.
+        middle_mm: (3,) middle of the image in the probe's frame.
+    """
+
+    rotations: FloatArray
+    translations_mm: FloatArray
+    probe_from_image: Rigid
+    middle_mm: FloatArray
+
+
+@read_only_arrays
+@dataclass(frozen=True, slots=True, eq=False)
+class ImageOffset:
+    """The calibration at which the views fit the model best, and the pose there.
+
+    Attributes:
+        probe_from_image: calibration, without its scale.
+        pose: target_from_source.
+        moved_mm, turned_deg: by which the image's middle was moved, and the image turned.
+        log_likelihood_ratio: of that calibration against the given one.
+    """
+
+    probe_from_image: Rigid
+    pose: Rigid
+    moved_mm: float
+    turned_deg: float
+    log_likelihood_ratio: float
+
+    @property
+    def text(self) -> str:
+        """Size of the step."""
+        return f"moved by {self.moved_mm:.1f} mm and turned by {self.turned_deg:.1f}° on its probe"
+
+
+def fit_image_offset(
+    slices: SliceSet,
+    probe: ProbePoses,
+    metric_of: Callable[[SliceSet], Lc2],
+    pose: Rigid,
+    center_mm: FloatArray,
+) -> ImageOffset:
+    """Find pose and calibration together.
+
+    Args:
+        slices: coarse ones do.
+        metric_of: LC2 of the slices, wherever they lie.
+        pose: near the optimum, target_from_source.
+        center_mm: (3,) about which poses turn, target frame.
+    """
+    given = PoseChart(probe.probe_from_image, probe.middle_mm)
+
+    def cost_at(here: Rigid, image: Rigid) -> tuple[float, FloatArray]:
+        metric = metric_of(_placed(slices, probe, image))
+        return _cost(metric, here, center_mm, _motion(probe, here, center_mm), given.coordinates(image))
+
+    image = given.base
+    first_cost = last_cost = cost_at(pose, image)[0]
+    for _ in range(ROUNDS):
+        charts = PoseChart(pose, center_mm), PoseChart(image, probe.middle_mm)
+        search = partial(_at_step, cost_at, *charts)
+        found = minimize(search, np.zeros(12), jac=True, method="BFGS", options={"maxiter": STEPS})
+        pose, image = charts[0].pose(found.x[:6]), charts[1].pose(found.x[6:])
+        last_cost = float(found.fun)
+    step = given.coordinates(image)
+    return ImageOffset(
+        probe_from_image=image,
+        pose=pose,
+        moved_mm=float(np.linalg.norm(step[3:])),
+        turned_deg=float(np.degrees(np.linalg.norm(step[:3])) / HEART_RADIUS_MM),
+        log_likelihood_ratio=first_cost - last_cost,
+    )
+
+
+def _at_step(
+    cost_at: Callable[[Rigid, Rigid], tuple[float, FloatArray]],
+    pose: PoseChart,
+    image: PoseChart,
+    step: FloatArray,
+) -> tuple[float, FloatArray]:
+    return cost_at(pose.pose(step[:6]), image.pose(step[6:]))
+
+
+def _cost(
+    metric: Lc2, pose: Rigid, center_mm: FloatArray, motion: FloatArray, step: FloatArray
+) -> tuple[float, FloatArray]:
+    """−log posterior, and its gradient (12,) over pose and step.
+
+    Args:
+        motion: (s, 6, 6) A of each slice; step: (6,) η from the given calibration.
+    """
+    each, n = metric.cost_gradient(pose, center_mm), metric.information
+    share = 0.5 * n / max(float(each.cost.sum()), 1e-12)
+    similarity = metric.score(pose).similarity
+    cost = 0.5 * n * math.log(max(1.0 - similarity, 1e-12)) + 0.5 * float(step @ step) / PRIOR_SIGMA_MM**2
+    along = share * np.einsum("si,sij->j", each.gradient, motion) + step / PRIOR_SIGMA_MM**2
+    return cost, np.concatenate([share * each.gradient.sum(axis=0), along])
+
+
+def _placed(slices: SliceSet, probe: ProbePoses, image: Rigid) -> SliceSet:
+    """The slices where another calibration puts them."""
+    step = image @ probe.probe_from_image.inverse()
+    turned = np.swapaxes(probe.rotations, 1, 2)
+    in_probe = turned @ slices.frame_from_pixel
+    in_probe[:, :, 2] -= np.einsum("sij,sj->si", turned, probe.translations_mm)
+    moved = step.rotation @ in_probe
+    moved[:, :, 2] += step.translation_mm
+    placed = probe.rotations @ moved
+    placed[:, :, 2] += probe.translations_mm
+    return replace(slices, frame_from_pixel=placed)
+
+
+def _motion(probe: ProbePoses, pose: Rigid, center_mm: FloatArray) -> FloatArray:
+    """(s, 6, 6) A: the ξ of each slice that a step η of the image on its probe is."""
+    turn = pose.rotation @ probe.rotations
+    middle = pose.apply_array(probe.rotations @ probe.middle_mm + probe.translations_mm) - center_mm
+    out = np.zeros((len(turn), 6, 6))
+    out[:, :3, :3] = out[:, 3:, 3:] = turn
+    for k in range(3):
+        out[:, 3:, k] = np.cross(middle, turn[:, :, k]) / HEART_RADIUS_MM
+    return out
