@@ -39,6 +39,8 @@ from .recordings.signal import Signal as Signal
 from .recordings.signal import Trace as Trace
 from .recordings.stream import PoseStream as PoseStream
 from .recordings.tracked_volume import TrackedVolume as TrackedVolume
+from .seen_part import RAMP_MM as RAMP_MM
+from .seen_part import SeenPart as SeenPart
 from .space.displacement import HEART_RADIUS_MM as HEART_RADIUS_MM
 from .space.displacement import mean_displacement_mm as mean_displacement_mm
 from .space.frames import RAS_FROM_LPS as RAS_FROM_LPS

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from .arrays import BoolArray, FloatArray, frozen, frozen_floats, read_only_arrays
 from .errors import InvalidInputError
+from .seen_part import SeenPart
 from .space.frames import check_frame, require_same_frame
 from .space.mesh import Mesh
 from .timing.cycle import CycleTiming
@@ -56,6 +57,7 @@ class DvfModel:
         sources: data it was built from, for the record.
         cine_fingerprint: of the grey levels it was built from (`VolumeSeries.fingerprint`); None without any.
         chambers: the blood within the organ, which ultrasound shows; none if it is not known.
+        seen: the part of the surface that a stack of slices shows; None if all of it is known.
     """
 
     patient_id: str
@@ -72,6 +74,7 @@ class DvfModel:
     sources: tuple[str, ...] = ()
     chambers: tuple[Chamber, ...] = ()
     cine_fingerprint: str | None = None
+    seen: SeenPart | None = None
 
     def __post_init__(self) -> None:
         check_frame(self.frame)
@@ -97,6 +100,8 @@ class DvfModel:
                 )
             for mesh in chamber.surfaces:
                 require_same_frame(self.frame, mesh.frame, f"chamber {chamber.name}")
+        if self.seen is not None and len(self.seen.bounds_mm) != n:
+            raise InvalidInputError(f"seen slabs of {len(self.seen.bounds_mm)} phases for {n} phases")
         coefficients.setflags(write=False)
         object.__setattr__(self, "coefficients", coefficients)
         object.__setattr__(self, "origin_mm", frozen_floats(self.origin_mm, "model origin", (3,)))
@@ -114,6 +119,21 @@ class DvfModel:
                 "patient's model, or, if it is the same patient, give the other data the same name: "
                 f"--patient '{self.patient_id}', or patient_id: '{self.patient_id}' in their YAML file"
             )
+
+    def unseen(self, phase: int) -> BoolArray:
+        """(t,) triangles of a phase's surface that no slice shows."""
+        mesh = self.reference[phase]
+        if self.seen is None:
+            return np.zeros(len(mesh.triangles), dtype=np.bool_)
+        return ~self.seen.holds(mesh.vertices_mm[mesh.triangles].mean(axis=1), phase)
+
+    @property
+    def unseen_share(self) -> float:
+        """Share of the area of the end-diastolic surface that no slice shows."""
+        mesh = self.reference[self.ed_phase]
+        a, b, c = (mesh.vertices_mm[mesh.triangles[:, k]] for k in range(3))
+        area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+        return float(area[self.unseen(self.ed_phase)].sum() / area.sum())
 
     @property
     def phases(self) -> int:

@@ -87,13 +87,20 @@ class Evaluator:
         blend: "force" (corrected eq. 10), "distance" (one potential per instant) or "periodic" (as distance,
             twice continuously differentiable in phase; half as fast, for it reads four phases).
         device: what the haptic device can render.
+        withhold_unseen: give no force where no slice shows the surface.
     Raises:
         InvalidInputError: unknown blend, a law beyond the device's limits, or a forbidden region that is felt
             too far from the surface.
     """
 
     def __init__(
-        self, model: DvfModel, law: Law, *, blend: Blend = "force", device: DeviceLimits = COMMON_DEVICE
+        self,
+        model: DvfModel,
+        law: Law,
+        *,
+        blend: Blend = "force",
+        device: DeviceLimits = COMMON_DEVICE,
+        withhold_unseen: bool = True,
     ) -> None:
         if blend not in BLEND_CODES:
             raise InvalidInputError(f"unknown blend '{blend}'; choose one of {', '.join(BLEND_CODES)}")
@@ -111,6 +118,7 @@ class Evaluator:
             periodic_powers(timing) if periodic else np.zeros((0, 4, 4)),
             law.parameters,
             BLEND_CODES[blend],
+            model.seen if withhold_unseen else None,
         )
 
     @property

@@ -188,6 +188,9 @@ class Fixtures:
     guidance, one joint cap). Where any fixture has a status other than OK there is no force of any of them,
     and the first such status is that of all. Distance, gradient and rate are those of the primary fixture.
 
+    Where no slice shows the surface there is no force (status UNSEEN); with an adaptive margin there is one,
+    and the session makes the margin the largest there.
+
     At NO_PHASE only forbidden regions act, each at its worst phase (`dvf_ig.kernels.worst_phase`), and
     distance and gradient are those of the first of them.
 
@@ -203,7 +206,7 @@ class Fixtures:
     def __init__(self, model: DvfModel, options: FixtureSet = FORBIDDEN_SURFACE) -> None:
         self.model = model
         self.options = options
-        self.parts = tuple(_bound(model, one, options.device) for one in options.fixtures)
+        self.parts = tuple(_bound(model, one, options) for one in options.fixtures)
         check_joint_stiffness(options)
         self._composed = options.composed
         self._first_wall = next((i for i, one in enumerate(options.fixtures) if one.forbidden), None)
@@ -257,10 +260,11 @@ class Fixtures:
         )
 
 
-def _bound(model: DvfModel, one: FixtureOptions, device: DeviceLimits) -> Evaluator | PathFixture:
+def _bound(model: DvfModel, one: FixtureOptions, options: FixtureSet) -> Evaluator | PathFixture:
+    device, withhold = options.device, options.margin.mode != "adaptive"
     try:
         if one.path is None:
-            return Evaluator(model, one.law, blend=one.blend, device=device)
+            return Evaluator(model, one.law, blend=one.blend, device=device, withhold_unseen=withhold)
         require_same_frame(model.frame, one.path.frame, "path of a fixture")
         return PathFixture(one.path, one.law, device=device)
     except InvalidInputError as exc:

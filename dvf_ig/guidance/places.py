@@ -25,6 +25,8 @@ class Status(IntEnum):
     """The tool's pose is too old, or the tracker does not see it."""
     FAULT = code.FAULT
     """The input or the output was not finite."""
+    UNSEEN = code.UNSEEN
+    """No slice of the MR shows the nearest part of the surface: unprotected."""
 
 
 class PlaceInModel(NamedTuple):

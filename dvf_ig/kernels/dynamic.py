@@ -32,6 +32,7 @@ from .fixture_field import (
     knot_coordinates,
     no_output,
     output_of,
+    within_seen,
 )
 from .lanes import Float64x4, fma, pack, scale, unpack
 from .phase import cubic_in_phase, phase_bracket
@@ -71,7 +72,8 @@ def _periodic_at(coefficients: NDArray[np.float32], f: FloatArray, q: Vector, ph
     b = field_of_phase(coefficients, after, cell, per_knot)
     mixed = fma(fma(mixed, weights[2], a), weights[3], b)
     sloped = fma(fma(sloped, slopes[2], a), slopes[3], b)
-    return output_of(scale(_force_per_gradient_of_blend(f, mixed), mixed), mixed, unpack(sloped)[0] / width)
+    force = scale(_force_per_gradient_of_blend(f, mixed), mixed)
+    return within_seen(f, count, q, phi, output_of(force, mixed, unpack(sloped)[0] / width))
 
 
 @inlined
@@ -108,7 +110,8 @@ def _force_at(coefficients: NDArray[np.float32], f: FloatArray, q: Vector, phi: 
     if status != code.OK:
         return no_output(status)
     a, b, mixed, alpha, rate = _two_fields(coefficients, f, (u, v, w), phi)
-    return output_of(_blended_force(f, a, b, mixed, alpha), mixed, rate)
+    output = output_of(_blended_force(f, a, b, mixed, alpha), mixed, rate)
+    return within_seen(f, len(coefficients), q, phi, output)
 
 
 @inlined
@@ -147,6 +150,7 @@ def forces_on_surface(
             result = code.OK, (0.0, 0.0, 0.0), math.nan, (math.nan, math.nan, math.nan), math.nan
         else:
             result = output_of(_blended_force(f, a, b, mixed, alpha), mixed, rate)
+            result = within_seen(f, len(linear), q, phi, result)
         if result[0] != code.OK:
             return no_output(result[0])
         forces[i, 0], forces[i, 1], forces[i, 2] = result[1]

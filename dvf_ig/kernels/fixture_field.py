@@ -5,12 +5,13 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from dvf_ig.core import FloatArray
+from dvf_ig.core import RAMP_MM, FloatArray, SeenPart
 
 from . import status as code
-from .compiled import inlined
+from .compiled import inlined, kernel
 from .lanes import Float64x4, multiply, pack, unpack
 from .laws import LARGEST_FORCE_N, direction_certainty, signed_potential
+from .phase import phase_bracket
 from .spline import Cell, cell_value_gradient, inside_box
 from .vectors import Vector
 
@@ -27,9 +28,12 @@ BLEND = 4
 LAW = 5
 DEPTH = 9
 POSE = 10
-TIMES = 22
+SEEN = 22
+"""Number of slabs of the seen part, 0 if all is known; normal of the slices and width of the ramp follow."""
+TIMES = 27
 POWERS = 16
-"""Count of numbers for each phase that follow the phase times with the periodic blend."""
+"""Count of numbers for each phase that follow the phase times with the periodic blend; bounds of the seen
+slabs, phase after phase, come last."""
 
 WITHOUT_RATE = 7
 """Count of numbers in the output of a tick: force 3, distance, gradient 3; the distance rate may follow."""
@@ -45,6 +49,7 @@ def packed_fixture(
     powers: FloatArray,
     law: FloatArray,
     blend: int,
+    seen: SeenPart | None,
     model_from_query: FloatArray,
 ) -> FloatArray:
     """Pack all but the coefficients in one array: each array argument lengthens a call from Python.
@@ -55,10 +60,21 @@ def packed_fixture(
         powers: (n, 4, 4) phase weights of BLEND_PERIODIC (`cubic_in_phase`); (0, 4, 4) otherwise.
         law: (5,) kind, scale, exponent, cap in N, guarded depth in mm (dvf_ig.guidance laws).
         blend: BLEND_FORCE, BLEND_DISTANCE or BLEND_PERIODIC.
+        seen: the part of the surface outside which there is no force; None: all of it is known.
         model_from_query: (3, 4) rigid map of query points into the model's frame.
     """
-    head = [origin_mm, [1.0 / knot_mm, float(blend)], law, model_from_query.ravel()]
-    return np.concatenate([*head, fractions, powers.ravel()])
+    slabs = np.zeros((0, 0, 2)) if seen is None else seen.bounds_mm
+    normal = np.zeros(3) if seen is None else seen.normal
+    head = [
+        origin_mm,
+        [1.0 / knot_mm, float(blend)],
+        law,
+        model_from_query.ravel(),
+        [slabs.shape[1]],
+        normal,
+        [RAMP_MM],
+    ]
+    return np.concatenate([*head, fractions, powers.ravel(), slabs.ravel()])
 
 
 @inlined
@@ -125,3 +141,44 @@ def output_of(force: Float64x4, field: Float64x4, rate: float) -> Output:
     if not math.isfinite(fx + fy + fz):
         return no_output(code.FAULT)
     return code.OK, (fx, fy, fz), d, (gx, gy, gz), rate
+
+
+@inlined
+def within_seen(f: FloatArray, count: int, q: Vector, phi: float, output: Output) -> Output:
+    """Take the force away where the nearest point of the surface was not seen."""
+    if f[SEEN] == 0.0 or output[0] != code.OK:
+        return output
+    return _limited(f, count, q, phi, output)
+
+
+@kernel
+def seen_share(f: FloatArray, count: int, q: Vector, phi: float, distance: float, gradient: Vector) -> float:
+    """Compute the share of the force that remains (`dvf_ig.core.SeenPart.share`); for `count` phases."""
+    first, second, alpha, _ = phase_bracket(f, TIMES, count, phi)
+    gx, gy, gz = gradient
+    square = gx * gx + gy * gy + gz * gz
+    step = distance / square if square > 0.04 else 0.0
+    height = (
+        f[SEEN + 1] * (q[0] - step * gx) + f[SEEN + 2] * (q[1] - step * gy) + f[SEEN + 3] * (q[2] - step * gz)
+    )
+    start = TIMES + count
+    if int(f[BLEND]) == BLEND_PERIODIC:
+        start += POWERS * count
+    slabs = int(f[SEEN])
+    within = -math.inf
+    for j in range(slabs):
+        a, b = start + 2 * (slabs * first + j), start + 2 * (slabs * second + j)
+        low = (1.0 - alpha) * f[a] + alpha * f[b]
+        high = (1.0 - alpha) * f[a + 1] + alpha * f[b + 1]
+        within = max(within, min(height - low, high - height))
+    part = min(max(within / f[SEEN + 4], 0.0), 1.0)
+    return part * part * (3.0 - 2.0 * part)
+
+
+@kernel
+def _limited(f: FloatArray, count: int, q: Vector, phi: float, output: Output) -> Output:
+    share = seen_share(f, count, q, phi, output[2], output[3])
+    if share == 0.0:
+        return no_output(code.UNSEEN)
+    force = output[1]
+    return code.OK, (share * force[0], share * force[1], share * force[2]), output[2], output[3], output[4]

@@ -27,6 +27,7 @@ from .fixture_field import (
     LAW,
     PER_KNOT,
     POWERS,
+    SEEN,
     TIMES,
     Output,
     cells_of,
@@ -35,6 +36,7 @@ from .fixture_field import (
     knot_coordinates,
     no_output,
     output_of,
+    seen_share,
 )
 from .lanes import Float64x4, fma, pack, scale, unpack
 from .laws import SIGMOID
@@ -95,7 +97,28 @@ def worst_phase_force(coefficients: NDArray[np.float32], f: FloatArray, q: Vecto
             mixed, total = fma(mixed, weight, field), total + weight
     _, gx, gy, gz = unpack(scale(1.0 / total, mixed))
     field = pack(outward * (most + SMOOTHING_MM * math.log(total)), gx, gy, gz)
-    return output_of(scale(force_per_gradient_of_field(f, field), field), field, 0.0)
+    output = output_of(scale(force_per_gradient_of_field(f, field), field), field, 0.0)
+    if f[SEEN] == 0.0 or output[0] != code.OK:
+        return output
+    share = _seen_share(coefficients, f, q, cell, outward * most)
+    if share == 0.0:
+        return no_output(code.UNSEEN)
+    force = output[1]
+    return code.OK, (share * force[0], share * force[1], share * force[2]), output[2], output[3], 0.0
+
+
+@kernel
+def _seen_share(
+    coefficients: NDArray[np.float32], f: FloatArray, q: Vector, cell: Cell, worst_mm: float
+) -> float:
+    """Compute the share of the force that remains, over all phases with the weights of the wall."""
+    count, total, seen = len(coefficients), 0.0, 0.0
+    for phase in range(count):
+        d, gx, gy, gz = unpack(_field_at_phase(coefficients, f, phase, cell, count))
+        weight = math.exp(-abs(worst_mm - d) / SMOOTHING_MM)
+        total += weight
+        seen += weight * seen_share(f, count, q, f[TIMES + phase], d, (gx, gy, gz))
+    return seen / total
 
 
 @kernel

@@ -24,7 +24,7 @@ from dvf_ig.core import (
 from dvf_ig.preop.motion.base_descent import USUAL_MM, USUAL_SIGMA_MM, BaseDescent, base_descent
 from dvf_ig.preop.motion.cavity import cavity_volumes_mm3
 from dvf_ig.preop.motion.cycle import CycleMotion, MotionOptions, propagate_surface, track_cycle
-from dvf_ig.preop.motion.open_ends import OpenEnd, open_ends
+from dvf_ig.preop.motion.open_ends import OpenEnd, open_ends, seen_part
 from dvf_ig.preop.motion.quality import MotionQuality, assess_motion
 from dvf_ig.preop.motion.slice_shifts import SliceShifts, slice_shifts
 from dvf_ig.preop.motion.slice_stack import observable_axes
@@ -174,7 +174,8 @@ def model_from_cine(
             )
         ],
     )
-    model = replace(model, cine_fingerprint=image.fingerprint())
+    seen = seen_part(image.grid, organ, None if shifts is None else shifts.sax_mm, len(image.timing))
+    model = replace(model, cine_fingerprint=image.fingerprint(), seen=seen)
     budget = surface_budget(image.grid.spacing_mm, surface.volume_mm3())
     return CineModel(model, surfaces, motion, quality, budget, volumes, ends, shifts, base)
 

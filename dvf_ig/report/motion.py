@@ -44,7 +44,7 @@ def write_motion_picture(
     """Write three planes through the organ at end-diastole and end-systole, and bars of quality, as a PNG.
 
     Args:
-        caps: (t,) triangles at which the image cut the organ off, so that they were closed, not imaged.
+        caps: (t,) triangles that the image does not show: closed where it ends, or where no slice lies.
     Raises:
         InvalidInputError: a suffix that is not .png.
         OutputError: not writable.
@@ -74,7 +74,7 @@ def motion_figure(
             name = _draw_plane(axis, image, surfaces, (phase, ed_phase), normal, (low, high), closed)
             percent = 100 * image.timing.fractions[phase]
             axis.set_title(f"{word} ({percent:.0f} % of the cycle)\n{name}", fontsize=9, color=TRUTH)
-    note = "; orange: closed where the image ends, not imaged" if closed.any() else ""
+    note = "; orange: not imaged, closed" if closed.any() else ""
     upper.suptitle(f"propagated surface (dotted: end-diastole{note})", fontsize=10, color=TRUTH)
     bars = lower.subplots(2, 2).ravel()
     _draw_bars(bars, image, quality, es_phase)

@@ -10,7 +10,7 @@ from math import inf
 
 import numpy as np
 
-from dvf_ig.core import FloatArray
+from dvf_ig.core import DvfModel, FloatArray
 from dvf_ig.guidance import DeviceLimits, FixtureSet, PoseAndPhase, Status
 from dvf_ig.guidance.margins import DistanceSigma, distance_sigma, isotropic, next_margin_mm
 from dvf_ig.guidance.servo import ServoTick
@@ -39,6 +39,7 @@ def sigma_at(
     gradient_model: FloatArray,
     rate_mm_per_cycle: FloatArray,
     pose_age_s: float,
+    model: DvfModel,
 ) -> DistanceSigma:
     """Compute σ of the distance at n points.
 
@@ -47,15 +48,19 @@ def sigma_at(
         xyz_tracker_mm: (n, 3) points, tracker frame; gradient_model: (n, 3) ∇d there, model frame.
         rate_mm_per_cycle: (n,) ∂d/∂φ; zero of a wall at its worst phase, whose phase adds no uncertainty.
         pose_age_s: since a beat confirmed the pose.
+        model: of the heart; one from distant slices adds the uncertainty of its motion through them.
     """
     mapped = transform.at(xyz_tracker_mm, t_s)
+    shape_mm2 = isotropic(SHAPE_SIGMA_MM)
+    if model.seen is not None:
+        shape_mm2 = shape_mm2 + model.seen.covariance_mm2(mapped.xyz_mm, mapped.model_phase, model.timing)
     nothing = isotropic(0.0)
     return distance_sigma(
         gradient_model,
         rate_mm_per_cycle,
         np.where(rate_mm_per_cycle == 0.0, 0.0, mapped.sigma_model_phase),
         registration_mm2=mapped.covariance_mm2,
-        shape_mm2=isotropic(SHAPE_SIGMA_MM),
+        shape_mm2=shape_mm2,
         calibration_mm2=isotropic(TIP_SIGMA_MM),
         breathing_mm2=isotropic(AGEING_MM_PER_S * pose_age_s) if pose_age_s < inf else nothing * np.nan,
         tracking_mm2=isotropic(TOOL_SIGMA_MM),
@@ -68,10 +73,11 @@ class MarginTracker:
     Args:
         fixtures: with the choice of a margin; a path keeps its law.
         device: its stiffness gives the slew limit.
+        model: of the heart; where no slice shows its surface, σ is not known.
     """
 
-    def __init__(self, fixtures: FixtureSet, device: DeviceLimits) -> None:
-        self._options = fixtures.margin
+    def __init__(self, fixtures: FixtureSet, device: DeviceLimits, model: DvfModel) -> None:
+        self._options, self._model = fixtures.margin, model
         self._laws = [None if one.path is not None else one.law for one in fixtures.fixtures]
         start = 0.0 if self._options.mode == "adaptive" else self._options.wanted_mm(np.nan)
         self.margin_mm = np.array([0.0 if law is None else start for law in self._laws])
@@ -101,11 +107,28 @@ class MarginTracker:
         if tick.status in (Status.OK, Status.NO_PHASE) and transform.pose is not None:
             gradient = transform.pose.at(now_s).rotation @ tick.gradient
             rate = np.array([tick.rate_mm_per_cycle])
-            sigma = sigma_at(transform, tip_tracker_mm[None], now_s, gradient[None], rate, pose_age_s)
-            self._target_mm = self._options.wanted_mm(float(sigma.total_mm[0]))
+            tip = tip_tracker_mm[None]
+            sigma = sigma_at(transform, tip, now_s, gradient[None], rate, pose_age_s, self._model)
+            known = self._seen(transform, tip, now_s, tick.distance_mm, gradient)
+            self._target_mm = self._options.wanted_mm(float(sigma.total_mm[0]) if known else np.nan)
         self.margin_mm = np.array(
             [
                 0.0 if law is None else next_margin_mm(now, self._target_mm, dt_s, law, self._step_n)
                 for now, law in zip(self.margin_mm.tolist(), self._laws, strict=True)
             ]
         )
+
+    def _seen(
+        self,
+        transform: PoseAndPhase,
+        tip_mm: FloatArray,
+        now_s: float,
+        distance_mm: float,
+        gradient: FloatArray,
+    ) -> bool:
+        """Whether slices show the surface nearest to the tip."""
+        if self._model.seen is None:
+            return True
+        place, timing = transform.at(tip_mm, now_s), self._model.timing
+        distance, phase = np.array([distance_mm]), float(place.model_phase[0])
+        return bool(self._model.seen.share(place.xyz_mm, distance, gradient[None], phase, timing)[0] == 1.0)

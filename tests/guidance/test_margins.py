@@ -1,12 +1,14 @@
 """σ of the distance against sampling; margins that widen without a jump; walls where the phase is unknown."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from readable_walls import worst_phase_forces
 from toy_ball import CENTERS, RADII, ball_model
 
-from dvf_ig.core import InvalidInputError, Rigid
-from dvf_ig.guidance import Confinement, Evaluator, Gaussian, Sigmoid, Status
+from dvf_ig.core import InvalidInputError, Rigid, SeenPart
+from dvf_ig.guidance import Confinement, Evaluator, Fixtures, FixtureSet, Gaussian, Sigmoid, Status
 from dvf_ig.guidance.margins import (
     MarginOptions,
     distance_sigma,
@@ -23,6 +25,14 @@ LAWS = [Sigmoid(), Confinement(), Gaussian()]
 @pytest.fixture(scope="module")
 def model():
     return ball_model()
+
+
+@pytest.fixture(scope="module")
+def seen_model(model):
+    """Slices show the ball's middle, in a slab that follows its centre, and a second one above."""
+    heights = CENTERS @ [0.0, 0.6, 0.8]
+    bounds = heights[:, None, None] + np.array([[-9.0, 4.0], [7.0, 10.0]])
+    return replace(model, seen=SeenPart([0.0, 0.6, 0.8], bounds, [-10.0, 10.0], np.full(len(heights), 0.5)))
 
 
 def covariance(seed: int) -> np.ndarray:
@@ -124,10 +134,45 @@ def test_without_a_phase_a_wall_is_that_of_the_worst_phase(model, shell_points, 
     assert not found.rate_mm_per_cycle.any()
 
 
+@pytest.mark.parametrize("blend", ["force", "distance", "periodic"])
+def test_no_force_where_no_slice_shows_the_surface(model, seen_model, shell_points, blend):
+    """The force of the whole model times the readable share; margins are for who asks for them."""
+    query = Rigid.from_rotation_vector([0.2, -0.1, 0.4], [3.0, -2.0, 1.0], "mr", "tracker")
+    points = query.inverse().apply_array(shell_points)
+    for phase in (0.0, 0.13, 0.97):
+        whole = Evaluator(model, Sigmoid(), blend=blend).force_through(query, points, phase)
+        found = Evaluator(seen_model, Sigmoid(), blend=blend).force_through(query, points, phase)
+        turned = whole.gradient @ query.rotation.T
+        share = seen_model.seen.share(shell_points, whole.distance_mm, turned, phase, model.timing)
+        np.testing.assert_allclose(found.force_n, share[:, None] * whole.force_n, atol=1e-9)
+        np.testing.assert_array_equal(found.status, np.where(share == 0.0, Status.UNSEEN, Status.OK))
+        assert ((share > 0.0) & (share < 1.0)).sum() > 20
+        assert (share == 0.0).sum() > 20
+    everywhere = Evaluator(seen_model, Sigmoid(), blend=blend, withhold_unseen=False)
+    assert np.array_equal(everywhere.force_through(query, points, 0.97).force_n, whole.force_n)
+
+
+def test_the_margin_of_an_unseen_part_is_the_largest(seen_model, shell_points):
+    fixed, adaptive = (FixtureSet(margin=MarginOptions(mode)) for mode in ("fixed", "adaptive"))
+    status = {
+        one: Fixtures(seen_model, one).evaluate(IN_MODEL, shell_points, 0.1).status
+        for one in (fixed, adaptive)
+    }
+    assert (status[fixed] == Status.UNSEEN).any()
+    assert (status[adaptive] == Status.OK).all()
+    variance = seen_model.seen.covariance_mm2(
+        shell_points, np.full(len(shell_points), np.nan), seen_model.timing
+    )
+    heights = np.clip(0.5 + shell_points @ [0.0, 0.6, 0.8] / 20.0, 0.0, 1.0)
+    np.testing.assert_allclose(np.trace(variance, axis1=1, axis2=2), (0.5 * heights) ** 2)
+
+
 @pytest.mark.parametrize("blend", ["force", "periodic"])
 @pytest.mark.parametrize("law", LAWS)
-def test_the_kernel_s_worst_phase_is_the_readable_one(model, shell_points, law, blend):
+@pytest.mark.parametrize("which", ["model", "seen_model"])
+def test_the_kernel_s_worst_phase_is_the_readable_one(request, which, shell_points, law, blend):
     """A periodic spline passes through the phases that it is made of."""
+    model = request.getfixturevalue(which)
     query = Rigid.from_rotation_vector([0.2, -0.1, 0.4], [3.0, -2.0, 1.0], "mr", "tracker")
     points = query.inverse().apply_array(shell_points)
     odd = np.vstack([points, [[500.0, 0.0, 0.0], [np.nan, 0.0, 0.0]]])
@@ -136,6 +181,8 @@ def test_the_kernel_s_worst_phase_is_the_readable_one(model, shell_points, law, 
     expected = worst_phase_forces(Evaluator(model, law), query, points)
     n = len(points)
     np.testing.assert_allclose(found.force_n[:n], expected.force_n, atol=1e-5)
+    unseen = expected.status == Status.UNSEEN
+    assert unseen.any() == (which == "seen_model" and not isinstance(law, Gaussian))
     np.testing.assert_allclose(found.distance_mm[:n], expected.distance_mm, atol=1e-4)
     np.testing.assert_allclose(found.gradient[:n], expected.gradient, atol=1e-4)
     np.testing.assert_array_equal(found.status[:n], expected.status)

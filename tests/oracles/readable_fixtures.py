@@ -8,7 +8,7 @@ from dvf_ig.core import DvfModel, FloatArray, Rigid
 from dvf_ig.guidance import Evaluator, Fixtures, FixtureSet, Status
 from dvf_ig.guidance.fixtures import FORBIDDEN_SURFACE, composed_force
 from dvf_ig.kernels.dynamic import force_tick
-from dvf_ig.kernels.fixture_field import POSE, TIMES
+from dvf_ig.kernels.fixture_field import POSE
 
 FORCE = slice(0, 3)
 DISTANCE = 3
@@ -32,7 +32,7 @@ class SurfaceTick:
     def __init__(self, evaluator: Evaluator) -> None:
         frame = evaluator.model.frame
         self._coefficients, self._packed = evaluator.kernel_arguments(Rigid.identity(frame, frame))
-        self._pose = self._packed[POSE:TIMES].reshape(3, 4)
+        self._pose = self._packed[POSE : POSE + 12].reshape(3, 4)
 
     def __call__(
         self,

@@ -99,7 +99,7 @@ class ReadableTick:
         hazards |= Hazard.SESSION_SILENT if silent else Hazard.NONE
         ahead = xyz + (c.lead_s * self._speed if self._options.predict_tool else 0.0)
         field_n, wanted_n, surface, status = self._forces(ahead, t_s + c.lead_s, dt_s, inputs, status)
-        met = status in (Status.FAULT, Status.OUT_OF_VOLUME)
+        met = status in (Status.FAULT, Status.OUT_OF_VOLUME, Status.UNSEEN)
         if met or not hazards & withholding(self._wall is not None):
             hazards |= hazard_of(status)
         self.observer.observe(xyz, field_n, dt_s, following=self._following)

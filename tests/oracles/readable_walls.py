@@ -1,5 +1,6 @@
 """Walls without a known cardiac phase in readable form; `dvf_ig.kernels.worst_phase` says what they are."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -23,8 +24,9 @@ def worst_phase_forces(evaluator: Evaluator, model_from_query: Rigid, xyz_mm: An
     Raises:
         FrameMismatchError, InvalidInputError: as there.
     """
+    everywhere = Evaluator(replace(evaluator.model, seen=None), evaluator.law, blend=evaluator.blend)
     each = [
-        evaluator.force_through(model_from_query, xyz_mm, phase)
+        everywhere.force_through(model_from_query, xyz_mm, phase)
         for phase in evaluator.model.timing.fractions.tolist()
     ]
     status, wall = each[0].status, not isinstance(evaluator.law, Gaussian)
@@ -34,8 +36,17 @@ def worst_phase_forces(evaluator: Evaluator, model_from_query: Rigid, xyz_mm: An
     share = np.exp(reach - total)
     gradient = np.einsum("in,inj->nj", share, np.array([one.gradient for one in each]))
     distance = outward * SMOOTHING_MM * total
+    model = evaluator.model
+    seen = np.ones(len(distance))
+    if model.seen is not None:
+        within = model_from_query.apply_array(np.asarray(xyz_mm))
+        turned = [one.gradient @ model_from_query.rotation.T for one in each]
+        phases = zip(each, turned, model.timing.fractions.tolist(), strict=True)
+        shares = [model.seen.share(within, a.distance_mm, g, phase, model.timing) for a, g, phase in phases]
+        seen = (share * np.array(shares)).sum(axis=0)
+        status = np.where((status == int(Status.OK)) & (seen == 0.0) & wall, int(Status.UNSEEN), status)
     usable = (status == int(Status.OK)) & wall
-    force = static_force(evaluator.law, distance, gradient)
+    force = seen[:, None] * static_force(evaluator.law, distance, gradient)
     return ForceSamples(
         model_from_query.source,
         np.where(usable[:, None], force, 0.0),

@@ -41,7 +41,8 @@ def export(
 ) -> None:
     """Write the surface that the model was fitted to, or its distance: mm, LPS (tagged so for 3D Slicer).
 
-    One file a phase. The distance is that of the splines, on every half knot of the model's box.
+    One file a phase. Where slices show a part of the surface only, VTP files flag the cells of the rest as
+    "unseen". The distance is that of the splines, on every half knot of the model's box.
     """
     with command():
         from dvf_ig.io import files_together, output_folder, read_model
@@ -77,4 +78,5 @@ def _write_phase(model: "DvfModel", phase: int, path: Path, form: ExportFormat) 
     if form is ExportFormat.nrrd:
         write_volume(distance_volume(model, phase), path)
     else:
-        write_mesh(model.reference[phase], path)
+        flags = {} if model.seen is None else {"unseen": model.unseen(phase)}
+        write_mesh(model.reference[phase], path, flags)

@@ -123,7 +123,7 @@ def _write_evidence(
         result.quality,
         ed_phase=request.ed_phase,
         es_phase=es_phase,
-        caps=result.model.reference_caps[request.ed_phase],
+        caps=result.model.reference_caps[request.ed_phase] | result.model.unseen(request.ed_phase),
     )
     wrote(evidence)
     wrote(picture, image.grid.frame)

@@ -66,6 +66,7 @@ def model_payload(
         "es_fraction": model.es_fraction,
         "border_distance_mm": border_mm,
         "potential_at_border": potential_at_border(border_mm, 1.0),
+        "unseen_share": model.unseen_share,
         "points": result.points,
         "excluded_area_share": result.excluded_area_share,
         "caps": [
@@ -126,7 +127,24 @@ def model_rows(
             "left out",
             f"{result.excluded_area_share:.0%} of the area: caps and {result.rim_mm:g} mm around them",
         ),
+        *_seen_rows(model),
         ("time", f"{seconds:.1f} s" if seconds is not None else "-"),
+    ]
+
+
+def _seen_rows(model: "DvfModel") -> list[tuple[str, str]]:
+    """Build the row of what no slice shows; none of a model of the whole heart."""
+    seen = model.seen
+    if seen is None:
+        return []
+    slabs = " and ".join(f"{low:.0f} to {high:.0f}" for low, high in seen.bounds_mm[model.ed_phase])
+    return [
+        (
+            "not seen",
+            f"{model.unseen_share:.0%} of the area: outside the slices, which show heights {slabs} mm along "
+            f"{seen.normal.round(2).tolist()}; there no force is given, or one with the largest margin "
+            "(margin: adaptive)",
+        )
     ]
 
 

@@ -131,7 +131,9 @@ def _packed(part: Evaluator | PathFixture, fixtures: Fixtures) -> FloatArray:
         return part.kernel_arguments(still)[1]
     origin_mm, knot_mm, fractions = model.origin_mm, model.knot_spacing_mm, model.timing.fractions
     powers, matrix = np.zeros((0, 4, 4)), still.matrix[:3]
-    return packed_fixture(origin_mm, knot_mm, fractions, powers, part.law.parameters, BLEND_PATH, matrix)
+    return packed_fixture(
+        origin_mm, knot_mm, fractions, powers, part.law.parameters, BLEND_PATH, None, matrix
+    )
 
 
 def tick_constants(fixtures: Fixtures, options: ServoOptions, latency_s: float) -> TickConstants:

@@ -114,7 +114,9 @@ HAZARD_RULES: Mapping[Hazard, HazardRule] = MappingProxyType(
             Response.SLOW, Latch.NEVER, "a registration update is under way; the force follows slowly"
         ),
         Hazard.OUT_OF_VOLUME: HazardRule(
-            Response.FADE, Latch.NEVER, "unprotected: the tool is outside the box of the model"
+            Response.FADE,
+            Latch.NEVER,
+            "unprotected: the tool is outside the box of the model, or at a part that no MR slice shows",
         ),
         Hazard.NOT_FINITE: HazardRule(
             Response.FAST_FADE, Latch.AT_ONCE, "a pose, a distance or the force was not a finite number"
@@ -184,6 +186,7 @@ def hazard_of(status: Status) -> Hazard:
 _OF_STATUS = {
     Status.OK: Hazard.NONE,
     Status.OUT_OF_VOLUME: Hazard.OUT_OF_VOLUME,
+    Status.UNSEEN: Hazard.OUT_OF_VOLUME,
     Status.NO_PHASE: Hazard.NO_PHASE,
     Status.NO_POSE: Hazard.NO_POSE,
     Status.STALE_TOOL: Hazard.STALE_TOOL,

@@ -139,6 +139,7 @@ def model_facts(path: Path) -> Facts:
         "upper_mm": model.upper_mm.tolist(),
         "chambers": [chamber.name for chamber in model.chambers],
         "megabytes": model.megabytes,
+        "unseen_share": model.unseen_share,
         "capped_share": float(np.concatenate(model.reference_caps).mean()),
         "sources": list(model.sources),
         "sha256": model_digest(model),

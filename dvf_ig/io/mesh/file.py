@@ -2,12 +2,14 @@
 
 import logging
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 
+from dvf_ig.core.arrays import BoolArray
 from dvf_ig.core.errors import OutputError, UnreadableFileError
 from dvf_ig.core.space.mesh import Mesh
 from dvf_ig.io import limits
@@ -49,11 +51,13 @@ def read_mesh(path: Path | str, frame: str = "mr") -> Mesh:
         return Mesh(frame, raw.vertices, raw.triangles)
 
 
-def write_mesh(mesh: Mesh, path: Path | str) -> None:
+def write_mesh(mesh: Mesh, path: Path | str, flags: Mapping[str, BoolArray] = MappingProxyType({})) -> None:
     """Write a mesh tagged SPACE=LPS; the ending chooses the format.
 
     OBJ, PLY and VTP keep every digit; STL holds 32-bit floats and no shared vertices.
 
+    Args:
+        flags: (t,) of the triangles, by name; VTP alone keeps them.
     Raises:
         OutputError: another ending, or not writable.
     """
@@ -62,7 +66,7 @@ def write_mesh(mesh: Mesh, path: Path | str) -> None:
     encode = encoders.get(path.suffix.lower())
     if encode is None:
         raise OutputError(f"cannot write {path}: unknown mesh ending; use one of {', '.join(encoders)}")
-    write_bytes(path, encode(RawMesh(mesh.vertices_mm, mesh.triangles, "SPACE=LPS")))
+    write_bytes(path, encode(RawMesh(mesh.vertices_mm, mesh.triangles, "SPACE=LPS", dict(flags))))
 
 
 def warn_of_left_out(path: Path, meshes: Iterable[RawMesh]) -> None:

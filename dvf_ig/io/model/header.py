@@ -9,6 +9,10 @@ from dvf_ig.core.arrays import AnyArray
 from dvf_ig.core.errors import InvalidInputError
 from dvf_ig.io import limits
 
+SCHEMA_OF_PART = "dvf_ig.model/2"
+"""Schema of a model of whose surface slices show a part (`SeenPart`)."""
+SEEN_ARRAYS = ("seen_normal", "seen_bounds_mm", "seen_ends_mm", "seen_sigma_mm")
+
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Text = Annotated[str, Field(strict=True)]
 Flag = Annotated[bool, Field(strict=True)]
@@ -71,7 +75,12 @@ def require_consistent(header: ModelHeader, arrays: dict[str, AnyArray]) -> None
     if chambers:
         _require_parts(arrays, "chamber_vertex_counts", "chamber_vertices_mm", phases * chambers)
         _require_parts(arrays, "chamber_triangle_counts", "chamber_triangles", phases * chambers)
-    for name in ("coefficients", "origin_mm", "reference_vertices_mm", "chamber_vertices_mm"):
+    if (header.schema_ == SCHEMA_OF_PART) != all(name in arrays for name in SEEN_ARRAYS):
+        raise InvalidInputError(
+            f"its schema {header.schema_} does not fit its arrays of what slices show; build it again"
+        )
+    of_lengths = ("coefficients", "origin_mm", "reference_vertices_mm", "chamber_vertices_mm")
+    for name in (*of_lengths, *SEEN_ARRAYS[1:]):
         if name in arrays:
             _require_lengths(arrays[name], name)
 

@@ -12,6 +12,7 @@ import numpy as np
 from dvf_ig.core.arrays import AnyArray
 from dvf_ig.core.errors import UnreadableFileError
 from dvf_ig.core.model import DvfModel
+from dvf_ig.core.seen_part import SeenPart
 from dvf_ig.core.space.mesh import Mesh
 from dvf_ig.core.timing.cycle import CycleTiming
 from dvf_ig.io.limits import MODEL_BYTES
@@ -21,7 +22,7 @@ from dvf_ig.io.writing.atomic import write_bytes
 from dvf_ig.io.yaml_config import validated
 
 from .chambers import chamber_arrays, chambers_of_arrays
-from .header import ModelHeader, require_consistent
+from .header import SCHEMA_OF_PART, SEEN_ARRAYS, ModelHeader, require_consistent
 
 SCHEMA = "dvf_ig.model/1"
 _CHECKSUM = b"dvf_ig sha256 "
@@ -81,9 +82,10 @@ def parse_model(data: bytes, path: Path) -> DvfModel:
     _check_checksum(path, data)
     with reading(path, "a model file"):
         header, arrays = _unpack(path, data)
-        if header.get("schema") != SCHEMA:
+        if header.get("schema") not in (SCHEMA, SCHEMA_OF_PART):
             raise UnreadableFileError(
-                f"{path} has schema '{header.get('schema')}'; this version reads '{SCHEMA}': build it again"
+                f"{path} has schema '{header.get('schema')}'; this version reads '{SCHEMA}' and "
+                f"'{SCHEMA_OF_PART}': build it again"
             )
         stated = header.pop("sha256", None)
         if stated != _digest(header, arrays):
@@ -100,7 +102,7 @@ def model_digest(model: DvfModel) -> str:
 
 def _parts(model: DvfModel) -> tuple[dict[str, Any], dict[str, AnyArray]]:
     header = {
-        "schema": SCHEMA,
+        "schema": SCHEMA if model.seen is None else SCHEMA_OF_PART,
         "units": {"length": "mm", "time": "s", "coefficients": "mm"},
         "distance_sign": "positive inside the protected organ",
         "axes": "LPS",
@@ -128,6 +130,8 @@ def _parts(model: DvfModel) -> tuple[dict[str, Any], dict[str, AnyArray]]:
     }
     if model.cine_fingerprint is not None:
         header["cine_fingerprint"] = model.cine_fingerprint
+    if model.seen is not None:
+        arrays |= {name: getattr(model.seen, name[5:]) for name in SEEN_ARRAYS}
     if model.chambers:
         header["chambers"] = [chamber.name for chamber in model.chambers]
         arrays |= chamber_arrays(model.chambers)
@@ -219,6 +223,13 @@ def _model(path: Path, document: dict[str, Any], arrays: dict[str, AnyArray]) ->
             sources=header.sources,
             chambers=chambers_of_arrays(header.chambers, frame, arrays),
             cine_fingerprint=header.cine_fingerprint,
+            seen=_seen(header, arrays),
         )
     except KeyError as exc:
         raise UnreadableFileError(f"{path}: the model lacks {exc}; build it again") from exc
+
+
+def _seen(header: ModelHeader, arrays: dict[str, AnyArray]) -> SeenPart | None:
+    if header.schema_ != SCHEMA_OF_PART:
+        return None
+    return SeenPart(**{name[5:]: arrays[name] for name in SEEN_ARRAYS})

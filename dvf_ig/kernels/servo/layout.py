@@ -66,7 +66,7 @@ LIMITS = np.dtype(
 )
 """Limits of the supervisor."""
 
-STATUSES = 6
+STATUSES = 7
 HAZARDS = np.dtype(
     [
         ("fading", _I),

@@ -134,7 +134,7 @@ def servo_tick(
         target[k] = field[k]
     if evaluated:
         surface_speed = _relative_damping(settings, m, sample, surface, target)
-    met = status == code.FAULT or status == code.OUT_OF_VOLUME
+    met = status == code.FAULT or status == code.OUT_OF_VOLUME or status == code.UNSEEN
     if met or not active & hazards.fading:
         # otherwise who published why no force is given has said it
         active |= hazards.of_status[status]

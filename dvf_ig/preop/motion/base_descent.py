@@ -23,6 +23,7 @@ from dvf_ig.core import (
 )
 
 from .cycle import CycleMotion, MotionOptions, track_cycle
+from .open_ends import towards_base
 from .slice_shifts import SliceShifts
 
 PHASES = 10
@@ -78,13 +79,13 @@ def base_descent(
         progress: called with the fraction done.
     """
     report = progress or untold
-    towards_base = _towards_base(image.grid, organ)
-    heights = _heights(image.grid, organ, towards_base)
+    normal = towards_base(image.grid, organ)
+    heights = _heights(image.grid, organ, normal)
     fractions = image.timing.fractions
     curves = []
     for v, view in enumerate(views):
         curve = _curve(
-            view, image, organ, blood, float(fractions[ed_phase]), shifts, v, towards_base, heights, options
+            view, image, organ, blood, float(fractions[ed_phase]), shifts, v, normal, heights, options
         )
         if curve is not None:
             curves.append([_cyclic(fractions, *curve, row) for row in (0, 1)])
@@ -97,18 +98,10 @@ def base_descent(
     return BaseDescent(-mean[0], mean[1], max(spread, 0.5) / np.sqrt(len(curves)), len(curves))
 
 
-def _towards_base(grid: Grid, organ: BoolArray) -> FloatArray:
-    """(3,) unit normal of the stack towards the end where the organ is larger."""
-    area = organ.sum(axis=(0, 1))
-    half = len(area) // 2
-    sign = 1.0 if area[-half:].sum() > area[:half].sum() else -1.0
-    return np.asarray(sign * grid.direction[:, 2])
-
-
-def _heights(grid: Grid, organ: BoolArray, towards_base: FloatArray) -> tuple[float, float]:
+def _heights(grid: Grid, organ: BoolArray, normal: FloatArray) -> tuple[float, float]:
     """Heights of the lowest and the highest slice that holds the organ."""
     slices = np.flatnonzero(organ.any(axis=(0, 1)))
-    ends = [float(grid.to_mm(np.array([0.0, 0.0, float(k)])) @ towards_base) for k in slices[[0, -1]]]
+    ends = [float(grid.to_mm(np.array([0.0, 0.0, float(k)])) @ normal) for k in slices[[0, -1]]]
     return min(ends), max(ends)
 
 
@@ -120,7 +113,7 @@ def _curve(
     ed_fraction: float,
     shifts: SliceShifts,
     number: int,
-    towards_base: FloatArray,
+    normal: FloatArray,
     heights: tuple[float, float],
     options: MotionOptions,
 ) -> tuple[FloatArray, FloatArray] | None:
@@ -154,7 +147,7 @@ def _curve(
     motion = track_cycle(
         tracked, mask, ed_phase=0, blood=None if blood is None else cavities, options=options
     )
-    return fractions, _along(motion, points[inside[0]], towards_base, heights)
+    return fractions, _along(motion, points[inside[0]], normal, heights)
 
 
 def _chosen_phases(view: VolumeSeries, ed_fraction: float) -> tuple[list[int], FloatArray]:
@@ -167,10 +160,10 @@ def _chosen_phases(view: VolumeSeries, ed_fraction: float) -> tuple[list[int], F
 
 
 def _along(
-    motion: CycleMotion, points: FloatArray, towards_base: FloatArray, heights: tuple[float, float]
+    motion: CycleMotion, points: FloatArray, normal: FloatArray, heights: tuple[float, float]
 ) -> FloatArray:
     """(2, m) motion towards the base at both heights, of a line through that of all points."""
-    height = points @ towards_base
+    height = points @ normal
     inside = (height > heights[0]) & (height < heights[1])
     line = np.column_stack([np.ones(int(inside.sum())), height[inside]])
     ends = np.array([[1.0, heights[1]], [1.0, heights[0]]])
@@ -178,7 +171,7 @@ def _along(
     for i, deformation in enumerate(motion.deformations):
         if i == motion.ed_phase:
             continue
-        moved = (deformation.move(points[inside]) - points[inside]) @ towards_base
+        moved = (deformation.move(points[inside]) - points[inside]) @ normal
         out[:, i] = ends @ np.linalg.lstsq(line, moved, rcond=None)[0]
     return out
 

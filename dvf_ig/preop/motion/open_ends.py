@@ -1,10 +1,19 @@
-"""Borders at which an image ends within the organ, beyond which its surface is not known."""
+"""What an image shows of an organ's surface: borders within the organ, and the part that slices show."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from dvf_ig.core import BoolArray, FloatArray, Grid, read_only_arrays
+from dvf_ig.core import BoolArray, FloatArray, Grid, SeenPart, read_only_arrays
+
+from .slice_stack import observable_axes
+
+GAP_MM = 18.0
+"""Largest distance of slices between which the surface counts as known: stacks are made every 8 to 18 mm."""
+HALF_SLICE_MM = 2.0
+"""How far a slice shows the surface on either side of its middle: slices are 6 to 10 mm thick."""
+FAR_MM = 200.0
+"""How far a slab reaches beyond an apex that the slices show to end."""
 
 
 @read_only_arrays
@@ -45,3 +54,42 @@ def open_ends(organ: BoolArray, grid: Grid) -> tuple[OpenEnd, ...]:
                 middle = np.insert(at.mean(axis=0), axis, index)
                 ends.append(OpenEnd(axis, index, grid.to_mm(middle), sign * grid.direction[:, axis]))
     return tuple(ends)
+
+
+def towards_base(grid: Grid, organ: BoolArray) -> FloatArray:
+    """(3,) unit normal of a stack towards the end where the organ is larger."""
+    area = organ.sum(axis=(0, 1))
+    half = len(area) // 2
+    sign = 1.0 if area[-half:].sum() > area[:half].sum() else -1.0
+    return np.asarray(sign * grid.direction[:, 2])
+
+
+def seen_part(
+    grid: Grid, organ: BoolArray, slice_shift_mm: FloatArray | None, phases: int
+) -> SeenPart | None:
+    """Return the part of an organ's surface that a stack of slices shows; None for an image without gaps.
+
+    Above the basal slice nothing is known: there the labels end, not the heart. Below the apical one, only if
+    the stack ends within the organ. Nor is the surface known between slices more than GAP_MM apart.
+
+    Args:
+        grid, organ: of the stack, (nx, ny, nz) at end-diastole.
+        slice_shift_mm: (nz, 3) by which the slices show the heart displaced; None: not known.
+        phases: of the cycle.
+    """
+    if observable_axes(grid.spacing_mm)[2]:
+        return None
+    normal = towards_base(grid, organ)
+    slices = np.flatnonzero(organ.any(axis=(0, 1)))
+    middles = grid.to_mm(np.column_stack([np.zeros((len(slices), 2)), slices]))
+    middles = middles if slice_shift_mm is None else middles - slice_shift_mm[slices]
+    heights = middles @ normal
+    order = np.argsort(heights)
+    heights, apical = heights[order], int(slices[order[0]])
+    cuts = np.flatnonzero(np.diff(heights) > GAP_MM) + 1
+    slabs = [(part[0] - HALF_SLICE_MM, part[-1] + HALF_SLICE_MM) for part in np.split(heights, cuts)]
+    if apical not in (0, grid.shape[2] - 1) and grid.spacing_mm[2] <= GAP_MM:
+        slabs[0] = (slabs[0][0] - FAR_MM, slabs[0][1])
+    bounds = np.tile(np.array(slabs), (phases, 1, 1))
+    ends = np.array([heights[0] - HALF_SLICE_MM, heights[-1] + HALF_SLICE_MM])
+    return SeenPart(normal, bounds, ends, np.zeros(phases))

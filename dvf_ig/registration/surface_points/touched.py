@@ -113,6 +113,7 @@ class SurfaceDistance:
             np.zeros((0, 4, 4)),
             no_force,
             BLEND_DISTANCE,
+            None,
             np.eye(3, 4),
         )
         self._force, self._gradient = np.empty((2, n, 3))

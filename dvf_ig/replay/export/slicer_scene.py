@@ -26,6 +26,7 @@ from dvf_ig.core import (
     IntArray,
     InvalidInputError,
     Landmarks,
+    Mesh,
     Points,
     Volume,
     read_only_arrays,
@@ -47,7 +48,7 @@ from .exported_run import ExportedRun
 from .slicer_readme import readme_text
 
 SCENE, README = "scene.mrml", "README.md"
-HEART_COLOR = (0.84, 0.37, 0.0)
+HEART_COLOR, UNSEEN_COLOR = (0.84, 0.37, 0.0), (0.55, 0.56, 0.6)
 IMAGE = "ImageToProbe"
 
 
@@ -151,11 +152,18 @@ def _patient(out: SceneFolder, model: DvfModel) -> None:
         of_cycle = out.scene.add_sequence("mr cycle", sequence, index="phase", unit="RR")
         out.scene.add_browser("heart cycle", [(of_cycle, mr)], rate_hz=len(index) / preop.mr.timing.rr_s)
     for phase, (mesh, fraction) in enumerate(zip(model.reference, model.timing.fractions, strict=True)):
-        name = f"heart_{phase:03d}.stl"
-        write_mesh(mesh, out.place(name, model.frame))
-        description = f"{model.surface_name} at {fraction:.3f} of the RR interval"
-        visible = phase == model.ed_phase
-        out.scene.add_model(name[:-4], name, visible=visible, color=HEART_COLOR, description=description)
+        unseen = model.unseen(phase)
+        parts = [("heart", ~unseen, HEART_COLOR, "")]
+        if unseen.any():
+            parts.append(
+                ("heart_unseen", unseen, UNSEEN_COLOR, ", no MR slice shows this part: closed, no force")
+            )
+        for start, part, color, note in parts:
+            name = f"{start}_{phase:03d}.stl"
+            write_mesh(Mesh(mesh.frame, mesh.vertices_mm, mesh.triangles[part]), out.place(name, model.frame))
+            description = f"{model.surface_name} at {fraction:.3f} of the RR interval{note}"
+            visible = phase == model.ed_phase
+            out.scene.add_model(name[:-4], name, visible=visible, color=color, description=description)
     truth = scenario.truth
     if truth is not None:
         _points(out, "targets", truth.targets)

@@ -88,7 +88,7 @@ class Anatomy:
 
 def anatomy_of_heart(heart: Heart, mr: VolumeSeries | None) -> Anatomy:
     """Show a heart's model with its MR, or without one, with the blood inside its surfaces."""
-    fixture = Evaluator(heart.model, Sigmoid(), blend="distance")
+    fixture = Evaluator(heart.model, Sigmoid(), blend="distance", withhold_unseen=False)
     if mr is not None:
         window = _window(mr.values)
         return Anatomy("MR", "", mr.grid, mr.values, mr.timing.fractions, window, fixture, heart.surface)

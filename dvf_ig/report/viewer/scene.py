@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 import dvf_ig
-from dvf_ig.core import DvfModel, Fan, FloatArray, Landmarks
+from dvf_ig.core import BoolArray, DvfModel, Fan, FloatArray, Landmarks
 from dvf_ig.guidance import (
     HAZARD_RULES,
     Evaluator,
@@ -119,7 +119,12 @@ def scene_payload(scene: SceneInput) -> dict[str, Any]:
 def heart_payload(model: DvfModel, fixtures: FixtureSet | None) -> dict[str, Any]:
     """Encode surfaces of organ, blood and fixtures through the cycle."""
     organ = cycle_surface(model.reference, ORGAN_PITCH_MM)
-    surfaces = [_surface(model.surface_name, "organ", organ)]
+    surfaces = []
+    unseen = _unseen(model, organ)
+    for role, part in (("organ", ~unseen), ("unseen", unseen)):
+        if part.any():
+            shown = CycleSurface(organ.vertices_mm, organ.triangles[part])
+            surfaces.append(_surface(model.surface_name, role, shown))
     surfaces += [
         _surface(chamber.name, "blood", cycle_surface(chamber.surfaces, BLOOD_PITCH_MM))
         for chamber in model.chambers
@@ -131,6 +136,14 @@ def heart_payload(model: DvfModel, fixtures: FixtureSet | None) -> dict[str, Any
         "fractions": model.timing.fractions.tolist(),
         "center_mm": ((low + high) / 2).round(3).tolist(),
     }
+
+
+def _unseen(model: DvfModel, organ: CycleSurface) -> BoolArray:
+    """(t,) triangles that no slice shows at end-diastole; none of a model of the whole heart."""
+    if model.seen is None:
+        return np.zeros(len(organ.triangles), dtype=np.bool_)
+    middles = organ.vertices_mm[model.ed_phase][organ.triangles].mean(axis=1)
+    return ~model.seen.holds(middles, model.ed_phase)
 
 
 def words() -> dict[str, Any]:
@@ -165,7 +178,7 @@ def _fixture_surfaces(model: DvfModel, fixtures: FixtureSet, organ: CycleSurface
         level = shown_level_mm(one.law)
         aim = isinstance(one.law, Gaussian)
         label = "aim" if aim else f"from {SHARE_OF_CAP * one.law.cap_n:.2g} N"
-        surface = fixture_surface(organ, Evaluator(model, one.law), level)
+        surface = fixture_surface(organ, Evaluator(model, one.law, withhold_unseen=False), level)
         name = one.name or ("guidance" if aim else "forbidden region")
         out.append(_surface(name, "fixture", surface, level_mm=round(level, 3), label=label, fixture=number))
     return out
@@ -188,7 +201,7 @@ def distance_payload(model: DvfModel) -> dict[str, Any]:
     origin = low - FIELD_MARGIN_MM
     axes = [origin[a] + DISTANCE_PITCH_MM * np.arange(shape[a]) for a in range(3)]
     points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    evaluator = Evaluator(model, Sigmoid())
+    evaluator = Evaluator(model, Sigmoid(), withhold_unseen=False)
     values = np.stack(
         [evaluator.force(points, phase).distance_mm for phase in model.timing.fractions.tolist()]
     )

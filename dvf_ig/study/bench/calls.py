@@ -75,7 +75,7 @@ import time, numpy as np
 from dvf_ig.kernels.dynamic import force_tick as tick
 from dvf_ig.kernels.fixture_field import packed_fixture
 c, n = np.zeros((2, 4, 4, 4), np.float32), np.zeros(3)
-packed = packed_fixture(n, 1.0, np.array([0.0, 0.5]), np.zeros((0, 4, 4)), np.ones(5), 0, np.eye(3, 4))
+packed = packed_fixture(n, 1.0, np.array([0.0, 0.5]), np.zeros((0, 4, 4)), np.ones(5), 0, None, np.eye(3, 4))
 start = time.perf_counter()
 tick(c, packed, n, 0.1, 0, np.empty(7))
 print(time.perf_counter() - start)

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dvf_ig.core import Chamber, CycleTiming, DvfModel, InvalidInputError, Mesh, UnreadableFileError
+from dvf_ig.core import Chamber, CycleTiming, DvfModel, InvalidInputError, Mesh, SeenPart, UnreadableFileError
 from dvf_ig.io import model_digest, read_model, write_model
 
 Same = Callable[..., None]
@@ -20,6 +20,9 @@ Same = Callable[..., None]
 def model(seed: int = 0, patient: str = "patient-1") -> DvfModel:
     rng = np.random.default_rng(seed)
     n = int(rng.integers(2, 5))
+    seen = SeenPart(
+        [0.0, 0.6, 0.8], np.tile([[-9.0, 4.0], [7.0, 10.0]], (n, 1, 1)), [-1.0, 2.0], rng.random(n)
+    )
     meshes = tuple(
         Mesh("mr", rng.normal(size=(v, 3)) * 40, rng.integers(0, v, (int(rng.integers(1, 9)), 3)))
         for v in rng.integers(3, 12, n).tolist()
@@ -38,6 +41,7 @@ def model(seed: int = 0, patient: str = "patient-1") -> DvfModel:
         reference_caps=tuple(rng.random(len(m.triangles)) > 0.5 for m in meshes),
         sources=("surfaces", "Zürich"),
         chambers=tuple(chamber(rng, name, n) for name in ("lv_blood", "label 3")[: int(rng.integers(0, 3))]),
+        seen=seen if seed % 3 == 1 else None,
     )
 
 
@@ -67,6 +71,15 @@ def test_a_file_without_chambers_is_that_of_versions_that_kept_none(tmp_path: Pa
         assert not [name for name in archive.files if "chamber" in name]
         assert "chambers" not in json.loads(archive["header"].tobytes())
     assert read_model(tmp_path / "m.npz").chambers == ()
+
+
+def test_a_file_says_whether_it_holds_a_part(tmp_path: Path) -> None:
+    """Whole models keep their schema; readers before this one refuse a part by its schema."""
+    for seed, schema, arrays in ((3, "dvf_ig.model/1", 0), (4, "dvf_ig.model/2", 4)):
+        write_model(model(seed), tmp_path / f"{seed}.npz")
+        with np.load(tmp_path / f"{seed}.npz", allow_pickle=False) as archive:
+            assert json.loads(archive["header"].tobytes())["schema"] == schema
+            assert sum(name.startswith("seen") for name in archive.files) == arrays
 
 
 def test_chambers_that_move_with_their_vertices_take_12_bytes_a_vertex(tmp_path: Path) -> None:
@@ -179,7 +192,7 @@ def test_a_large_damaged_file_is_refused_without_reading_it(
 
 def test_another_schema(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with monkeypatch.context() as patch:
-        patch.setattr("dvf_ig.io.model.model_file.SCHEMA", "dvf_ig.model/2")
+        patch.setattr("dvf_ig.io.model.model_file.SCHEMA", "dvf_ig.model/3")
         write_model(model(), tmp_path / "m.npz")
-    with pytest.raises(UnreadableFileError, match=r"schema 'dvf_ig\.model/2'; this version reads"):
+    with pytest.raises(UnreadableFileError, match=r"schema 'dvf_ig\.model/3'; this version reads"):
         read_model(tmp_path / "m.npz")

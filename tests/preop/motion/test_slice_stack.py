@@ -9,6 +9,7 @@ from short_axis_toy import CAVITY, WALL, contracting_stack
 from dvf_ig.core import Grid, InvalidInputError, Volume, VolumeSeries
 from dvf_ig.preop import DisplacementField, assess_motion, dice, propagate_labels, track_cycle
 from dvf_ig.preop.cine_model import _chamber
+from dvf_ig.preop.motion.open_ends import FAR_MM, seen_part
 from dvf_ig.preop.motion.slice_stack import axis_of_lost_spacing, observable_axes
 
 END_SYSTOLE = 3
@@ -24,6 +25,30 @@ def without_spacing(image: VolumeSeries) -> VolumeSeries:
     return VolumeSeries(
         Grid.axis_aligned("mr", image.grid.shape, np.zeros(3), 1.0), image.values, image.timing
     )
+
+
+@pytest.mark.parametrize(
+    ("missing", "heights_mm"),
+    [
+        ([], [[-43.5, 0.5]]),
+        ([4], [[-33.5 - FAR_MM, 0.5]]),
+        ([2], [[-43.5, -29.5], [-13.5, 0.5]]),
+        ([2, 4], [[-33.5 - FAR_MM, -29.5], [-13.5, 0.5]]),
+    ],
+)
+def test_what_slices_show_ends_where_they_or_their_labels_end(stack, missing, heights_mm):
+    """The base up to slice 0; the apex beyond slice 4, unless a slice shows that nothing is there."""
+    image, labels = stack
+    organ = labels[0] > 0
+    organ[:, :, missing] = False
+    shift = np.zeros((5, 3))
+    shift[:, 2] = -1.5
+    found = seen_part(image.grid, organ, shift, 6)
+    np.testing.assert_allclose(found.normal, [0.0, 0.0, -1.0])
+    # slice k shows the heart at z = 10 k + 1.5 and 2 mm on either side; the base is at z = 0, heights are −z
+    np.testing.assert_allclose(found.bounds_mm, np.tile(heights_mm, (6, 1, 1)))
+    cube = Grid.axis_aligned("mr", (4, 4, 4), np.zeros(3), 1.5)
+    assert seen_part(cube, np.ones((4, 4, 4), dtype=np.bool_), None, 6) is None
 
 
 @pytest.mark.parametrize("lost", [False, True])

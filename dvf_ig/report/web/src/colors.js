@@ -2,6 +2,7 @@
 
 export const COLORS = {
   organ: "#f0916a",
+  unseen: "#8d8f98",
   blood: "#56b4e9",
   fixture: "#1fc39a",
   force: "#f0e442",

@@ -63,7 +63,7 @@ export class ImagePanel {
     this.contours = [];
     if (plane && phase !== null) {
       if (this.shown.field && this.heart.distance && this.scene.fixtures.length) this.field(plane, phase, margin);
-      for (const role of ["fixture", "blood", "organ"]) if (this.shown[role]) this.outlines(role, plane, phase);
+      for (const role of ["fixture", "blood", "unseen", "organ"]) if (this.shown[role]) this.outlines(role, plane, phase);
     }
     if (plane) {
       if (tip) this.tip(plane, tip, force);
@@ -141,7 +141,7 @@ export class ImagePanel {
       draw.save();
       this.clip();
       draw.lineCap = "round";
-      draw.setLineDash(role === "fixture" ? [1, 4] : []);
+      draw.setLineDash({ fixture: [1, 4], unseen: [5, 4] }[role] ?? []);
       if (role !== "fixture") this.stroke(path, CASING, role === "organ" ? 4 : 3.2);
       this.stroke(path, COLORS[role], role === "organ" ? 2 : 1.5);
       draw.restore();

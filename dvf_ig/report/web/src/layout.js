@@ -85,6 +85,7 @@ export function legendRows(scene, series) {
   const widened = (series.columns.margin_mm ?? []).some((one) => one > 0);
   return [
     has("organ") && ["organ", COLORS.organ, `${words(has("organ").name)} surface`],
+    has("unseen") && ["unseen", COLORS.unseen, "not seen by any MR slice: closed, no force"],
     has("blood") && ["blood", COLORS.blood, "blood in all chambers (blue for contrast)"],
     scene.image && ["plane", COLORS.plane, "ultrasound plane"],
     fixture && ["fixture", COLORS.fixture, `${fixture.name}, ${fixture.label}${widened ? " without margin" : ""}`],

@@ -26,7 +26,7 @@ export class Space {
     this.controls.target.copy(this.center);
     this.half = halfExtents(heart, this.center);
     this.radius = Math.hypot(this.half[0], this.half[1], this.half[2]) / 1.25;
-    this.shown = { organ: true, blood: true, fixture: true, plane: true, field: true };
+    this.shown = { organ: true, unseen: true, blood: true, fixture: true, plane: true, field: true };
     this.open = true;
     this.cutPlane = new Plane(new Vector3(0, 0, 1), 0);
     this.light();
@@ -185,7 +185,7 @@ export class Space {
       const blood = surface.role === "blood";
       solid.visible = Boolean(plane) || shell || !blood || !this.shown.organ;
       solid.material.clippingPlanes = plane ? [this.cutPlane] : null;
-      veil.visible = surface.role === "organ" && Boolean(plane);
+      veil.visible = (surface.role === "organ" || surface.role === "unseen") && Boolean(plane);
       veil.material.opacity = this.veil;
     }
     this.renderer.render(this.scene, this.camera);
