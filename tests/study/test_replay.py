@@ -1,9 +1,10 @@
 """The replay study: which trial is which, and what a preset's replays say together."""
 
+from dataclasses import asdict
 from typing import Any
 
 from data_synth.scenario.presets import PRESETS
-from dvf_ig.study.replay import summarise_replays, trial_numbers, trial_of
+from dvf_ig.study.replay import Settled, summarise_replays, trial_numbers, trial_of
 
 
 def line(number: int, tre_mm: float | None, hazard_s: float) -> dict[str, Any]:
@@ -19,6 +20,7 @@ def line(number: int, tre_mm: float | None, hazard_s: float) -> dict[str, Any]:
         "ticks": 1000,
         "supervisor": {"latched_s": 0.0},
         "tip_in_image": None,
+        "settled": None if tre_mm is None else asdict(Settled(tre_mm, 2 * tre_mm, 0.9, 0.95, 1.0)),
     }
 
 
@@ -36,4 +38,6 @@ def test_the_worst_seed_gives_the_hazard_and_the_median_the_error() -> None:
     assert (calm.tre_median_mm, calm.tre_worst_mm) == (2.0, 3.0)
     assert (calm.hazard_s, calm.hazard_longest_s) == (4.0, 2.0)
     assert calm.valid_share == 0.8
+    assert calm.settled == Settled(2.0, 4.0, 0.9, 0.95, 1.0)
+    assert (calm.settled_p95_worst_mm, other.settled) == (6.0, None)
     assert (other.seeds, other.hazard_s) == (0, None)
