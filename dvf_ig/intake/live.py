@@ -13,6 +13,8 @@ live:
   calibrated_orientation: MF          # only for a calibration that does not state it
   ecg: {field: EcgData, rate_hz: 500} # or {lsl: STREAM, rate_hz: 500}, or {tail: FILE.csv, rate_hz: 500}
   # ecg.lead: II                      # names of leads, separated by commas; default: all named as an ECG
+  respiration: {marker: ChestToTracker}  # or {field: Pressure}, or {lsl: STREAM}
+  # respiration.channel: pressure     # of a field or stream with several
 """
 
 from pathlib import Path
@@ -68,6 +70,49 @@ EcgLive = Annotated[
 ]
 
 
+BreathRateHz = Annotated[float, Field(strict=True, ge=2.0, le=100_000.0)]
+"""Slower samples do not show a breath."""
+Channel = Annotated[str, Field(strict=True, min_length=1)]
+"""Name of a channel in place of the only one that is named as breathing is."""
+
+
+class BreathMarkerConfig(Section):
+    """A tracked marker on the chest, by its transform."""
+
+    marker: DeviceName
+
+
+class BreathFieldConfig(Section):
+    """A channel of a ventilator or monitor among the frame fields or strings that PLUS sends.
+
+    `rate_hz` spaces the samples of a message that holds several; the last was taken when it was stamped.
+    """
+
+    field: DeviceName
+    rate_hz: BreathRateHz | None = None
+    channel: Channel | None = None
+
+
+class BreathStreamConfig(Section):
+    """A channel of the Lab Streaming Layer, by its stream's name; its samples are stamped one by one."""
+
+    lsl: DeviceName
+    channel: Channel | None = None
+
+
+def _breath_kind(value: Any) -> str | None:
+    keys = set(value) if isinstance(value, dict) else set(getattr(value, "model_fields_set", ()))
+    return next((KIND + key for key in ("lsl", "marker") if key in keys), f"{KIND}field")
+
+
+BreathLive = Annotated[
+    Annotated[BreathFieldConfig, Tag(f"{KIND}field")]
+    | Annotated[BreathStreamConfig, Tag(f"{KIND}lsl")]
+    | Annotated[BreathMarkerConfig, Tag(f"{KIND}marker")],
+    Discriminator(_breath_kind),
+]
+
+
 class LiveConfig(Section):
     """Who sends what; see the module."""
 
@@ -82,6 +127,7 @@ class LiveConfig(Section):
     image_orientation: Orientation = "MF"
     calibrated_orientation: Orientation | None = None
     ecg: EcgLive
+    respiration: BreathLive | None = None
 
     @property
     def used_orientation(self) -> Orientation:

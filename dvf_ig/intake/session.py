@@ -10,11 +10,12 @@ from dvf_ig.core.timing.trigger import TriggerTimes
 from dvf_ig.io.plus.names import ProbeNames, split_transform
 from dvf_ig.io.provenance import record_folder
 from dvf_ig.io.reading import reading
+from dvf_ig.io.respiration import split_respiration
 from dvf_ig.io.truth import read_truth
 from dvf_ig.io.yaml_config import read_yaml, validated
 
 from .fixtures import FixturesConfig, RetimingName, margin_options, read_fixtures
-from .live import EcgFieldConfig, LiveConfig, require_orientation
+from .live import BreathFieldConfig, BreathMarkerConfig, EcgFieldConfig, LiveConfig, require_orientation
 from .parts import PARTS, Opened, SessionFiles
 from .problems import ProblemList
 from .readers import read_session_ecg
@@ -166,7 +167,8 @@ def _live_files(config: SessionConfig, folder: Path, path: Path) -> SessionFiles
         ecg = read_session_ecg(config.ecg, folder, sweep)
         if isinstance(ecg, TriggerTimes):
             raise InvalidInputError(f"{folder} has a trigger in place of an ECG; a live session takes an ECG")
-        config = config.model_copy(update={"live": LiveConfig(ecg=EcgFieldConfig(rate_hz=ecg.rate_hz))})
+        live = LiveConfig(ecg=EcgFieldConfig(rate_hz=ecg.rate_hz), respiration=streamed_breath(config))
+        config = config.model_copy(update={"live": live})
     if config.live is None:
         raise UnreadableFileError(
             f"{path} has no section 'live', which says who sends what: for example\n"
@@ -174,12 +176,12 @@ def _live_files(config: SessionConfig, folder: Path, path: Path) -> SessionFiles
             "ecg: {field: EcgData, rate_hz: 500}}",
             key="live",
         )
-    if config.respiration is not None:
+    if config.respiration is not None and config.live.respiration is None:
         raise InvalidInputError(
-            f"{path} names a recording of breathing, which a live session cannot follow yet: forces would be "
-            "given as if the heart did not move with the breath; remove 'respiration' only for apnoea or "
-            "high-frequency ventilation, or replay the recording",
-            key="respiration",
+            f"{path} names a recording of breathing, but not what sends it in a live session: forces would "
+            "be given as if the heart did not move with the breath; state live.respiration (a marker, a "
+            "field or an LSL stream), or remove 'respiration' for apnoea or high-frequency ventilation",
+            key="live.respiration",
         )
     files = _read_all(config, folder, str(path), "live")
     for part in PARTS:
@@ -187,6 +189,15 @@ def _live_files(config: SessionConfig, folder: Path, path: Path) -> SessionFiles
             raise part.missing_error
     require_orientation(config.live, config.calibration.probe, folder)
     return files
+
+
+def streamed_breath(config: SessionConfig) -> BreathFieldConfig | BreathMarkerConfig | None:
+    """State how a scenario's breathing is streamed; None without any."""
+    if config.respiration is None:
+        return None
+    if split_respiration(config.respiration.file).prefix == "marker:":
+        return BreathMarkerConfig(marker="ChestToTracker")
+    return BreathFieldConfig(field="RespirationData")
 
 
 def _named_by(path: Path) -> str:

@@ -55,9 +55,10 @@ def read_respiration(spec: str, rate_hz: float | None = None) -> Respiration:
             return _samples(path, poses.t_s[poses.valid], poses.translations_mm[poses.valid], poses.source)
         t_s, names, values = _wfdb(path) if kind == "wfdb" else _table(path, rate_hz)
         if kind == "marker":
-            axes = [_column(path, names, axis) for axis in "xyz"]
+            axes = [choose_channel(path, names, axis) for axis in "xyz"]
             return _samples(path, t_s, values[:, axes], path.stem)
-        at = _column(path, names, channel)
+        example = f"name it: {path.name}#CHANNEL"
+        at = choose_channel(path, names, channel or None, example)
         return _samples(path, t_s, values[:, [at]], names[at])
 
 
@@ -85,18 +86,22 @@ def _samples(path: Path, t_s: FloatArray, values: FloatArray, name: str) -> Resp
     return Respiration(t_s[later], values[later], name)
 
 
-def _column(path: Path, names: tuple[str, ...], wanted: str) -> int:
-    """Find a column by its name; without one, the only column, or the only one named as breathing is."""
-    if wanted:
+def choose_channel(source: object, names: tuple[str, ...], wanted: str | None, advice: str = "") -> int:
+    """Find a channel by its name; without one, the only channel, or the only one named as breathing is.
+
+    Args:
+        source: what has these channels, and `advice`: how to name one of them, for messages.
+    Raises:
+        UnreadableFileError: no such channel, or several that may be meant.
+    """
+    if wanted is not None:
         if wanted not in names:
-            raise UnreadableFileError(f"{path} has no column '{wanted}'; it has {', '.join(names)}")
+            raise UnreadableFileError(f"{source} has no channel '{wanted}'; it has {', '.join(names)}")
         return names.index(wanted)
     likely = [i for i, name in enumerate(names) if _BREATH.search(name)] or list(range(len(names)))
     if len(likely) != 1:
-        raise UnreadableFileError(
-            f"{path}: which of {', '.join(names[i] for i in likely)} is breathing? Name it: "
-            f"{path.name}#{names[likely[0]] if likely else 'CHANNEL'}"
-        )
+        shown = ", ".join(names[i] for i in likely) or "no channel at all"
+        raise UnreadableFileError(f"{source} has {shown}, of which one must be breathing; {advice}")
     return likely[0]
 
 

@@ -26,6 +26,7 @@ class Role(Enum):
     PROBE = "probe"
     TOOL = "tool"
     REFERENCE = "reference"
+    CHEST = "chest"
 
 
 class Posed(NamedTuple):
@@ -41,6 +42,7 @@ class DeviceNames:
 
     Attributes:
         reference: None if poses are relative to the tracker.
+        chest: marker that follows the breath; None if there is none.
         flips: axes of the image (0 rows, 1 columns) to be turned about to what the probe was calibrated with.
     """
 
@@ -48,6 +50,7 @@ class DeviceNames:
     tool: str
     image: str
     reference: str | None = None
+    chest: str | None = None
     flips: tuple[int, ...] = ()
 
     def poses(self, message: Message) -> Iterator[Posed]:
@@ -94,7 +97,8 @@ class DeviceNames:
         return np.ascontiguousarray(np.flip(pixels[0], self.flips))
 
     def _role(self, name: str) -> Role | None:
-        for role, own in ((Role.PROBE, self.probe), (Role.TOOL, self.tool), (Role.REFERENCE, self.reference)):
+        owners = (self.probe, self.tool, self.reference, self.chest)
+        for role, own in zip(Role, owners, strict=True):
             if own is not None and name[:_NAME_CHARACTERS] == own[:_NAME_CHARACTERS]:
                 return role
         return None

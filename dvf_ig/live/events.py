@@ -9,13 +9,14 @@ import numpy as np
 
 from dvf_ig.core import FloatArray, InvalidInputError
 from dvf_ig.io import limits
-from dvf_ig.session import Event, ToolPose
+from dvf_ig.session import Event, RespirationSample, ToolPose
 
 from .devices import DeviceNames, Posed, Role
-from .ecg.field import EcgField
 from .frames import SAME_S, FramePairing
 from .igtl import Message, WireError
 from .link import Arrival
+from .samples.field import EcgField
+from .samples.respiration import BreathField
 from .timed import LiveEvent
 
 SETTLE_S = 1.0
@@ -118,10 +119,18 @@ class EventSource:
         names: of the devices.
         ecg: field in which the peers send the ECG; None if it comes from elsewhere.
         tell: called with a sentence about what cannot be used.
+        breath: field in which the peers send what follows the breath; None if it is a marker, comes from
+            elsewhere, or nothing follows it.
     """
 
-    def __init__(self, names: DeviceNames, ecg: EcgField | None, tell: Callable[[str], None]) -> None:
-        self._names, self._ecg, self._tell = names, ecg, tell
+    def __init__(
+        self,
+        names: DeviceNames,
+        ecg: EcgField | None,
+        tell: Callable[[str], None],
+        breath: BreathField | None = None,
+    ) -> None:
+        self._names, self._ecg, self._tell, self._breath = names, ecg, tell, breath
         self._frames = FramePairing()
         self._clocks: dict[str, PeerClock] = {}
         self._held: deque[Arrival] = deque(maxlen=MOST_HELD)
@@ -195,6 +204,8 @@ class EventSource:
         if self._ecg is not None:
             samples = self._ecg.samples(message, t_s, clock.offset_s)
             events += [] if samples is None else [samples]
+        if self._breath is not None:
+            events += self._breath.samples(message, t_s, clock.offset_s)
         image = self._names.image_of(message)
         if image is not None:
             events += self._frames.add_image(t_s, image, arrived_s)
@@ -210,6 +221,8 @@ class EventSource:
             alone = self._senders.alone(arrival.peer, arrival.arrived_s)
             return [ToolPose(t_s, matrix if alone else None)]
         finite = matrix is not None and bool(np.isfinite(matrix).all())
+        if posed.role is Role.CHEST:
+            return [RespirationSample(t_s, matrix[:3, 3])] if finite and matrix is not None else []
         return list(self._frames.add_pose(t_s, matrix if finite else None))
 
     def _against_reference(self, matrix: FloatArray | None, t_s: float) -> FloatArray | None:

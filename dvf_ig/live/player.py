@@ -3,6 +3,8 @@
     ProbeToTracker, ToolToTracker   TRANSFORM; one that was not tracked has the field TransformStatus
     Image_Tracker                   IMAGE, stamped as its pose
     EcgData                         STRING of ECG_BATCH_S, with the time of its first sample in a field
+    RespirationData                 STRING of one sample of a channel that follows the breath, or
+    ChestToTracker                  TRANSFORM of a marker that does, without its rotation
 
 Nothing of a scenario's truth is sent.
 """
@@ -23,6 +25,7 @@ from .link import Link
 
 ECG_BATCH_S = 0.01
 PROBE, TOOL, IMAGE, ECG = "ProbeToTracker", "ToolToTracker", "Image_Tracker", "EcgData"
+BREATH, CHEST = "RespirationData", "ChestToTracker"
 LONGEST_SLEEP_S = 0.1
 
 Timed = tuple[float, Message]
@@ -38,8 +41,8 @@ def messages_of(scenario: Scenario, origin_s: float) -> Iterator[Timed]:
     """
     if scenario.tool is None or isinstance(scenario.ecg, TriggerTimes):
         raise InvalidInputError("a recording that is streamed needs a tool and an ECG; one is missing")
-    streams = (_ecg(scenario, origin_s), _frames(scenario, origin_s), _poses(scenario.tool, TOOL, origin_s))
-    return merge(*streams, key=itemgetter(0))
+    breath, tool = _breath(scenario, origin_s), _poses(scenario.tool, TOOL, origin_s)
+    return merge(_ecg(scenario, origin_s), breath, _frames(scenario, origin_s), tool, key=itemgetter(0))
 
 
 def play(
@@ -87,6 +90,19 @@ def _frames(scenario: Scenario, origin_s: float) -> Iterator[Timed]:
         yield t_s, pose
         if ultrasound.images is not None and ultrasound.image_valid[i]:
             yield t_s, Message(IMAGE, t_s + origin_s, Image(ultrasound.images[i][None], np.eye(4)))
+
+
+def _breath(scenario: Scenario, origin_s: float) -> Iterator[Timed]:
+    recorded = scenario.respiration
+    if recorded is None:
+        return
+    for t_s, values in zip(recorded.t_s.tolist(), recorded.values, strict=True):
+        if len(values) == 3:
+            matrix = np.eye(4)
+            matrix[:3, 3] = values
+            yield t_s, Message(CHEST, t_s + origin_s, Transform(matrix))
+        else:
+            yield t_s, Message(BREATH, t_s + origin_s, Text(repr(float(values[0]))))
 
 
 def _ecg(scenario: Scenario, origin_s: float) -> Iterator[Timed]:

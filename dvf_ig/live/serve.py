@@ -11,12 +11,11 @@ import numpy as np
 
 from dvf_ig.core import InvalidInputError, Landmarks
 from dvf_ig.guidance.servo.inputs import VALID_FOR_S
-from dvf_ig.intake.live import EcgFieldConfig, LiveConfig
+from dvf_ig.intake.live import BreathFieldConfig, BreathMarkerConfig, EcgFieldConfig, LiveConfig
 from dvf_ig.session import Event, Landmark, Session, SessionHistory, SessionSetup, ThreadedExecutor, ToolPose
 
 from .answers import last_messages
 from .devices import DeviceNames, flips_between
-from .ecg.field import EcgField
 from .events import EventSource
 from .haptic import HapticTool
 from .igtl import encode
@@ -25,12 +24,14 @@ from .link import LOOPBACK, Inbox, Link, connect, is_loopback, listen
 from .loop import Answer, LiveLoop, no_more
 from .priority import answering_soon
 from .record import NO_RECORD, CountedWork, Record
+from .samples.field import EcgField
+from .samples.respiration import BreathField
 from .timed import LiveEvent
 
 CUT_OFF = "the connection is ended because of a message that broke the protocol; connect again"
 LOOK_EVERY_S = 0.05
 """Interval at which a caller that waits for a session checks whether it is asked to end it."""
-EcgEvents = Callable[[], list[LiveEvent]]
+SampledEvents = Callable[[], list[LiveEvent]]
 
 
 def _nothing(_: object) -> None:
@@ -44,7 +45,7 @@ class LiveOptions:
     Attributes:
         config: who sends what.
         landmarks: touched before, in frames "mr" and "tracker"; None if a start pose takes their place.
-        ecg: events of an ECG that no peer sends (`dvf_ig.live.ecg`).
+        samples: events of ECG and breathing that no peer sends (`dvf_ig.live.samples`).
         observe: called with every answer, `watch` with every event, `tell` with a sentence about a problem.
         history: of registrations and beats; None keeps the last ones.
         record: receives everything in order.
@@ -53,7 +54,7 @@ class LiveOptions:
 
     config: LiveConfig
     landmarks: tuple[Landmarks, Landmarks] | None = None
-    ecg: EcgEvents = no_more
+    samples: SampledEvents = no_more
     observe: Callable[[Answer], None] = _nothing
     watch: Callable[[Event], None] = _nothing
     tell: Callable[[str], None] = _nothing
@@ -89,10 +90,12 @@ def live_session(setup: SessionSetup, options: LiveOptions) -> Iterator[LiveLoop
         stack.enter_context(link)
         yield LiveLoop(
             session=session,
-            source=EventSource(device_names(config), _ecg_of_peers(config), options.tell),
+            source=EventSource(
+                device_names(config), _ecg_of_peers(config), options.tell, _breath_of_peers(config)
+            ),
             inbox=inbox,
             link=link,
-            more_events=options.ecg,
+            more_events=options.samples,
             observe=options.observe,
             tell=options.tell,
             watch=options.watch,
@@ -179,12 +182,21 @@ def require_allowed(config: LiveConfig) -> None:
 def device_names(config: LiveConfig) -> DeviceNames:
     """The names that the configuration gives."""
     flips = flips_between(config.image_orientation, config.used_orientation)
-    return DeviceNames(config.probe, config.tool, config.image, config.reference, flips)
+    breath = config.respiration
+    chest = breath.marker if isinstance(breath, BreathMarkerConfig) else None
+    return DeviceNames(config.probe, config.tool, config.image, config.reference, chest, flips)
 
 
 def _ecg_of_peers(config: LiveConfig) -> EcgField | None:
     ecg = config.ecg
     return EcgField(ecg.field, ecg.rate_hz, ecg.lead) if isinstance(ecg, EcgFieldConfig) else None
+
+
+def _breath_of_peers(config: LiveConfig) -> BreathField | None:
+    breath = config.respiration
+    if not isinstance(breath, BreathFieldConfig):
+        return None
+    return BreathField(breath.field, breath.rate_hz, breath.channel)
 
 
 def _touched(options: LiveOptions) -> tuple[Landmark, ...]:

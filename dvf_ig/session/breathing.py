@@ -8,7 +8,7 @@ All other parts of a session see the heart at rest, which is end-expiration.
 
 from collections import deque
 from dataclasses import dataclass
-from math import inf, nan
+from math import floor, inf, nan
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -42,7 +42,7 @@ MAX_HELD_OUT_MM = 2.0
 REMEMBERED_BREATHS = 40
 LOST_S = BreathClockOptions().lost_s
 AHEAD_S = 0.1
-"""A published motion reaches this far; the next sample replaces it long before."""
+"""A published motion reaches this far, if no sample replaces it before."""
 
 
 @read_only_arrays
@@ -214,11 +214,17 @@ class BreathingTracker:
         return self._moment(now_s).bound_mm
 
     def changed_s(self, now_s: float) -> float:
-        """Return when what `motion` and `withheld` give last changed: the latest sample, or its loss."""
+        """Return when what `motion` and `withheld` give last changed.
+
+        That is the latest sample, the end of each motion that is published without another one, or the loss.
+        """
         if not self.follows:
             return -inf
         latest_s = self._clock.latest_s
-        return latest_s + LOST_S if now_s - latest_s > LOST_S else latest_s
+        silent_s = now_s - latest_s
+        if not silent_s >= AHEAD_S:
+            return latest_s
+        return latest_s + (LOST_S if silent_s > LOST_S else AHEAD_S * floor(silent_s / AHEAD_S))
 
     def withheld(self, now_s: float) -> bool:
         """Whether the pose of the moment is not known: beyond what was learnt, or before it, not at rest."""

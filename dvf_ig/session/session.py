@@ -279,9 +279,10 @@ class Session:
             hazards |= Hazard.POSE_MOVING
         if transform.phase.state is not PhaseState.LOCKED or now_s > transform.phase.until_s:
             hazards |= Hazard.NO_PHASE
-        if self._frames.order.restarted or self._clock.order.restarted or self._sources.behind:
+        streams = (self._frames, self._clock, self._breathing)
+        if any(one.order.restarted for one in streams) or self._sources.behind:
             hazards |= Hazard.CLOCK_BACKWARDS
-        if any(one.order.disordered for one in (self._frames, self._tool, self._clock)):
+        if any(one.order.disordered for one in (*streams, self._tool)):
             hazards |= Hazard.REORDERED_STAMPS
         if self._sources.skewed:
             hazards |= Hazard.CLOCK_SKEW

@@ -15,9 +15,11 @@ def test_channels_of_a_ventilator_read_back_exactly(tmp_path: Path) -> None:
     flow = read_respiration(f"csv:{tmp_path / 'v.csv'}#flow_l_per_s")
     np.testing.assert_array_equal(flow.values[:, 0], samples[:, 1])
     np.testing.assert_array_equal(flow.t_s, 3.0 + np.arange(50) / 25.0)
-    with pytest.raises(UnreadableFileError, match="which of pressure_cmh2o, flow_l_per_s is breathing"):
+    with pytest.raises(
+        UnreadableFileError, match="has pressure_cmh2o, flow_l_per_s, of which one must be breathing"
+    ):
         read_respiration(f"csv:{tmp_path / 'v.csv'}")
-    with pytest.raises(UnreadableFileError, match="has no column 'volume'; it has pressure_cmh2o"):
+    with pytest.raises(UnreadableFileError, match="has no channel 'volume'; it has pressure_cmh2o"):
         read_respiration(f"csv:{tmp_path / 'v.csv'}#volume")
 
 

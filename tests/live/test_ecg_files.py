@@ -10,9 +10,10 @@ from edf_files import write_ecg_edf
 from waiting import until
 
 from dvf_ig.core import MissingDependencyError, Signal
-from dvf_ig.live.ecg.lsl import LslEcg, batches
-from dvf_ig.live.ecg.source import gathered
-from dvf_ig.live.ecg.tail import EcgTail
+from dvf_ig.live.samples.lsl import LslEcg, batches
+from dvf_ig.live.samples.respiration import LslBreath
+from dvf_ig.live.samples.source import gathered
+from dvf_ig.live.samples.tail import EcgTail
 from dvf_ig.session import EcgSamples
 
 
@@ -141,7 +142,7 @@ def test_gap_in_stamps_begins_a_batch():
     np.testing.assert_array_equal(second.samples, [[3.0], [4.0]])
 
 
-def test_stream_that_is_lost_is_looked_for_again():
+def test_stream_that_is_lost_is_looked_for_again(monkeypatch):
     """A stand-in for pylsl: its stamps are 100 s ahead, by a clock whose correction is known."""
 
     class LostError(Exception):
@@ -185,27 +186,31 @@ def test_stream_that_is_lost_is_looked_for_again():
 
     told: list[str] = []
     clock = Clock()
-    ecg = object.__new__(LslEcg)
     library = SimpleNamespace(
         util=SimpleNamespace(LostError=LostError, TimeoutError=TooLateError),
         resolve_byprop=lambda *_: [SimpleNamespace()],
         StreamInlet=Inlet,
         local_clock=lambda: 4.0,
     )
-    ecg._lsl, ecg._name, ecg._rate_hz, ecg._lead = library, "ecg", 100.0, None
-    ecg._tell, ecg._clock, ecg._inlet, ecg._corrected_s = told.append, clock, None, float("-inf")
+    monkeypatch.setattr("dvf_ig.live.samples.lsl._pylsl", lambda: library)
+    ecg = LslEcg("ecg", 100.0, None, told.append, clock)
     assert ecg.read() == []
     (batch,) = ecg.read()
     assert batch.start_s == pytest.approx(5.0 + 10.0 - 4.0)
     np.testing.assert_array_equal(batch.samples, [[2.0], [4.0]])
     assert ecg.read() == []
     assert "lost" in told[0]
-    ecg._lead = "V9"
-    assert ecg.read() == []
+    assert LslEcg("ecg", 100.0, "V9", told.append, clock).read() == []
     assert "the LSL stream 'ecg' has no lead 'V9'; it has Resp [volts], ECG II [millivolts]" in told[1]
-    ecg._lead = "Ecg II"
-    assert ecg.read() == []
-    assert ecg._inlet is not None
+    Inlet.pulls = 0
+    ecg = LslEcg("ecg", 100.0, "Ecg II", told.append, clock)
+    assert (ecg.read(), len(ecg.read())) == ([], 1)
+    Inlet.pulls = 0
+    breath = LslBreath("icu", None, told.append, clock)
+    assert breath.read() == []
+    first, second = breath.read()
+    assert (first.t_s, second.t_s) == pytest.approx((11.0, 11.01))
+    np.testing.assert_array_equal([first.values, second.values], [[1.0], [3.0]])
 
 
 def test_absent_library_says_what_to_install(monkeypatch):

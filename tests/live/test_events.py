@@ -1,5 +1,6 @@
 """Messages as events: clocks, frames with their poses, the reference marker, orientation, what is refused."""
 
+from dataclasses import replace
 from types import MappingProxyType
 
 import numpy as np
@@ -7,8 +8,6 @@ import pytest
 
 from dvf_ig.core import InvalidInputError, Rigid
 from dvf_ig.live.devices import DeviceNames, flips_between
-from dvf_ig.live.ecg.batches import BatchClock
-from dvf_ig.live.ecg.field import EcgField
 from dvf_ig.live.events import MOST_CLOCKS, SETTLE_S, EventSource, PeerClock
 from dvf_ig.live.frames import WAIT_S, FramePairing
 from dvf_ig.live.igtl import (
@@ -22,6 +21,9 @@ from dvf_ig.live.igtl import (
     WireProblem,
 )
 from dvf_ig.live.link import Arrival
+from dvf_ig.live.samples.batches import BatchClock
+from dvf_ig.live.samples.field import EcgField
+from dvf_ig.live.samples.respiration import BreathField
 from dvf_ig.session import EcgSamples, ToolPose, TrackedFrame
 
 ORIGIN_S = 1000.0
@@ -39,10 +41,12 @@ def pose(name: str, t_s: float, x_mm: float, **fields: str) -> Message:
     return Message(name, t_s + ORIGIN_S, Transform(shifted(x_mm)), MappingProxyType(fields))
 
 
-def settled(names: DeviceNames = NAMES, ecg: EcgField | None = None) -> tuple[EventSource, list[str]]:
+def settled(
+    names: DeviceNames = NAMES, ecg: EcgField | None = None, breath: BreathField | None = None
+) -> tuple[EventSource, list[str]]:
     """A source whose peer's clock is known: ORIGIN_S ahead."""
     told: list[str] = []
-    source = EventSource(names, ecg, told.append)
+    source = EventSource(names, ecg, told.append, breath)
     for t_s in (0.0, SETTLE_S):
         source.events(Arrival(t_s, "plus", Message("other", t_s + ORIGIN_S, Text(""))))
     return source, told
@@ -197,6 +201,37 @@ def test_image_of_colours_is_refused_with_what_to_do():
     colours = Image(np.zeros((1, 3, 4, 3), np.uint8), np.eye(4))
     with pytest.raises(InvalidInputError, match="US_IMG_BRIGHTNESS"):
         NAMES.image_of(Message("Image_Tracker", 1.0, colours))
+
+
+# ------------------------------------------------------------------ breathing
+
+
+def test_a_marker_on_the_chest_is_breathing_and_one_that_is_not_seen_is_a_gap():
+    source, _ = settled(replace(NAMES, chest="ChestToTracker", reference="ReferenceToTracker"))
+    assert events(source, pose("ChestToTracker", 1.9, 12.0)) == []
+    seen = events(source, pose("ReferenceToTracker", 2.0, 10.0), pose("ChestToTracker", 2.0, 12.0))
+    assert [(e.t_s, e.values.tolist()) for e in seen] == [(2.0, [2.0, 0.0, 0.0])]  # type: ignore[attr-defined]
+    assert events(source, pose("ChestToTracker", 2.05, 12.0, TransformStatus="MISSING")) == []
+    wrong = WireError(WireProblem.NOT_FINITE, "TRANSFORM", "ChestToTracker", 2.1 + ORIGIN_S)
+    assert events(source, wrong) == []
+
+
+def test_a_field_of_breathing_is_stamped_as_its_message_or_as_it_states():
+    source, told = settled(breath=BreathField("Icu"))
+    fields = MappingProxyType({"IcuLeads": "ABP Paw"})
+    found = events(source, Message("Icu", 2.0 + ORIGIN_S, Text("90 5.5"), fields))
+    assert [(e.t_s, e.values.tolist()) for e in found] == [(2.0, [5.5])]  # type: ignore[attr-defined]
+    assert events(source, Message("Icu", 2.1 + ORIGIN_S, Text("90 5.5 91 6"), fields)) == []
+    assert "live.respiration.rate_hz" in told[0]
+    source, told = settled(breath=BreathField("Icu", 10.0))
+    several = Message("Icu", 2.2 + ORIGIN_S, Text("1 nan 3"))
+    assert [round(e.t_s, 6) for e in events(source, several)] == [2.0, 2.2]  # type: ignore[attr-defined]
+    stated = MappingProxyType({"IcuTimestamp": repr(2.25 + ORIGIN_S)})
+    late = Message("Icu", 2.6 + ORIGIN_S, Text("1 2"), stated)
+    assert [round(e.t_s, 6) for e in events(source, late)] == [2.25, 2.35]  # type: ignore[attr-defined]
+    doubtful = MappingProxyType({"IcuLeads": "Paw Flow"})
+    assert events(source, Message("Icu", 3.0 + ORIGIN_S, Text("1 2"), doubtful)) == []
+    assert "of which one must be breathing; name it as live.respiration.channel" in told[0]
 
 
 # ------------------------------------------------------------------ ECG

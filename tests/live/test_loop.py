@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from haptic_toy import FollowingTool
 from live_toy import LATENCY_S, ORIGIN_S, LiveToy, arrival, arrivals_of
-from toy_session import GUIDED_S, HOME, run, toy_setup, toy_streams
+from toy_session import CENTER, GUIDED_S, HOME, compare_breathing, run, toy_setup, toy_streams
 
 from dvf_ig.guidance import Hazard, Status, SupervisorState
 from dvf_ig.guidance.servo.inputs import VALID_FOR_S
@@ -30,6 +30,7 @@ from dvf_ig.live.link import Arrival
 from dvf_ig.live.loop import LiveLoop
 from dvf_ig.live.serve import SessionThread
 from dvf_ig.live.summary import LiveSummary
+from dvf_ig.registration import PoseChart
 from dvf_ig.session import Session
 
 UNTIL_S = 14.5
@@ -186,6 +187,59 @@ def test_a_session_that_was_stopped_before_any_force_gives_one_without_an_operat
     assert not any(a.state.force_n.any() for a in toy.answers if a.state.now_s < 4.3)
     assert toy.answers[-1].state.supervisor is SupervisorState.OK
     assert toy.answers[-1].state.force_n.any()
+
+
+BREATH_S, EXCURSION_MM = 2.5, 6.0
+
+
+def breathing(t_s: float) -> np.ndarray:
+    """Coordinates of a heart that moves along x, and rests for half of each breath."""
+    return np.array(
+        [0.0, 0.0, 0.0, EXCURSION_MM * max(0.0, np.sin(2 * np.pi * t_s / BREATH_S)) ** 2, 0.0, 0.0]
+    )
+
+
+def breath_message(t_s: float, *, by_marker: bool) -> Message:
+    if by_marker:
+        matrix = np.eye(4)
+        matrix[1, 3] = 1.5 * breathing(t_s)[3]
+        return Message("ChestToTracker", t_s + ORIGIN_S, Transform(matrix))
+    return Message("Pressure", t_s + ORIGIN_S, Text(f"{5.0 + breathing(t_s)[3]:.9g}"))
+
+
+@pytest.mark.parametrize("by_marker", [True, False])
+def test_the_pose_follows_the_breath_that_arrives_and_is_withheld_when_it_stops(toy, monkeypatch, by_marker):
+    """Five breaths teach the motion here; the surrogate ends at 36 s, and breathing goes on."""
+    monkeypatch.setattr("dvf_ig.session.arrived_ultrasound.compare_beat", compare_breathing)
+    monkeypatch.setattr("dvf_ig.session.breathing.TRUSTED_BREATHS", 5)
+    streams = toy_streams(37.0, patient=breathing, chunk=5)
+    arrivals = arrivals_of(streams)
+    times = np.arange(0.0, 36.0, 0.04).tolist()
+    arrivals += [arrival(t_s, breath_message(t_s, by_marker=by_marker)) for t_s in times]
+    toy.run(sorted(arrivals, key=lambda one: one.arrived_s), 37.0)
+    assert toy.told == []
+    said = [a.state for a in toy.answers]
+    gated = [s for s in said if 26.5 < s.now_s < 30.5]
+    withheld = [bool(s.hazards & Hazard.BREATHING) for s in gated]
+    assert 0.1 < np.mean(withheld) < 0.9
+    assert all(w for s, w in zip(gated, withheld, strict=True) if breathing(s.now_s)[3] > 2.0)
+    served = [s for s in said if 32.0 < s.now_s < 36.0 and s.now_s < s.transform.pose_until_s]
+    assert len(served) > 0.9 * sum(32.0 < s.now_s < 36.0 for s in said)
+    moved = [s.transform.pose.at(s.now_s) @ HOME.inverse() for s in served]
+    apart = [
+        abs(pose.apply_array(CENTER[None])[0] - CENTER - turned).max()
+        for pose, turned in zip(moved, [breathing_shift(s.now_s - LATENCY_S) for s in served], strict=True)
+    ]
+    assert np.percentile(apart, 95) < 1.0
+    lost = [s for s in said if s.now_s > 36.0 - 0.04 + LATENCY_S + 0.5 + 0.02]
+    assert len(lost) > 20
+    assert all(s.hazards & Hazard.BREATHING for s in lost)
+
+
+def breathing_shift(t_s: float) -> np.ndarray:
+    return (PoseChart(HOME, CENTER).pose(breathing(t_s)) @ HOME.inverse()).apply_array(CENTER[None])[
+        0
+    ] - CENTER
 
 
 def test_lost_ecg_loses_the_phase_and_finds_it_again(toy):

@@ -3,6 +3,7 @@
 import json
 import multiprocessing
 import time
+from collections.abc import Iterable
 from io import BytesIO
 from itertools import pairwise
 from pathlib import Path
@@ -11,7 +12,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 from haptic_toy import FollowingTool
-from live_toy import LiveToy, arrivals_of
+from live_toy import LiveToy, arrival, arrivals_of, pose_message
 from toy_session import (
     ECG_HZ,
     HOME,
@@ -35,7 +36,7 @@ from dvf_ig.guidance import (
     PathTarget,
 )
 from dvf_ig.guidance.margins import MarginOptions
-from dvf_ig.intake.live import EcgFieldConfig, LiveConfig
+from dvf_ig.intake.live import BreathMarkerConfig, EcgFieldConfig, LiveConfig
 from dvf_ig.intake.parts import SessionFiles
 from dvf_ig.intake.preop import PreopFiles
 from dvf_ig.intake.readers import StartFiles
@@ -46,7 +47,8 @@ from dvf_ig.intake.session_log.read import read_session_log
 from dvf_ig.intake.session_log.topics import DOCUMENT
 from dvf_ig.io.ros.log_file import LogWriter
 from dvf_ig.live.answers import state_messages
-from dvf_ig.live.igtl import Status
+from dvf_ig.live.igtl import Message, Status
+from dvf_ig.live.link import Arrival
 from dvf_ig.live.record import LOG, PART, CountedWork, SessionRecord, session_record
 from dvf_ig.replay.repetition import AsRecorded, recorded_ticks, repeat
 from dvf_ig.session import GuidanceState, Session, ThreadedExecutor, ToolPose
@@ -64,7 +66,9 @@ def patient() -> SessionFiles:
         latency=LAG_S,
         tip=TIP,
         start=StartFiles(HOME),
-        live=LiveConfig(ecg=EcgFieldConfig(rate_hz=ECG_HZ)),
+        live=LiveConfig(
+            ecg=EcgFieldConfig(rate_hz=ECG_HZ), respiration=BreathMarkerConfig(marker="ChestToTracker")
+        ),
     )
 
 
@@ -77,7 +81,11 @@ def attach(log: LogWriter) -> None:
 
 
 def recorded(
-    folder: Path, told: list[str], until_s: float, haptic: FollowingTool | None = None
+    folder: Path,
+    told: list[str],
+    until_s: float,
+    haptic: FollowingTool | None = None,
+    breath: Iterable[Arrival] = (),
 ) -> list[GuidanceState]:
     """A session of the toy's patient with its record in a folder; what it said."""
     states: list[GuidanceState] = []
@@ -95,7 +103,8 @@ def recorded(
         setattr(record, "state", state)  # noqa: B010
         toy.loop.record = record
         toy.loop.haptic = cast(Any, haptic)
-        arrivals = arrivals_of(toy_streams(until_s, chunk=5))
+        arrivals = [*arrivals_of(toy_streams(until_s, chunk=5)), *breath]
+        arrivals.sort(key=lambda one: one.arrived_s)
         toy.run(arrivals, until_s - 1.0)
         toy.loop.ask_rearm()
         toy.run(arrivals, until_s)
@@ -155,6 +164,26 @@ def test_session_whose_tool_is_a_haptic_device_is_repeated_too(tmp_path: Path) -
     again: list[GuidanceState] = []
     with Session(toy_setup(), executor=AsRecorded(live.refused)) as session:
         repeat(session, live, lambda _, state: again.append(state))
+    assert [bits(a) for a in again] == [bits(b) for b in states]
+
+
+@pytest.mark.usefixtures("known_images")
+def test_session_that_follows_the_breath_is_repeated_too(tmp_path: Path) -> None:
+    times = np.arange(0.0, 13.0, 0.04).tolist()
+
+    def chest(t_s: float) -> Message:
+        matrix = np.eye(4)
+        matrix[1, 3] = 8.0 * max(0.0, np.sin(1.5 * t_s))
+        return pose_message("ChestToTracker", t_s, matrix)
+
+    states = recorded(tmp_path, [], 13.0, breath=[arrival(t_s, chest(t_s)) for t_s in times])
+    found = read(tmp_path / LOG)
+    assert found.respiration is not None
+    assert len(found.respiration) == len(times)
+    again: list[GuidanceState] = []
+    assert found.record is not None
+    with Session(toy_setup(), executor=AsRecorded(found.record.refused)) as session:
+        repeat(session, found.record, lambda _, state: again.append(state))
     assert [bits(a) for a in again] == [bits(b) for b in states]
 
 

@@ -2,6 +2,7 @@
 
 import json
 import threading
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -14,15 +15,23 @@ from typer.testing import CliRunner
 from waiting import until
 
 from dvf_ig.cli.main import app
-from dvf_ig.core import DvfIgError, InvalidInputError, Points, Scenario, UnreadableFileError
+from dvf_ig.core import (
+    DvfIgError,
+    InvalidInputError,
+    Points,
+    Respiration,
+    Scenario,
+    UnreadableFileError,
+)
 from dvf_ig.intake import read_session
 from dvf_ig.intake.fit import require_live_fit
 from dvf_ig.intake.live import EcgFieldConfig, EcgTailConfig, LiveConfig, require_orientation
+from dvf_ig.intake.session import streamed_breath
 from dvf_ig.io.json_file import write_json
 from dvf_ig.io.writing.listing import LISTING
-from dvf_ig.live.igtl import Image, Message, Transform
+from dvf_ig.live.igtl import Image, Message, Text, Transform
 from dvf_ig.live.link import Inbox, Link, connect, listen
-from dvf_ig.live.player import ECG, IMAGE, PROBE, TOOL, messages_of, play
+from dvf_ig.live.player import BREATH, CHEST, ECG, IMAGE, PROBE, TOOL, messages_of, play
 from dvf_ig.live.serve import device_names
 from dvf_ig.replay.view_file import read_view_file
 
@@ -172,7 +181,7 @@ def test_session_without_live_says_what_to_write(tmp_path: Path) -> None:
     assert "ecg: {field" in done.stderr
 
 
-def test_breathing_that_a_live_session_cannot_follow_is_refused(tmp_path: Path) -> None:
+def test_breathing_without_a_sender_is_refused(tmp_path: Path) -> None:
     file = tmp_path / "session.yaml"
     file.write_text(
         "schema: dvf_ig.session/1\npreop: {model: heart.npz}\nlive: {ecg: {field: EcgData, rate_hz: 500}}\n"
@@ -181,7 +190,28 @@ def test_breathing_that_a_live_session_cannot_follow_is_refused(tmp_path: Path) 
     )
     done = run("serve", file)
     assert done.exit_code == 3
-    assert "a live session cannot follow yet" in done.stderr
+    assert "state live.respiration (a marker, a field or an LSL stream)" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("columns", "device", "content"),
+    [(1, BREATH, Text("0.25")), (3, CHEST, Transform(np.eye(4)))],
+)
+def test_breathing_of_a_recording_is_streamed_as_serve_takes_it(
+    scenario: Scenario, columns: int, device: str, content: object
+) -> None:
+    values = np.full((40, columns), 0.25) * (columns == 1)
+    breath = Respiration(np.arange(40) * 0.02, values, "pressure")
+    sent = [m for _, m in messages_of(replace(scenario, respiration=breath), 1000.0) if m.device == device]
+    assert len(sent) == 40
+    assert type(sent[0].content) is type(content)
+    assert str(sent[0].content) == str(content)
+    assert sent[1].stamp_s == pytest.approx(1000.02)
+    name = "marker:c.igs.mha" if columns == 3 else "csv:v.csv#p"
+    config = SimpleNamespace(respiration=SimpleNamespace(file=name))
+    live = LiveConfig(ecg=EcgFieldConfig(rate_hz=250.0), respiration=streamed_breath(cast("Any", config)))
+    names, field = device_names(live), live.respiration
+    assert (names.chest, getattr(field, "field", None)) == ((CHEST, None) if columns == 3 else (None, BREATH))
 
 
 @pytest.mark.parametrize(

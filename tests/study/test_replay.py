@@ -1,9 +1,10 @@
 """The replay study: which trial is which, and what a preset's replays say together."""
 
+from dataclasses import asdict
 from typing import Any
 
 from data_synth.scenario.presets import PRESETS
-from dvf_ig.study.replay import summarise_replays, trial_numbers, trial_of
+from dvf_ig.study.replay import Settled, summarise_replays, trial_numbers, trial_of
 
 
 def line(number: int, tre_mm: float | None, hazard_s: float) -> dict[str, Any]:
@@ -22,6 +23,7 @@ def line(number: int, tre_mm: float | None, hazard_s: float) -> dict[str, Any]:
         "pose_bound_mm": None
         if tre_mm is None
         else {"median": 2.0 * tre_mm, "updates": 20, "coverage": 0.95},
+        "settled": None if tre_mm is None else asdict(Settled(tre_mm, 2 * tre_mm, 0.9, 0.95, 1.0)),
     }
 
 
@@ -41,4 +43,6 @@ def test_the_worst_seed_gives_the_hazard_and_the_median_the_error() -> None:
     assert calm.valid_share == 0.8
     assert (calm.pose_updates, calm.pose_bound_mm) == (40, 4.0)
     assert calm.pose_bound_covers.value == 0.95
+    assert calm.settled == Settled(2.0, 4.0, 0.9, 0.95, 1.0)
+    assert (calm.settled_p95_worst_mm, other.settled) == (6.0, None)
     assert (other.seeds, other.hazard_s) == (0, None)

@@ -10,17 +10,18 @@ from toy_session import ECG_HZ, Streams
 
 from dvf_ig.core import FloatArray
 from dvf_ig.live.devices import DeviceNames
-from dvf_ig.live.ecg.field import EcgField
 from dvf_ig.live.events import EventSource
 from dvf_ig.live.igtl import Image, Message, Text, Transform, WireError
 from dvf_ig.live.link import MOST, Arrival, Inbox
 from dvf_ig.live.loop import Answer, LiveLoop, no_more
+from dvf_ig.live.samples.field import EcgField
+from dvf_ig.live.samples.respiration import BreathField
 from dvf_ig.session import Session
 
 ORIGIN_S = 5000.0
 """The peer's clock less the local one's, but for the latency."""
 LATENCY_S = 0.004
-NAMES = DeviceNames("ProbeToTracker", "ToolToTracker", "Image_Tracker")
+NAMES = DeviceNames("ProbeToTracker", "ToolToTracker", "Image_Tracker", chest="ChestToTracker")
 STEP_S = 0.01
 
 
@@ -57,7 +58,7 @@ class LiveToy:
         link: Any = self.sent
         self.loop = LiveLoop(
             session=session,
-            source=EventSource(NAMES, EcgField("EcgData", ECG_HZ), self.told.append),
+            source=EventSource(NAMES, EcgField("EcgData", ECG_HZ), self.told.append, BreathField("Pressure")),
             inbox=self.inbox,
             link=link,
             more_events=no_more,

@@ -15,7 +15,7 @@ from known_patient import KnownBeat, Patient, registration, still
 from numpy.typing import NDArray
 from toy_ball import CENTERS, ball_model
 
-from dvf_ig.core import Fan, FloatArray, Grid, ImageMap, NoOverlapError, Points, Rigid
+from dvf_ig.core import BoolArray, Fan, FloatArray, Grid, ImageMap, NoOverlapError, Points, Rigid
 from dvf_ig.registration import ModelChannels, PoseChart, RegistrationResult
 from dvf_ig.session import (
     CalibrationsInUse,
@@ -31,7 +31,7 @@ from dvf_ig.session import (
     TrackedFrame,
     UltrasoundRecording,
 )
-from dvf_ig.session.beat_evaluation import ComparedBeat
+from dvf_ig.session.beat_evaluation import BreathEvaluation, ComparedBeat
 
 RR_S, ECG_HZ, FRAME_HZ, TOOL_HZ, TICK_S = 0.8, 250.0, 20.0, 100.0, 0.01
 LAG_S = -0.06
@@ -228,6 +228,30 @@ def compare_known(
     beat = KnownBeat(begin.t_s, end.t_s, _pose_at(recording.images[here, 0, 0].astype(np.float64)))
     compared = None if pose is None else beat.evaluate_beat(pose, CENTER, in_use=in_use)
     return ComparedBeat(beat, compared, irregular=False)
+
+
+def compare_breathing(
+    recording: UltrasoundRecording, pose: Rigid | None, *given: object, in_use: bool
+) -> ComparedBeat:
+    """As `compare_known`, with what the frames are known to have moved in the breath taken out."""
+    breath = recording.breathing
+    if breath is None or pose is None:
+        return compare_known(recording, pose, *given, in_use=in_use)
+    begin, end = recording.peaks[-2:]
+    event_s = recording.ultrasound.t_s + recording.calibrations.lag_s
+    here = (event_s >= begin.t_s) & (event_s < end.t_s)
+
+    def beat(chosen: BoolArray) -> KnownBeat | None:
+        shown = recording.images[chosen, 0, 0].astype(np.float64) - 10.0 * breath.xi_mm[chosen, 3]
+        return KnownBeat(begin.t_s, end.t_s, _pose_at(shown)) if len(shown) >= FEWEST else None
+
+    usable, every = beat(here & breath.usable), here & np.isfinite(breath.features).all(axis=1)
+    evaluation = None if usable is None else usable.evaluate_beat(pose, CENTER, in_use=in_use)
+    whole, learnt = beat(every), None
+    if whole is not None:
+        of_whole = whole.evaluate_beat(pose, CENTER, in_use=in_use).measurement
+        learnt = BreathEvaluation(of_whole, breath.part(np.flatnonzero(every)))
+    return ComparedBeat(usable, evaluation, usable is None, learnt)
 
 
 def _pose_at(said: FloatArray) -> Rigid:

@@ -226,8 +226,8 @@ def _run_session(
     hardware: "HeldDevice | None",
 ) -> dict[str, Any]:
     """Until it ends; what it did, as JSON values."""
-    from dvf_ig.live.ecg.source import ecg_events
     from dvf_ig.live.page import PageFeed, PageServer
+    from dvf_ig.live.samples.source import sampled_events
     from dvf_ig.live.sentences import Narrator, counted, narrated
     from dvf_ig.live.serve import LiveOptions, live_session
 
@@ -244,11 +244,11 @@ def _run_session(
         tell = stack.enter_context(counted(LOG.warning))
         haptic = None if hardware is None else stack.enter_context(_haptic_tool(ready, hardware))
         end_requested = stack.enter_context(_end_requests(haptic))
-        ecg = stack.enter_context(ecg_events(live, ready.files.folder, tell))
+        samples = stack.enter_context(sampled_events(live, ready.files.folder, tell))
         options = LiveOptions(
             live,
             ready.landmarks,
-            ecg=ecg,
+            samples=samples,
             observe=observe,
             tell=tell,
             history=history,

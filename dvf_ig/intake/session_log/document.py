@@ -157,6 +157,7 @@ def document_of_live(
         has_timestamps=True,
         orientation=live.used_orientation,
         preop=preop,
+        respiration=None if live.respiration is None else "breathing",
         **_of_patient(files, image, lag_s, tip),
     )
 

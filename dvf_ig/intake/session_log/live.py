@@ -21,7 +21,16 @@ from dvf_ig.guidance import FixtureSet
 from dvf_ig.intake.fixtures import DeviceConfig, FixturesConfig, RetimingName
 from dvf_ig.io.ros import messages as ros
 from dvf_ig.io.yaml_config import Section
-from dvf_ig.session import EcgSamples, Event, GuidanceState, Landmark, ToolPose, TrackedFrame, Trigger
+from dvf_ig.session import (
+    EcgSamples,
+    Event,
+    GuidanceState,
+    Landmark,
+    RespirationSample,
+    ToolPose,
+    TrackedFrame,
+    Trigger,
+)
 
 from .topics import (
     ECG,
@@ -31,6 +40,7 @@ from .topics import (
     IMAGE,
     IMAGE_LABEL,
     POSE_LABEL,
+    RESPIRATION,
     exact_pose,
     status_message,
 )
@@ -76,6 +86,7 @@ class EventKind(IntEnum):
     REARM = 4
     DEVICE = 5
     """Pose of a tool that is a haptic device, by its encoders."""
+    RESPIRATION = 6
 
 
 class LiveDocument(Section):
@@ -129,6 +140,8 @@ def event_messages(event: Event, arrived_s: float) -> Iterator[Timed]:
         if event.image is not None:
             yield t_s, IMAGE, ros.IMAGE, ros.image(t_s, "image", event.image)
         yield from _placed(t_s, "probe", event.tracker_from_probe)
+    elif isinstance(event, RespirationSample):
+        yield t_s, RESPIRATION, ros.ARRAY, ros.array(np.append(t_s, event.values), ("t_s, then values",))
     elif isinstance(event, ToolPose):
         row = _pose_row(t_s, event.tracker_from_tool)
         yield t_s, EXACT_TOOL, ros.ARRAY, ros.array(row, (POSE_LABEL.format("tool"),))
@@ -143,6 +156,7 @@ def _kind(event: Event) -> EventKind:
         (EventKind.FRAME, TrackedFrame),
         (EventKind.TOOL, ToolPose),
         (EventKind.LANDMARK, Landmark),
+        (EventKind.RESPIRATION, RespirationSample),
     ):
         if isinstance(event, types):
             return kind

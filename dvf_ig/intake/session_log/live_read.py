@@ -9,19 +9,26 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from dvf_ig.core import FloatArray, PoseStream, Signal, TrackedSequence, UnreadableFileError
+from dvf_ig.core import (
+    FloatArray,
+    PoseStream,
+    Respiration,
+    Signal,
+    TrackedSequence,
+    UnreadableFileError,
+)
 from dvf_ig.intake.findings import Disagreement, Finding, finding
 from dvf_ig.intake.live_record import Arrived, LiveRecord
 from dvf_ig.io import limits
 from dvf_ig.io.ros import messages as ros
 from dvf_ig.io.ros.log_file import LogReader
-from dvf_ig.session import EcgSamples, Landmark, Rearm, ToolPose, TrackedFrame
+from dvf_ig.session import EcgSamples, Landmark, Rearm, RespirationSample, ToolPose, TrackedFrame
 
 from .document import SessionDocument
 from .live import EVENT, LIVE_STREAMS, LOST, STATE, WORK, EventKind, LiveDocument
-from .topics import ECG, EXACT_FRAME, EXACT_TOOL, IMAGE, STREAMS, TRIGGER
+from .topics import ECG, EXACT_FRAME, EXACT_TOOL, IMAGE, RESPIRATION, STREAMS, TRIGGER
 
-Stamped = TypeVar("Stamped", TrackedFrame, ToolPose)
+Stamped = TypeVar("Stamped", TrackedFrame, ToolPose, RespirationSample)
 UNIT = "as sent"
 LONGEST_ECG_S = 24 * 3600.0
 """Largest distance from the first ECG sample, in stamps, of a sample that belongs to the recording."""
@@ -34,12 +41,14 @@ class LiveStreams:
     Attributes:
         ecg: ECG on one clock; NaN if samples are missing.
         ultrasound: frames in order of their stamps; tool: its poses.
+        respiration: what follows the breath; None if nothing does.
     """
 
     record: LiveRecord
     ecg: Signal
     ultrasound: TrackedSequence
     tool: PoseStream
+    respiration: Respiration | None
 
 
 @dataclass(slots=True)
@@ -60,7 +69,7 @@ class _Reading:
             self.image = ros.grey_levels(message)
             return
         values = np.array(message.data, dtype=np.float64)
-        if topic in (ECG, EXACT_FRAME, EXACT_TOOL):
+        if topic in (ECG, EXACT_FRAME, EXACT_TOOL, RESPIRATION):
             leads = message.layout.dim[-1].size if topic == ECG else 1
             self.numbers = values.reshape(-1, leads) if topic == ECG else values
             return
@@ -86,7 +95,7 @@ class _Reading:
 
     def _event(
         self, kind: EventKind, t_s: float
-    ) -> EcgSamples | TrackedFrame | ToolPose | Landmark | Rearm | None:
+    ) -> EcgSamples | RespirationSample | TrackedFrame | ToolPose | Landmark | Rearm | None:
         if kind is EventKind.REARM:
             return Rearm(t_s)
         if kind is EventKind.LANDMARK:
@@ -96,6 +105,8 @@ class _Reading:
             return None
         if kind is EventKind.ECG:
             return EcgSamples(t_s, self.numbers)
+        if kind is EventKind.RESPIRATION:
+            return RespirationSample(t_s, self.numbers[1:])
         pose = _matrix(self.numbers)
         if kind in (EventKind.TOOL, EventKind.DEVICE):
             return ToolPose(t_s, pose, kind is EventKind.DEVICE)
@@ -141,7 +152,16 @@ def read_live_streams(
         _signal(batches, document.beats.rate_hz or 0.0, float(states[0, 0])),
         _sequence(frames, document.orientation),
         _stream("tool", [(one.t_s, one.tracker_from_tool) for one in _in_order(tool)]),
+        _breaths([event for event in events if isinstance(event, RespirationSample)], document),
     )
+
+
+def _breaths(samples: Sequence[RespirationSample], document: SessionDocument) -> Respiration | None:
+    ordered = _in_order(samples)
+    if document.respiration is None or len(ordered) < 2:
+        return None
+    t_s, values = np.array([one.t_s for one in ordered]), np.array([one.values for one in ordered])
+    return Respiration(t_s, values, document.respiration)
 
 
 def _findings(log: LogReader, states: FloatArray) -> tuple[Finding, ...]:

@@ -85,6 +85,7 @@ def _live(
     options = validated(LiveDocument, content, path)
     streams = read_live_streams(log, document, options, path, images=images)
     scenario = _scenario(document, heart, streams.ecg, streams.ultrasound, streams.tool)
+    scenario = replace(scenario, respiration=streams.respiration)
     fixtures = options.fixtures.fixture_set(Path())
     return SessionFiles.of(
         scenario, heart.model, fixtures=fixtures, retiming=options.retiming, record=streams.record

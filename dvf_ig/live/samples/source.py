@@ -1,4 +1,4 @@
-"""ECG that no peer sends: a growing file or an LSL stream, read by its own thread.
+"""Samples that no peer sends: a growing file or LSL streams, each read by its own thread.
 
 The session's thread takes the available samples without waiting.
 """
@@ -6,33 +6,34 @@ The session's thread takes the available samples without waiting.
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Protocol
 
-from dvf_ig.intake.live import EcgFieldConfig, EcgStreamConfig, LiveConfig
+from dvf_ig.intake.live import BreathStreamConfig, EcgStreamConfig, EcgTailConfig, LiveConfig
 from dvf_ig.live.timed import LiveEvent
-from dvf_ig.session import EcgSamples
+from dvf_ig.session import EcgSamples, RespirationSample
 
 from .lsl import LslEcg
+from .respiration import LslBreath
 from .tail import EcgTail
 
 MOST_BATCHES = 4096
 EVERY_S = 0.01
 
 
-class EcgReader(Protocol):
+class SampleReader(Protocol):
     """Reader that has new samples from time to time."""
 
-    def read(self) -> list[EcgSamples]:
+    def read(self) -> Sequence[EcgSamples | RespirationSample]:
         """Return samples since the last call, stamped by this machine's monotonic clock; may wait."""
         ...
 
 
 @contextmanager
 def gathered(
-    reader: EcgReader, clock: Callable[[], float] = time.monotonic
+    reader: SampleReader, clock: Callable[[], float] = time.monotonic
 ) -> Iterator[Callable[[], list[LiveEvent]]]:
     """Read in a thread; yield a function that returns new events or raises the thread's error."""
     waiting: deque[LiveEvent] = deque(maxlen=MOST_BATCHES)
@@ -52,7 +53,7 @@ def gathered(
             raise failed[0]
         return [waiting.popleft() for _ in range(len(waiting))]
 
-    thread = threading.Thread(target=gather, name="dvf-ig ecg", daemon=True)
+    thread = threading.Thread(target=gather, name="dvf-ig samples", daemon=True)
     thread.start()
     try:
         yield taken
@@ -62,10 +63,10 @@ def gathered(
 
 
 @contextmanager
-def ecg_events(
+def sampled_events(
     config: LiveConfig, folder: Path, tell: Callable[[str], None]
 ) -> Iterator[Callable[[], list[LiveEvent]]]:
-    """Yield the function that returns the ECG's new events; it returns none if the peers send it.
+    """Yield the function that returns new events of ECG and breathing; none of what the peers send.
 
     Args:
         folder: folder to which file names are relative.
@@ -73,14 +74,14 @@ def ecg_events(
     Raises:
         MissingDependencyError: pylsl is absent.
     """
-    ecg = config.ecg
-    if isinstance(ecg, EcgFieldConfig):
-        yield list
-        return
-    reader: EcgReader
+    ecg, breath = config.ecg, config.respiration
+    readers: list[SampleReader] = []
     if isinstance(ecg, EcgStreamConfig):
-        reader = LslEcg(ecg.lsl, ecg.rate_hz, ecg.lead, tell)
-    else:
-        reader = EcgTail(folder / ecg.tail, ecg.rate_hz, ecg.lead, tell)
-    with gathered(reader) as events:
-        yield events
+        readers.append(LslEcg(ecg.lsl, ecg.rate_hz, ecg.lead, tell))
+    elif isinstance(ecg, EcgTailConfig):
+        readers.append(EcgTail(folder / ecg.tail, ecg.rate_hz, ecg.lead, tell))
+    if isinstance(breath, BreathStreamConfig):
+        readers.append(LslBreath(breath.lsl, breath.channel, tell))
+    with ExitStack() as stack:
+        sources = [stack.enter_context(gathered(reader)) for reader in readers]
+        yield lambda: [event for source in sources for event in source()]
