@@ -73,6 +73,7 @@ from .pose_chart import predicted_error_mm as predicted_error_mm
 from .pose_chart import target_errors_mm as target_errors_mm
 from .register import against_touched as against_touched
 from .register import register as register
+from .long_axis import with_long_axis_views as with_long_axis_views
 from .result import RegistrationResult as RegistrationResult
 from .start import LANDMARKS_MM as LANDMARKS_MM
 from .start import LandmarkPrior as LandmarkPrior

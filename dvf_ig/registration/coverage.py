@@ -63,11 +63,13 @@ class CoveredPart:
         grid: of `compared_voxels`, which ends where the images do.
         compared_voxels: (nx, ny, nz) of the heart at any phase and RIM_MM around it.
         surface_mm: (k, 3) points of the heart's surface at end-diastole within the images.
+        views: whether long-axis views show the heart beyond the ends of a stack (see `long_axis`).
     """
 
     grid: Grid
     compared_voxels: BoolArray
     surface_mm: FloatArray
+    views: bool = False
 
     def compared(self, slices: SliceSet, pose: Rigid) -> SliceSet:
         """The slices without the pixels that lie outside the covered part at a pose."""

@@ -25,6 +25,7 @@ from dvf_ig.preop import (
     observable_axes,
     rasterise,
     rasterise_meshes,
+    slice_shifts,
 )
 from dvf_ig.registration import (
     BLOOD,
@@ -37,6 +38,7 @@ from dvf_ig.registration import (
     covered_part,
     ends_within,
     target_from_labels,
+    with_long_axis_views,
 )
 
 log = logging.getLogger(__name__)
@@ -133,7 +135,23 @@ def build_heart(
             channels = channels_from_labels(labels, smoothing_mm=smoothing_mm)
         surface = target.result() if target is not None else None
     covered = covered_part(labels, vertices) if partly else None
+    if preop.mr is not None and covered is not None and preop.views and not grey:
+        channels, covered = with_long_axis_views(
+            channels, covered, preop.views, _view_shifts_mm(preop, labels, model), smoothing_mm=MR_SMOOTHING_MM
+        )
     return Heart(model, channels, center, surface, grey, covered)
+
+
+def _view_shifts_mm(preop: Preop, labels: VolumeSeries, model: DvfModel) -> FloatArray:
+    """(v, 3) displacement of the heart in each long-axis view from where the model has it."""
+    mr = preop.mr
+    if mr is None:
+        raise TypeError("long-axis views go with the stack that they intersect")
+    index = labels.grid.to_index(mr.grid.centers_mm())
+    nearest = np.clip(np.rint(index), 0, np.array(labels.grid.shape) - 1).astype(np.int64)
+    heart = labels.values[model.ed_phase][tuple(np.moveaxis(nearest, -1, 0))] != 0
+    organ = heart & labels.grid.holds(index, margin=1.0)
+    return slice_shifts(mr, organ, organ, preop.views).views_mm
 
 
 def _is_stack(grid: Grid) -> bool:
