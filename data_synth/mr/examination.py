@@ -76,20 +76,24 @@ class Examination:
         }
 
 
-def examination(anatomy: PhantomAnatomy, name: ExamName, rng: np.random.Generator) -> Examination:
+def examination(
+    anatomy: PhantomAnatomy, name: ExamName, rng: np.random.Generator, phases: int | None = None
+) -> Examination:
     """Examine a heart.
 
     Args:
         name: "sax8" (8 mm slices, 2 mm gaps), "sax10" (10 mm, no gaps), or "sax+lax" (as "sax8", with three
             long-axis cines).
         rng: draws phases, breath-holds, heart rates, coil shading and noise.
+        phases: number of them instead of the drawn one, to save time.
     Raises:
         InvalidInputError: no such examination.
     """
     if name not in EXAMS:
         raise InvalidInputError(f"there is no examination '{name}'; choose from {', '.join(EXAMS)}")
     drawn_rng, stack_rng, *view_rngs = rng.spawn(2 + len(LAX_VIEWS))
-    phases = int(drawn_rng.integers(PHASES[0], PHASES[1] + 1))
+    drawn = int(drawn_rng.integers(PHASES[0], PHASES[1] + 1))
+    phases = drawn if phases is None else phases
     protocol = StackProtocol(
         phases=phases,
         in_plane_mm=PIXEL_MM,

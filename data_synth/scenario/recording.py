@@ -75,35 +75,44 @@ class ImagedHeart:
         return self.anatomy.with_mismatch(spec.mismatch, child_seed(spec.seeds.mismatch, "anatomy"))
 
 
-def imaged_heart(spec: ScenarioSpec) -> ImagedHeart:
-    """Build the heart of `phantom_scenario` with its 4-D MR."""
+def imaged_heart(spec: ScenarioSpec, *, phases: int | None = None) -> ImagedHeart:
+    """Build the heart of `phantom_scenario` with its 4-D MR.
+
+    Args:
+        phases: of an examination, instead of the number that is drawn, to save time.
+    """
     anatomy = scenario_heart(spec)
-    return ImagedHeart(spec, anatomy, _imaged(anatomy, spec))
+    return ImagedHeart(spec, anatomy, _imaged(anatomy, spec, phases))
 
 
-def _imaged(anatomy: PhantomAnatomy, spec: ScenarioSpec) -> Preop:
+def _imaged(anatomy: PhantomAnatomy, spec: ScenarioSpec, phases: int | None = None) -> Preop:
     """Image a heart; the noise comes from the anatomy's seed, so that all recordings of it agree."""
-    exam = scenario_examination(spec)
+    exam = scenario_examination(spec, phases)
     if exam is not None:
         return exam.preop(f"phantom-{anatomy.seeds.anatomy}")
     return cine_preop(anatomy, child_rng(spec.seeds.anatomy, "preop"))
 
 
-def scenario_examination(spec: ScenarioSpec) -> Examination | None:
+def scenario_examination(spec: ScenarioSpec, phases: int | None = None) -> Examination | None:
     """Examine the heart of `phantom_scenario`; None if its MR is isotropic."""
     if spec.exam is None:
         return None
-    return _examined(spec.heart.kind, spec.motion, spec.seeds.anatomy, spec.seeds.motion, spec.exam)
+    return _examined(spec.heart.kind, spec.motion, spec.seeds.anatomy, spec.seeds.motion, spec.exam, phases)
 
 
 @lru_cache(maxsize=1)
 def _examined(
-    kind: HeartKind, motion: MotionPreset, anatomy_seed: int, motion_seed: int, exam: ExamName
+    kind: HeartKind,
+    motion: MotionPreset,
+    anatomy_seed: int,
+    motion_seed: int,
+    exam: ExamName,
+    phases: int | None,
 ) -> Examination:
     """Examine a heart once for its pre-operative data and their truth; mismatch and speckle play no part."""
     heart = HeartSpec(kind, anatomy_seed, motion_seed)
     anatomy = scenario_heart(ScenarioSpec(motion=motion, heart=heart, mismatch_mm=0.0))
-    return examination(anatomy, exam, child_rng(anatomy_seed, "preop"))
+    return examination(anatomy, exam, child_rng(anatomy_seed, "preop"), phases)
 
 
 def phantom_scenario(

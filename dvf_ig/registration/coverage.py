@@ -12,6 +12,7 @@ from scipy import ndimage
 
 from dvf_ig.core import BoolArray, FloatArray, Grid, Rigid, VolumeSeries, read_only_arrays
 
+from .evidence.assessment import OF_STACK, OF_STACK_AND_VIEWS
 from .lc2.slices import SliceSet
 
 RIM_MM = 5.0
@@ -70,6 +71,11 @@ class CoveredPart:
     compared_voxels: BoolArray
     surface_mm: FloatArray
     views: bool = False
+
+    @property
+    def kind(self) -> str:
+        """Ending of the kind of images by which the evidence was calibrated."""
+        return OF_STACK_AND_VIEWS if self.views else OF_STACK
 
     def compared(self, slices: SliceSet, pose: Rigid) -> SliceSet:
         """The slices without the pixels that lie outside the covered part at a pose."""

@@ -90,7 +90,7 @@ def register(
         stop = _stop(images.options, refined, fused, evidence, moved_mm=moved_mm, overlap=overlap)
         stop, assessment = _assessed(  # trust.md: probability, bound and scale of the covariance
             stop,
-            table_of(images.options.kind, partly=covered is not None),
+            table_of(images.options.kind, "" if covered is None else covered.kind),
             features_of(evidence, similarity, predicted_error_mm(fused.covariance)),
             statistics,
             partly=covered is not None,

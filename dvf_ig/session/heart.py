@@ -137,7 +137,11 @@ def build_heart(
     covered = covered_part(labels, vertices) if partly else None
     if preop.mr is not None and covered is not None and preop.views and not grey:
         channels, covered = with_long_axis_views(
-            channels, covered, preop.views, _view_shifts_mm(preop, labels, model), smoothing_mm=MR_SMOOTHING_MM
+            channels,
+            covered,
+            preop.views,
+            _view_shifts_mm(preop, labels, model),
+            smoothing_mm=MR_SMOOTHING_MM,
         )
     return Heart(model, channels, center, surface, grey, covered)
 

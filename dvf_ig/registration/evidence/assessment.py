@@ -45,8 +45,9 @@ LARGEST = 1e3
 LARGEST_SCALE = 16.0
 """The covariance is multiplied by no more than this, and by no less than its inverse."""
 TABLES = "calibrated.json"
-PARTLY = "-of-part"
-"""Ending of the kind of images of hearts that the pre-operative images cover in part."""
+OF_STACK, OF_STACK_AND_VIEWS = "-of-sax", "-of-sax+lax"
+"""Endings of the kind of images of hearts that the pre-operative images cover in part: short-axis slices
+alone, or with long-axis views."""
 NAMES = {
     "brightness": "the images' mean brightness",
     "contrast": "the images' contrast",
@@ -270,15 +271,14 @@ def _outside(table: Table, statistics: ImageStatistics) -> str:
     return sentence
 
 
-def table_of(kind: str | None, *, partly: bool = False) -> Table | None:
+def table_of(kind: str | None, covered: str = "") -> Table | None:
     """The table of a kind of images ("sweep", "volumes", …); None without one.
 
     Args:
-        partly: the heart's images cover it in part, for which whole hearts say nothing.
+        covered: ending of the kind where the heart's images cover it in part, for which whole hearts say
+            nothing; see OF_STACK.
     """
-    if kind is None:
-        return None
-    return _tables().get(f"{kind}{PARTLY}" if partly else kind)
+    return None if kind is None else _tables().get(f"{kind}{covered}")
 
 
 @lru_cache(maxsize=1)

@@ -60,7 +60,8 @@ class Images(StrEnum):
     """Kinds of registered images."""
 
     sweep = "sweep"
-    sweep_of_part = "sweep-of-part"
+    sweep_of_sax = "sweep-of-sax"
+    sweep_of_sax_lax = "sweep-of-sax+lax"
     volumes = "volumes"
 
 
@@ -71,8 +72,8 @@ class HeartsSettings:
     list: ListName = list_option()
     world: World = option("The second shares no table with the first; reported only.", World.first)
     images: Images = option(
-        "A tracked sweep of 14 s, the same of a heart that short-axis slices cover in part, or gated 3-D "
-        "volumes.",
+        "A tracked sweep of 14 s, the same of a heart that short-axis slices alone or with long-axis views "
+        "cover in part, or gated 3-D volumes.",
         Images.sweep,
     )
     quality: tuple[Quality, ...] = option("Image quality (repeatable; default: both).", ())

@@ -97,5 +97,5 @@ def test_a_trial_measures_the_registration_of_gated_volumes(monkeypatch: pytest.
 
 
 def test_hearts_of_the_second_world_are_not_covered_in_part() -> None:
-    settings = {"world": "second", "images": "sweep-of-part", "qualities": ["calm"], "disturbed": 0}
+    settings = {"world": "second", "images": "sweep-of-sax", "qualities": ["calm"], "disturbed": 0}
     assert "no short-axis slices" in heart_trial(settings, 408100)["refused"]
