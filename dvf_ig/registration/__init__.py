@@ -65,6 +65,7 @@ from .lc2.slices import prepare_slices as prepare_slices
 from .lc2.slices import prepare_volumes as prepare_volumes
 from .lc2.slices import slices_of_volume as slices_of_volume
 from .lc2.slices import subsample as subsample
+from .long_axis import with_long_axis_views as with_long_axis_views
 from .pairs.pair import register_pair as register_pair
 from .pose_chart import PoseChart as PoseChart
 from .pose_chart import covariance_to_mm as covariance_to_mm
@@ -73,7 +74,6 @@ from .pose_chart import predicted_error_mm as predicted_error_mm
 from .pose_chart import target_errors_mm as target_errors_mm
 from .register import against_touched as against_touched
 from .register import register as register
-from .long_axis import with_long_axis_views as with_long_axis_views
 from .result import RegistrationResult as RegistrationResult
 from .start import LANDMARKS_MM as LANDMARKS_MM
 from .start import LandmarkPrior as LandmarkPrior

@@ -35,11 +35,13 @@ class Coverage:
         share: of the points on its surface, 0 to 1.
         missing_mm: (3,) middle of what is not imaged, in the model's frame; NaN if nothing is missing.
         middle_mm: (3,) middle of the covered part.
+        views: whether long-axis views show the heart beyond the ends of a stack.
     """
 
     share: float
     missing_mm: FloatArray
     middle_mm: FloatArray
+    views: bool = False
 
     @property
     def advice(self) -> str:
@@ -105,6 +107,7 @@ class CoveredPart:
             float(hit.mean()),
             np.full(3, np.nan) if hit.all() else self.surface_mm[~hit].mean(axis=0),
             self.surface_mm.mean(axis=0),
+            self.views,
         )
 
 

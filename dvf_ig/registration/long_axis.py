@@ -1,8 +1,8 @@
 """What long-axis cines show beyond the ends of a short-axis stack: thin slabs of grey levels.
 
-A stack ends below the atria, and from the ventricles alone a pose may slide along the heart's axis and turn
-about it. Three long-axis views show atria, valves and apex in their planes: there, half a slice's thickness to
-either side, LC2 compares ultrasound with their own grey levels, as it does with isotropic MR.
+A stack ends below the atria, and from the ventricles alone a pose may slide along the heart's axis and turn.
+Three long-axis views show atria, valves and apex in their planes: there, half a slice's thickness to either
+side, LC2 compares ultrasound with their own grey levels, as it does with isotropic MR.
 """
 
 from collections.abc import Sequence

@@ -12,6 +12,9 @@ from .coverage import Coverage
 from .images import RegistrationOptions
 from .start import LANDMARKS_MM, landmarks_disagree
 
+LONG_AXIS = "the long-axis cines of the same examination (preop.views), or "
+"""What bounds the pose of a heart of which the MR holds short-axis slices alone."""
+
 
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
@@ -117,7 +120,8 @@ class RegistrationResult:
         if self.stop is Stop.DOUBTFUL and self.coverage is not None:
             return (
                 "the MR ends within the heart, and the checks do not bound the pose's error; "
-                f"{self.coverage.advice}, or give MR of the whole heart"
+                f"{self.coverage.advice}, or give {'' if self.coverage.views else LONG_AXIS}MR of the whole "
+                "heart"
             )
         if self.stop is Stop.LOW_OVERLAP and pair is None:
             return f"{self.stop.value}, and check that its poses are the probe's and not the tool's"

@@ -6,6 +6,7 @@ at the one pitch of BEAT_PITCH_MM, and may be compared with more than one pose.
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Protocol
 
 import numpy as np
@@ -14,6 +15,7 @@ from dvf_ig.core import FloatArray, IntArray, Rigid, read_only_arrays
 from dvf_ig.registration import (
     DENSITY_WIDTH_MM,
     BeatMeasurement,
+    CoveredPart,
     FrameRejection,
     Lc2,
     PoseEstimate,
@@ -75,7 +77,7 @@ class BeatSlices:
     Attributes:
         begin_s, end_s, detected_s, frames: as in `BeatEvaluation`.
         view_mm: as in `BeatEvaluation`.
-        metric: their similarity to the model.
+        metric_at: their similarity to what is known of the heart, chosen at a pose.
         updates_pose: whether the beat may move the pose in use; otherwise it can only suspend it.
         seconds: computing time of the preparation.
         clock: seconds of computing time, from any origin.
@@ -87,17 +89,25 @@ class BeatSlices:
     detected_s: float
     frames: int
     view_mm: FloatArray
-    metric: Lc2
+    metric_at: Callable[[Rigid], Lc2]
     updates_pose: bool
     seconds: float
     clock: Callable[[], float]
     numbers: IntArray
 
+    def measure(self, pose: Rigid, center_mm: FloatArray) -> BeatMeasurement | None:
+        """Measure the beat at a pose; None if the slices hardly overlap the model."""
+        metric = self.metric_at(pose)
+        if metric.information <= 0.0:
+            return None
+        measurement = measure_beat(metric, pose, center_mm)
+        return None if measurement.overlap < MIN_OVERLAP else measurement
+
     def evaluate_beat(self, pose: Rigid, center_mm: FloatArray, *, in_use: bool) -> BeatEvaluation | None:
         """Compare the beat with a pose; None if the slices hardly overlap the model."""
         began = self.clock()
-        measurement = measure_beat(self.metric, pose, center_mm)
-        if measurement.overlap < MIN_OVERLAP:
+        measurement = self.measure(pose, center_mm)
+        if measurement is None:
             return None
         if not self.updates_pose:
             measurement = replace(
@@ -198,8 +208,8 @@ def _in_breathing(
     beat, _ = _prepared(recording, clock, threads, every_breath=True)
     if beat is None:
         return None
-    measurement = measure_beat(beat.metric, pose, recording.heart.center_mm)
-    if measurement.overlap < MIN_OVERLAP:
+    measurement = beat.measure(pose, recording.heart.center_mm)
+    if measurement is None:
         return None
     return BreathEvaluation(measurement, recording.breathing.part(beat.numbers))
 
@@ -228,9 +238,9 @@ def _prepared(
             irregular |= not recording.breathing.usable[here].all()
         return None, irregular
     slices = slices_of(recording, frames, ultrasound_mask(recording, frames), pitch_mm=BEAT_PITCH_MM)
-    metric = Lc2(
-        slices,
-        recording.heart.channels,
+    metric = partial(
+        Lc2,
+        model=recording.heart.channels,
         patch_mm=PATCH_MM,
         pitch_mm=BEAT_PITCH_MM,
         density_width_mm=DENSITY_WIDTH_MM,
@@ -242,13 +252,23 @@ def _prepared(
         detected_s=end.detected_at_s,
         frames=len(slices),
         view_mm=_view_mm(slices),
-        metric=metric,
+        metric_at=_metric_at(metric, slices, recording.heart.covered),
         updates_pose=recording.heart.beats_update_pose,
         seconds=clock() - began,
         clock=clock,
         numbers=frames.first + frames.used,
     )
     return beat, False
+
+
+def _metric_at(
+    metric: Callable[[SliceSet], Lc2], slices: SliceSet, covered: CoveredPart | None
+) -> Callable[[Rigid], Lc2]:
+    """Compare all pixels, or at each pose those of the part of the heart that its images cover."""
+    if covered is not None:
+        return lambda pose: metric(covered.compared(slices, pose))
+    whole = metric(slices)
+    return lambda _: whole
 
 
 def _view_mm(slices: SliceSet) -> FloatArray:

@@ -196,6 +196,8 @@ def image_offset_of(recording: UltrasoundRecording, frames: GatedFrames, pose: R
         frames.rotations[used], frames.translations_mm[used], calibrated.rigid, middle.xyz_mm[0]
     )
     heart = recording.heart
+    if heart.covered is not None:
+        slices = heart.covered.compared(slices, pose)
     with SliceThreads() as threads:
         metric = partial(
             Lc2,

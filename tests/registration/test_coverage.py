@@ -22,7 +22,13 @@ from dvf_ig.registration import (
     register,
 )
 from dvf_ig.registration.coverage import RIM_MM
-from dvf_ig.registration.evidence.assessment import Assessment, ImageStatistics, table_of
+from dvf_ig.registration.evidence.assessment import (
+    OF_STACK,
+    OF_STACK_AND_VIEWS,
+    Assessment,
+    ImageStatistics,
+    table_of,
+)
 from dvf_ig.registration.register import LARGEST_OF_PART_MM, _assessed
 
 SHELL = CENTER_MM + np.array([48.0, 40.0, 44.0]) * (lambda v: v / np.linalg.norm(v, axis=1, keepdims=True))(
@@ -102,7 +108,9 @@ def test_a_half_covered_heart_is_registered_by_its_half_and_refused_without_a_bo
     assert result.tre_bound_mm is None
     assert result.outside
     assert result.sentence.startswith("the MR ends within the heart, and the checks do not bound")
-    assert result.sentence.endswith("or give MR of the whole heart")
+    assert result.sentence.endswith(
+        "or give the long-axis cines of the same examination (preop.views), or MR of the whole heart"
+    )
     targets = CENTER_MM + np.random.default_rng(1).uniform(-40, 40, (27, 3))
     source = toy_pose().inverse().apply_array(targets)
     apart = np.linalg.norm(result.target_from_source.apply_array(source) - targets, axis=1)
@@ -129,7 +137,9 @@ def test_a_bound_decides_of_a_part_alone(
 
 def test_tables_of_whole_hearts_say_nothing_of_a_part() -> None:
     assert table_of("volumes") is not None
-    assert table_of("volumes", partly=True) is None
+    assert table_of("volumes", OF_STACK) is None
+    part = covered()
+    assert (part.kind, replace(part, views=True).kind) == (OF_STACK, OF_STACK_AND_VIEWS)
 
 
 def test_a_sweep_of_a_corner_is_refused_with_the_side_to_image() -> None:
