@@ -28,7 +28,9 @@ from .knots import KnotChoice as KnotChoice
 from .knots import KnotTrial as KnotTrial
 from .knots import choose_knot_spacing as choose_knot_spacing
 from .label_check import LabelCheck as LabelCheck
+from .label_check import SurfaceCheck as SurfaceCheck
 from .label_check import check_labels as check_labels
+from .label_check import check_surface as check_surface
 from .motion.base_descent import BaseDescent as BaseDescent
 from .motion.cavity import cavity_volumes_mm3 as cavity_volumes_mm3
 from .motion.cycle import CycleMotion as CycleMotion

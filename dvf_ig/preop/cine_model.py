@@ -21,11 +21,12 @@ from dvf_ig.core import (
     read_only_arrays,
     untold,
 )
-from dvf_ig.preop.motion.base_descent import USUAL_MM, USUAL_SIGMA_MM, BaseDescent, base_descent
+from dvf_ig.preop.motion.base_descent import BaseDescent, base_descent, propagate_through, usual_descent
 from dvf_ig.preop.motion.cavity import cavity_volumes_mm3
 from dvf_ig.preop.motion.cycle import CycleMotion, MotionOptions, propagate_surface, track_cycle
 from dvf_ig.preop.motion.open_ends import OpenEnd, open_ends, seen_part
 from dvf_ig.preop.motion.quality import MotionQuality, assess_motion
+from dvf_ig.preop.motion.slice_phases import SlicePhases, retimed, slice_phases
 from dvf_ig.preop.motion.slice_shifts import SliceShifts, slice_shifts
 from dvf_ig.preop.motion.slice_stack import observable_axes
 from dvf_ig.preop.segment.components import largest_component
@@ -74,12 +75,14 @@ class CineModel:
     Attributes:
         model: the fixture.
         surfaces: the end-diastolic surface propagated through the cycle.
-        motion, quality: the motion that propagated it, and its quality.
+        motion, quality: the motion as the images show it, each slice in its own cycle, and its quality.
         budget: error budget of the end-diastolic surface itself.
         volume_mm3: (n,) of the left ventricle's cavity, or enclosed by the surface if none is labelled.
         open_ends: borders of the image within the organ; beyond them the surface is closed, not measured.
         shifts: of the slices of a stack, which its surfaces are corrected for; None without long-axis views.
-        base: how the base moves through the slices of a stack; None if no long-axis view shows it.
+        base: how the base moves through the slices of a stack, or is assumed to; None for an image without
+            distant slices.
+        phases: end-systole of every slice, None likewise; the surfaces are in the phases of their mean.
     """
 
     model: DvfModel
@@ -91,6 +94,7 @@ class CineModel:
     open_ends: tuple[OpenEnd, ...]
     shifts: SliceShifts | None = None
     base: BaseDescent | None = None
+    phases: SlicePhases | None = None
 
 
 def model_from_cine(
@@ -119,6 +123,8 @@ def model_from_cine(
         InvalidInputError: no voxel of the organ or cavity labels, labels on another grid, or an image that
             cuts the organ off everywhere; long-axis views of an image that is no stack.
     """
+    if views:
+        _require_stack(image.grid, views)
     organ = largest_component(_chosen(labels, options.organ_labels, "organ"))
     cavities = [_chosen(labels, (value,), "cavity") for value in options.cavity_labels]
     report = progress or untold
@@ -135,9 +141,11 @@ def model_from_cine(
         options=options.motion,
         progress=lambda x: report((0.5 if views else 0.8) * x),
     )
-    shifts, base = None, None
-    if views:
-        _require_stack(image.grid, views)
+    tracked, shifts, base, phases = motion, None, None, None
+    if not observable_axes(image.grid.spacing_mm)[2]:
+        phases = slice_phases(motion, image.timing, cavities[0] if cavities else organ)
+        motion = retimed(motion, image.timing, phases)
+    if phases is not None and views:
         shifts = slice_shifts(image, organ, cavities[0] if cavities else organ, views)
         base = base_descent(
             image,
@@ -146,15 +154,25 @@ def model_from_cine(
             options.ed_phase,
             views,
             shifts,
+            phases,
             options.motion,
             progress=lambda x: report(0.5 + 0.3 * x),
         )
-    surfaces = _corrected(propagate_surface(motion, image, surface, options.surface, patient_id), shifts)
-    volumes = cavity_volumes_mm3(motion, cavities[0]) if cavities else surfaces.volumes_mm3()
+    volumes = cavity_volumes_mm3(motion, cavities[0] if cavities else organ)
+    if base is None and not observable_axes(image.grid.spacing_mm)[2]:
+        base = usual_descent(image.grid, organ, volumes)
+    moving = _Moving(motion, image, shifts, base)
+    surfaces = replace(moving.surface(surface, organ, options.surface), patient_id=patient_id)
+    if not cavities:
+        volumes = surfaces.volumes_mm3()
     labelled = (
         None if truth is None else np.stack([_chosen_values(v, options.organ_labels) for v in truth.values])
     )
-    quality = assess_motion(motion, image, organ, labelled)
+    seen = seen_part(image.grid, organ, None if shifts is None else shifts.sax_mm, base)
+    if seen is not None:
+        middles = surfaces.vertices_mm[options.ed_phase][surface.triangles].mean(axis=1)
+        caps = border_caps(surface, image.grid, axes=2) | ~seen.holds(middles, options.ed_phase)
+    quality = assess_motion(tracked, image, organ, labelled)
     model = build_model(
         [surfaces.phase(i) for i in range(len(image.timing))],
         [caps] * len(image.timing),
@@ -169,15 +187,12 @@ def model_from_cine(
         chambers=[
             chamber
             for value, mask in zip(options.cavity_labels, cavities, strict=True)
-            if (
-                chamber := _chamber(motion, image, mask, label_name(value, dict(options.label_names)), shifts)
-            )
+            if (chamber := _chamber(moving, mask, label_name(value, dict(options.label_names))))
         ],
     )
-    seen = seen_part(image.grid, organ, None if shifts is None else shifts.sax_mm, len(image.timing))
     model = replace(model, cine_fingerprint=image.fingerprint(), seen=seen)
     budget = surface_budget(image.grid.spacing_mm, surface.volume_mm3())
-    return CineModel(model, surfaces, motion, quality, budget, volumes, ends, shifts, base)
+    return CineModel(model, surfaces, tracked, quality, budget, volumes, ends, shifts, base, phases)
 
 
 def _surface(mask: BoolArray, grid: Grid) -> Mesh:
@@ -200,11 +215,23 @@ def _require_stack(grid: Grid, views: Sequence[VolumeSeries]) -> None:
             )
 
 
-def _corrected(series: SurfaceSeries, shifts: SliceShifts | None) -> SurfaceSeries:
-    """Move a surface to where the heart is on the mean of all breath-holds."""
-    if shifts is None:
-        return series
-    return replace(series, vertices_mm=shifts.corrected(series.vertices_mm))
+@dataclass(frozen=True, slots=True)
+class _Moving:
+    """Motion of all surfaces of a heart: within slices, through them, and between breath-holds."""
+
+    motion: CycleMotion
+    image: VolumeSeries
+    shifts: SliceShifts | None
+    base: BaseDescent | None
+
+    def surface(self, mesh: Mesh, mask: BoolArray, name: str) -> SurfaceSeries:
+        """Propagate what encloses a mask at end-diastole, to where the mean of all breath-holds is."""
+        if self.base is None:
+            return propagate_surface(self.motion, self.image, mesh, name, "")
+        series = propagate_through(self.motion, self.image, mesh, mask, self.base, name)
+        if self.shifts is None:
+            return series
+        return replace(series, vertices_mm=self.shifts.corrected(series.vertices_mm))
 
 
 def _stack_sources(grid: Grid, shifts: SliceShifts | None, base: BaseDescent | None) -> tuple[str, ...]:
@@ -215,16 +242,8 @@ def _stack_sources(grid: Grid, shifts: SliceShifts | None, base: BaseDescent | N
     if shifts is not None:
         largest = float(np.linalg.norm(shifts.sax_mm, axis=1).max())
         told.append(f"slices were shifted by up to {largest:.1f} mm between breath-holds, and are corrected")
-    if base is None:
-        told.append(
-            "no long-axis view shows the base: its descent through the slices is not known (adults: "
-            f"{USUAL_MM:.0f} ± {USUAL_SIGMA_MM:.0f} mm)"
-        )
-    else:
-        told.append(
-            f"the base descends by {base.largest_mm:.1f} ± {base.sigma_mm:.1f} mm through the slices, by "
-            f"{base.views} long-axis views"
-        )
+    if base is not None:
+        told.append(base.sentence)
     return tuple(told)
 
 
@@ -243,21 +262,19 @@ def _require_imaged(surface: Mesh, caps: BoolArray, grid: Grid) -> None:
         )
 
 
-def _chamber(
-    motion: CycleMotion, image: VolumeSeries, cavity: BoolArray, name: str, shifts: SliceShifts | None
-) -> Chamber | None:
+def _chamber(moving: _Moving, cavity: BoolArray, name: str) -> Chamber | None:
     """Propagate a cavity of end-diastole as the organ's surface.
 
     None, with a warning, where the outermost slice of a stack shows no more than its end.
     """
     try:
-        surface = _surface(cavity, image.grid)
+        surface = _surface(cavity, moving.image.grid)
     except InvalidInputError as exc:
-        if observable_axes(image.grid.spacing_mm)[2]:
+        if observable_axes(moving.image.grid.spacing_mm)[2]:
             raise
         _LOG.warning("the slices hold too little of %s for a surface, and it is left out: %s", name, exc)
         return None
-    return chamber_of(_corrected(propagate_surface(motion, image, surface, name, ""), shifts))
+    return chamber_of(moving.surface(surface, cavity, name))
 
 
 def _chosen_values(values: BoolArray, chosen: tuple[int, ...]) -> BoolArray:

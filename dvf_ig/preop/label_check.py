@@ -1,4 +1,4 @@
-"""Check of a model's surface at one instant of the cycle against labels: overlap and surface distance."""
+"""Check of a model's surface at one instant of the cycle against labels or another surface."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -49,6 +49,43 @@ class LabelCheck:
     def both_mm(self) -> FloatArray:
         """(n + m,) distances of both directions."""
         return np.concatenate([self.model_to_labels_mm, self.labels_to_model_mm])
+
+
+@read_only_arrays
+@dataclass(frozen=True, slots=True, eq=False)
+class SurfaceCheck:
+    """Distances between a model's surface and another one, from random points of both.
+
+    Attributes:
+        whole_mm: (n,) of all points; seen_mm: (m,) of those that the slices show, and that are no caps.
+    """
+
+    whole_mm: FloatArray
+    seen_mm: FloatArray
+
+
+def check_surface(
+    model: DvfModel, phase: int, surface: Mesh, *, points: int = 4000, rng: np.random.Generator
+) -> SurfaceCheck:
+    """Compare the surface that a model was fitted to at a phase with another one of the same heart.
+
+    Args:
+        surface: may be open.
+        points: random points on each surface.
+    Raises:
+        FrameMismatchError: a surface in another frame than the model.
+    """
+    require_same_frame(model.frame, surface.frame, "a surface that a model is checked with")
+    own, every, seen = model.reference[phase], [], []
+    for source, target in ((own, surface), (surface, own)):
+        at, triangle = random_surface_points(source, points, rng)
+        off_mm = build_triangle_tree(target.vertices_mm, target.triangles).distance_mm(at)
+        known = np.ones(len(at), dtype=np.bool_) if model.seen is None else model.seen.holds(at, phase)
+        if source is own:
+            known &= ~model.reference_caps[phase][triangle]
+        every.append(off_mm)
+        seen.append(off_mm[known])
+    return SurfaceCheck(np.concatenate(every), np.concatenate(seen))
 
 
 def check_labels(

@@ -1,4 +1,7 @@
-"""Draw a gated recording: the RR tachogram with the clock's states, and rhythm strips; and breathing."""
+"""Draw a gated recording: the RR tachogram with the clock's states, and rhythm strips; and breathing.
+
+What takes long to load (matplotlib, scipy.signal by way of dvf_ig.cardiac) is loaded when a picture is drawn.
+"""
 
 from __future__ import annotations
 
@@ -6,8 +9,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dvf_ig.cardiac import state_segments
-from dvf_ig.cardiac.respiration import BreathState, BreathTrack
 from dvf_ig.core.arrays import FloatArray
 from dvf_ig.core.recordings.signal import Signal
 from dvf_ig.core.timing.phase import PhaseState, PhaseTrack
@@ -17,6 +18,8 @@ from .style import ESTIMATE, TRUTH, png_bytes
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+    from dvf_ig.cardiac.respiration import BreathTrack
 
 STRIPS, STRIP_S = 6, 10.0
 """Number of strips and seconds per strip, as on a printed strip (25 mm/s)."""
@@ -176,6 +179,8 @@ def _band(signal: Signal | None) -> tuple[float, float]:
 
 def shown_segments(track: PhaseTrack, peaks_s: FloatArray) -> list[tuple[float, float, PhaseState]]:
     """List segments of one state; LOST ends with the next R peak, from which the clock learns again."""
+    from dvf_ig.cardiac import state_segments
+
     shown: list[tuple[float, float, PhaseState]] = []
     for begin, end, state in state_segments(track):
         again = peaks_s[(peaks_s > begin) & (peaks_s < end)]
@@ -222,6 +227,8 @@ def _draw_legend(figure: Figure, track: PhaseTrack, peaks: FloatArray) -> None:
 def breathing_png(name: str, track: BreathTrack) -> bytes:
     """Draw ρ with the states of the breathing clock as a PNG."""
     from matplotlib.figure import Figure
+
+    from dvf_ig.cardiac.respiration import BreathState
 
     shades = {BreathState.INIT: PhaseState.INIT, BreathState.IRREGULAR: PhaseState.IRREGULAR}
     figure = Figure(figsize=(12.0, 3.2), layout="constrained")

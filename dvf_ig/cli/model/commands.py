@@ -132,6 +132,10 @@ def check(
     labels: Annotated[
         str | None, typer.Option("--labels", help=given.LABELS_HELP, metavar="FILE@PHASE")
     ] = None,
+    surfaces: Annotated[
+        Path | None,
+        typer.Option("--surfaces", help="Folder of surfaces of the same heart by another method: distances."),
+    ] = None,
     organ: Annotated[
         str | None,
         typer.Option(
@@ -147,9 +151,10 @@ def check(
     """Measure a model's spline fit error, at random points of the surfaces kept in it.
 
     This describes how well the splines fit those surfaces, not how well these describe the patient's anatomy,
-    which --labels measures with labels of a phase that the model was not built from.
+    which --labels measures with labels of a phase that the model was not built from, and --surfaces with
+    surfaces that something else fitted to the same images.
     """
-    from .labels import check_with_labels, labels_at
+    from .labels import check_with_labels, check_with_surfaces, labels_at
 
     given_labels = labels_at(labels) if labels is not None else None
     values = _labels(organ, "--organ")
@@ -171,6 +176,9 @@ def check(
                 model, given_labels, values, points, seed, voxel_size(voxel_mm)
             )
             rows += label_rows
+        if surfaces is not None:
+            payload["surfaces"], surface_rows = check_with_surfaces(model, surfaces, points, seed)
+            rows += surface_rows
         emit(payload, rows, as_json=as_json)
 
 

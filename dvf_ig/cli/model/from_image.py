@@ -29,9 +29,11 @@ def model_from_image(request: BuildRequest, path: Path, *, as_json: bool) -> tup
     from dvf_ig.io import require_outputs
     from dvf_ig.preop import cine_options, model_from_cine
 
-    evidence, picture = _beside(request)
+    evidence, picture, shifts = _beside(request)
     require_outputs(request.output, evidence, picture)
     request, image, views = _images(request, path)
+    if views:
+        require_outputs(shifts)
     image, preop, labels, truth = _sized(request, image, *_preop(request, path, image))
     options = cine_options(preop, request.motion_options(), request.model_options())
     with progress("motion, then fitting phases") as report:
@@ -49,7 +51,7 @@ def model_from_image(request: BuildRequest, path: Path, *, as_json: bool) -> tup
         warn_of_no_blood(f"give --cavity ({describe_labels(image, labels, request.ed_phase)})")
     error = None if truth is None else anatomical_error_mm(result.model, truth, request)
     payload = {**_payload(result, request), "anatomical_error_mm": error}
-    _write_evidence(result, image, payload, request)
+    _write_evidence(result, image, views, payload, request)
     _warn_of_limits(result, request)
     if not as_json:
         emit({}, _phase_rows(result), as_json=False)
@@ -101,19 +103,24 @@ def _sized(
     return image, replace(preop, mr=image, ed_labels=labels), labels, truth
 
 
-def _beside(request: BuildRequest) -> tuple[Path, Path]:
-    """Return the paths of JSON and picture next to the model."""
-    return request.output.with_suffix(".json"), request.output.with_suffix(".png")
+def _beside(request: BuildRequest) -> tuple[Path, Path, Path]:
+    """Return the paths of JSON, of the picture, and of that of shifts between slices, next to the model."""
+    return tuple(request.output.with_suffix(end) for end in (".json", ".png", ".shifts.png"))
 
 
 def _write_evidence(
-    result: "CineModel", image: VolumeSeries, payload: dict[str, Any], request: BuildRequest
+    result: "CineModel",
+    image: VolumeSeries,
+    views: tuple[VolumeSeries, ...],
+    payload: dict[str, Any],
+    request: BuildRequest,
 ) -> None:
-    """Write JSON and a picture next to the model."""
+    """Write JSON and pictures next to the model."""
     from dvf_ig.io import write_sidecar
     from dvf_ig.report import write_motion_picture
+    from dvf_ig.report.examination import write_shifts_picture
 
-    evidence, picture = _beside(request)
+    evidence, picture, shifts = _beside(request)
     write_sidecar(evidence, payload, "model")
     es_phase = int(result.volume_mm3.argmin())
     write_motion_picture(
@@ -127,6 +134,9 @@ def _write_evidence(
     )
     wrote(evidence)
     wrote(picture, image.grid.frame)
+    if result.shifts is not None:
+        write_shifts_picture(shifts, image, views, result.shifts, request.ed_phase)
+        wrote(shifts, image.grid.frame)
 
 
 def _preop(
@@ -204,7 +214,7 @@ def _warn_of_limits(result: "CineModel", request: BuildRequest) -> None:
     if quality.slice_pitch_mm is not None:
         warn(
             f"slices lie {quality.slice_pitch_mm:.1f} mm apart: motion was estimated within them only, and "
-            f"shape between two of them is interpolated; {_base_sentence(result)}"
+            f"shape between two of them is interpolated; {result.base.sentence if result.base else ''}"
         )
     if quality.folds:
         worst = int(quality.folded_share.argmax())
@@ -216,19 +226,9 @@ def _warn_of_limits(result: "CineModel", request: BuildRequest) -> None:
         )
 
 
-def _base_sentence(result: "CineModel") -> str:
-    base = result.base
-    if base is None:
-        return "the descent of the base through them is not known; give long-axis cines (--lax, --dicom)"
-    return (
-        f"the base descends by {base.largest_mm:.1f} ± {base.sigma_mm:.1f} mm through them, as {base.views} "
-        "long-axis views show"
-    )
-
-
 def _stack_payload(result: "CineModel") -> dict[str, Any]:
     """Shifts between breath-holds and descent of the base, which long-axis views show."""
-    shifts, base = result.shifts, result.base
+    shifts, base, phases = result.shifts, result.base, result.phases
     return {
         "slice_shifts": None
         if shifts is None
@@ -248,6 +248,9 @@ def _stack_payload(result: "CineModel") -> dict[str, Any]:
             "apex_mm": base.apex_mm.tolist(),
             "views": base.views,
         },
+        "slice_end_systole": None
+        if phases is None
+        else {"common": phases.common_es, "slices": phases.es.tolist()},
     }
 
 
@@ -328,6 +331,12 @@ def _shift_sentence(shifts: "SliceShifts") -> str:
 def _summary_rows(result: "CineModel") -> list[tuple[str, ...]]:
     quality, budget, shifts = result.quality, result.budget, result.shifts
     found = [] if shifts is None else [("slice shifts", _shift_sentence(shifts))]
+    if result.phases is not None:
+        es = result.phases.es
+        common = f"aligned to {result.phases.common_es:.2f}"
+        found.append(
+            ("end-systole", f"at {es.min():.2f} to {es.max():.2f} of the slices' own cycles, {common}")
+        )
     return [
         *found,
         (

@@ -1,4 +1,4 @@
-"""Check of a model's surface against labels."""
+"""Check of a model's surface against labels, or against surfaces of the same heart."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -93,6 +93,31 @@ def check_with_labels(
         ("  labels to model", _spread_text(moving.labels_to_model_mm)),
         ("  without motion", _spread_text(still.both_mm)),
     ]
+    return payload, rows
+
+
+def check_with_surfaces(
+    model: DvfModel, folder: Path, points: int, seed: int
+) -> tuple[dict[str, Any], list[tuple[str, str]]]:
+    """Measure distances to a surface series at end-diastole and end-systole: JSON and rows to print."""
+    from dvf_ig.io import read_surface_series
+    from dvf_ig.preop import check_surface
+
+    series = read_surface_series(folder, model.surface_name)
+    fractions = model.timing.fractions
+    es_phase = int(nearest_phase(fractions, np.array([model.es_fraction]))[0])
+    payload: dict[str, Any] = {}
+    rows = []
+    for name, phase in (("end_diastole", model.ed_phase), ("end_systole", es_phase)):
+        other = int(nearest_phase(series.timing.fractions, fractions[phase : phase + 1])[0])
+        rng = np.random.default_rng(seed)
+        found = check_surface(model, phase, series.phase(other), points=points, rng=rng)
+        parts = {"whole_mm": _spread(found.whole_mm), "seen_mm": _spread(found.seen_mm)}
+        payload[name] = {"phase": phase, "surface_phase": other, **parts}
+        shown = "" if model.seen is None else "; of the part that slices show "
+        shown += "" if model.seen is None else _spread_text(found.seen_mm)
+        at = f"{name.replace('_', '-')} to {series.name}"
+        rows.append((at, f"{_spread_text(found.whole_mm)}, both directions{shown}"))
     return payload, rows
 
 

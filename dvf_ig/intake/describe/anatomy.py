@@ -14,6 +14,7 @@ from dvf_ig.core.space.points import Landmarks
 from dvf_ig.core.space.volume import Grid
 from dvf_ig.core.timing.cycle import CycleTiming
 from dvf_ig.io.dicom.cine import read_dicom_cine
+from dvf_ig.io.dicom.examination import read_dicom_examination
 from dvf_ig.io.image.volume import image_dimension, read_array, read_volume, series_timing
 from dvf_ig.io.itk_transform import linear_matrix
 from dvf_ig.io.landmarks import read_landmarks, read_tag_pair
@@ -55,6 +56,42 @@ def cine_facts(path: Path) -> Facts:
         **_value_facts(cine.values),
         "phases": len(cine.timing),
         **_timing_facts(cine.timing),
+    }
+
+
+def examination_facts(path: Path) -> Facts:
+    """Facts about a folder of all series of an examination: stack, views, and what is left out."""
+    found = read_dicom_examination(path)
+    sax = found.sax
+    middle = sax.grid.to_mm((np.array(sax.grid.shape) - 1.0) / 2.0)
+    ends = sax.grid.to_mm(np.array([[0.0, 0.0, 0.0], [0.0, 0.0, sax.grid.shape[2] - 1.0]]))
+    views = {}
+    for number, (name, view) in enumerate(zip(found.names, found.views, strict=True)):
+        normal = view.grid.direction[:, 2]
+        turn = float(np.degrees(np.arccos(min(abs(float(normal @ sax.grid.direction[:, 2])), 1.0))))
+        views[f"{number + 1} {name}"] = {
+            "phases": len(view.timing),
+            "rr_s": view.timing.rr_s,
+            "size": list(view.grid.shape[:2]),
+            "spacing_mm": view.grid.spacing_mm[:2].tolist(),
+            "angle_to_slices_deg": turn,
+            "off_the_stack_s_middle_mm": float((middle - view.grid.origin_mm) @ normal),
+        }
+    return {
+        "patient_id": found.patient_id,
+        "short_axis": {
+            "slices": sax.grid.shape[2],
+            "pitch_mm": float(sax.grid.spacing_mm[2]),
+            "phases": len(sax.timing),
+            "length_mm": float(np.linalg.norm(ends[1] - ends[0])),
+        },
+        **_grid_facts(sax.grid),
+        **_timing_facts(sax.timing),
+        "long_axis": views,
+        "left_out": {
+            f"{number + 1} {one.series or 'without a name'}": {"images": one.images, "reason": one.reason}
+            for number, one in enumerate(found.left_out)
+        },
     }
 
 

@@ -17,6 +17,7 @@ from dvf_ig.core.timing.trigger import TriggerTimes
 from dvf_ig.intake.scenario import CONFIG
 from dvf_ig.intake.session import read_scenario
 from dvf_ig.io.dicom.cine import is_dicom_folder
+from dvf_ig.io.dicom.examination import is_examination
 from dvf_ig.io.ecg.beat_annotations import read_annotations
 from dvf_ig.io.ecg.recording import names_ecg, read_ecg
 from dvf_ig.io.itk_transform import is_itk_text
@@ -34,6 +35,7 @@ from dvf_ig.io.reading import read_bytes
 
 from .anatomy import (
     cine_facts,
+    examination_facts,
     image_facts,
     landmark_facts,
     mesh_facts,
@@ -116,6 +118,8 @@ def _folder_kind(path: Path) -> tuple[str, Reader]:
     if (path / SESSION).is_file():
         return "folder of a session", lambda folder: session_facts(folder / SESSION)
     if is_dicom_folder(path):
+        if is_examination(path):
+            return "examination of DICOM images", examination_facts
         return "cine of DICOM images", cine_facts
     if surface_names(path):
         return "surfaces through the cycle", surface_facts

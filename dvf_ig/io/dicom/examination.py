@@ -89,6 +89,16 @@ class _Slices:
         return ", ".join(list(names)[:3])
 
 
+def is_examination(folder: Path) -> bool:
+    """Return whether DICOM files of a folder have several geometries, as one stack alone has not.
+
+    Raises:
+        UnreadableFileError: a header that cannot be read.
+    """
+    with reading(folder, WHAT):
+        return len(_by_geometry(read_images(dicom_files(folder)))) > 1
+
+
 def read_dicom_examination(folder: Path, frame: str = "mr") -> DicomExamination:
     """Read the short-axis stack and the long-axis cines of a folder and the folders within it.
 

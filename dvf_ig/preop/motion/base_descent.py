@@ -2,7 +2,8 @@
 
 The base comes down by 8 to 16 mm in systole, through slices that stay where they are: a stack alone cannot
 see it. A long-axis view shows it in its plane. Its motion is tracked as a stack's is (`track_cycle`); the
-motion along the stack's normal, of all that is labelled, is fitted as linear from apex to base.
+motion along the stack's normal, of all that is labelled, is fitted as linear from apex to base. Without such
+a view the usual descent of adults is assumed, in the course of the volume.
 """
 
 from collections.abc import Sequence
@@ -16,24 +17,30 @@ from dvf_ig.core import (
     CycleTiming,
     FloatArray,
     Grid,
+    Mesh,
     Progress,
+    SurfaceSeries,
     VolumeSeries,
     read_only_arrays,
     untold,
 )
+from dvf_ig.preop.surface.between_slices import depth_within_slices
 
 from .cycle import CycleMotion, MotionOptions, track_cycle
-from .open_ends import towards_base
+from .slice_phases import SlicePhases, own_fraction
 from .slice_shifts import SliceShifts
 
 PHASES = 10
 """Phases at which a long-axis view is tracked."""
 USUAL_MM, USUAL_SIGMA_MM = 12.0, 3.0
 """Mitral annular plane systolic excursion of adults, mean and standard deviation."""
-COPIES, APART_MM = 3, 20.0
-"""A view is tracked as a stack of equal slices, across which no motion is looked for."""
+PIXEL_MM, APART_MM = 2.4, 20.0
+"""Least pixel of a view that is tracked: a line through its motion needs no finer one. Its slice counts
+as 20 mm thick, so that no motion is looked for across it."""
 LEAST_PIXELS = 50
 """Labelled pixels of a view that shows the heart."""
+OUTLINE_STEPS, LONGEST_MM = 2, 8.0
+"""Newton steps onto the outline of another slice, and the longest of them."""
 
 
 @read_only_arrays
@@ -43,12 +50,14 @@ class BaseDescent:
 
     Attributes:
         base_mm: (n,) towards the apex, at every phase of the stack; apex_mm: (n,) towards the base.
+        ends_mm: (2,) heights along the normal of the apical and the basal slice, for which they hold.
         sigma_mm: standard deviation of the largest descent.
-        views: number of long-axis views that it was seen in.
+        views: number of long-axis views that it was seen in; 0 if it is assumed.
     """
 
     base_mm: FloatArray
     apex_mm: FloatArray
+    ends_mm: FloatArray
     sigma_mm: float
     views: int
 
@@ -56,6 +65,28 @@ class BaseDescent:
     def largest_mm(self) -> float:
         """The largest descent of the base in the cycle."""
         return float(self.base_mm.max())
+
+    @property
+    def sentence(self) -> str:
+        """The descent and where it is known from, as a user reads it."""
+        size = f"{self.largest_mm:.1f} ± {self.sigma_mm:.1f} mm through the slices"
+        if self.views:
+            return f"the base descends by {size}, as {self.views} long-axis views show"
+        return (
+            f"no long-axis view shows the base: it is assumed to descend by {size}, as in adults; give "
+            "long-axis cines (--lax, --dicom)"
+        )
+
+    @property
+    def sigma_by_phase_mm(self) -> FloatArray:
+        """(n,) standard deviation of the base's place along the normal."""
+        return np.asarray(self.sigma_mm * np.abs(self.base_mm) / max(self.largest_mm, 1e-9))
+
+    def shift_mm(self, height_mm: FloatArray, phase: int) -> FloatArray:
+        """Motion towards the base of tissue that is at a height at end-diastole."""
+        low, high = self.ends_mm
+        share = np.clip((height_mm - low) / (high - low), 0.0, 1.0)
+        return np.asarray((1.0 - share) * self.apex_mm[phase] - share * self.base_mm[phase])
 
 
 def base_descent(
@@ -65,6 +96,7 @@ def base_descent(
     ed_phase: int,
     views: Sequence[VolumeSeries],
     shifts: SliceShifts,
+    phases: SlicePhases,
     options: MotionOptions,
     progress: Progress | None = None,
 ) -> BaseDescent | None:
@@ -74,7 +106,7 @@ def base_descent(
         image: the stack; organ: (nx, ny, nz) voxels of the organ in its phase `ed_phase`; blood: of blood, if
             known.
         views: long-axis cines, one slice each.
-        shifts: of all slices.
+        shifts: of all slices; phases: of the stack's, whose course that of the base follows.
         options: as for the stack's motion.
         progress: called with the fraction done.
     """
@@ -88,14 +120,74 @@ def base_descent(
             view, image, organ, blood, float(fractions[ed_phase]), shifts, v, normal, heights, options
         )
         if curve is not None:
-            curves.append([_cyclic(fractions, *curve, row) for row in (0, 1)])
+            curves.append(_in_common(*curve, fractions, ed_phase, phases))
         report((v + 1) / len(views))
     if not curves:
         return None
     mean = np.mean(curves, axis=0)
     largest = np.array([-base.min() for base, _ in curves])
     spread = float(largest.std(ddof=1)) if len(curves) > 1 else 1.5
-    return BaseDescent(-mean[0], mean[1], max(spread, 0.5) / np.sqrt(len(curves)), len(curves))
+    sigma_mm = max(spread, 0.5) / np.sqrt(len(curves))
+    return BaseDescent(-mean[0], mean[1], np.array(heights), sigma_mm, len(curves))
+
+
+def usual_descent(grid: Grid, organ: BoolArray, volume_mm3: FloatArray) -> BaseDescent:
+    """Assume the descent of adults.
+
+    Args:
+        grid, organ: of the stack at end-diastole.
+        volume_mm3: (n,) of a cavity or of the organ in every phase; the base follows it.
+    """
+    most, least = float(volume_mm3.max()), float(volume_mm3.min())
+    share = (most - volume_mm3) / max(most - least, 1e-9)
+    ends = np.array(_heights(grid, organ, towards_base(grid, organ)))
+    return BaseDescent(USUAL_MM * share, np.zeros(len(share)), ends, USUAL_SIGMA_MM, 0)
+
+
+def propagate_through(
+    motion: CycleMotion, image: VolumeSeries, surface: Mesh, mask: BoolArray, descent: BaseDescent, name: str
+) -> SurfaceSeries:
+    """Propagate an end-diastolic surface through the slices and within them.
+
+    The motion that a stack shows is that of outlines in planes that stay, not of tissue. A vertex goes along
+    the normal with the base's descent, stays as deep within the outline of the slice where it arrives as it
+    was in that where it began, and moves in that slice's plane as its outline does.
+
+    Args:
+        image: the stack; mask: (nx, ny, nz) of what the surface encloses at end-diastole.
+    """
+    grid, normal = image.grid, towards_base(image.grid, mask)
+    sign = float(np.sign(normal @ grid.direction[:, 2]))
+    depth, slices = depth_within_slices(mask, grid)
+    slopes = [np.gradient(depth, float(step), axis=a) for a, step in enumerate(grid.spacing_mm[:2])]
+    index, height = grid.to_index(surface.vertices_mm), surface.vertices_mm @ normal
+
+    def at(values: FloatArray, places: FloatArray) -> FloatArray:
+        along = np.interp(places[:, 2], slices, np.arange(len(slices)))
+        where = np.stack([places[:, 0], places[:, 1], along])
+        return np.asarray(ndimage.map_coordinates(values, where, order=1, mode="nearest"))
+
+    began, moved = at(depth, index), []
+    for phase, deformation in enumerate(motion.deformations):
+        if phase == motion.ed_phase:
+            moved.append(surface.vertices_mm)
+            continue
+        places = index.copy()
+        places[:, 2] += sign * descent.shift_mm(height, phase) / grid.spacing_mm[2]
+        for _ in range(OUTLINE_STEPS):
+            slope = np.stack([at(one, places) for one in slopes], axis=1)
+            off = (began - at(depth, places)) / np.maximum((slope**2).sum(axis=1), 0.25)
+            places[:, :2] += np.clip(off, -LONGEST_MM, LONGEST_MM)[:, None] * slope / grid.spacing_mm[:2]
+        moved.append(deformation.move(grid.to_mm(places)))
+    return SurfaceSeries(name, surface.frame, np.stack(moved), surface.triangles, image.timing, "")
+
+
+def towards_base(grid: Grid, organ: BoolArray) -> FloatArray:
+    """(3,) unit normal of a stack towards the end where the organ is larger."""
+    area = organ.sum(axis=(0, 1))
+    half = len(area) // 2
+    sign = 1.0 if area[-half:].sum() > area[:half].sum() else -1.0
+    return np.asarray(sign * grid.direction[:, 2])
 
 
 def _heights(grid: Grid, organ: BoolArray, normal: FloatArray) -> tuple[float, float]:
@@ -118,6 +210,7 @@ def _curve(
     options: MotionOptions,
 ) -> tuple[FloatArray, FloatArray] | None:
     """(m,) phases and (2, m) motion of base and apex towards the base, in one view."""
+    view = _coarser(view)
     grid = view.grid
     index = np.stack(np.meshgrid(*(np.arange(n) for n in grid.shape[:2]), indexing="ij"), axis=-1)
     pixels = np.concatenate([index, np.zeros((*grid.shape[:2], 1))], axis=-1)
@@ -134,20 +227,25 @@ def _curve(
     if int(inside[0].sum()) < LEAST_PIXELS:
         return None
     chosen, fractions = _chosen_phases(view, ed_fraction)
-    copies = Grid(
-        grid.frame,
-        (grid.shape[0], grid.shape[1], COPIES),
-        grid.to_mm(np.zeros(3)) - 0.5 * (COPIES - 1) * APART_MM * grid.direction[:, 2],
-        np.array([*grid.spacing_mm[:2], APART_MM]),
-        grid.direction,
-    )
     timing = CycleTiming(fractions - fractions[0], view.timing.rr_s)
-    tracked = VolumeSeries(copies, np.repeat(view.values[chosen], COPIES, axis=3), timing)
-    mask, cavities = (np.repeat(part[:, :, None], COPIES, axis=2) for part in inside)
+    tracked = VolumeSeries(grid, view.values[chosen], timing)
+    mask, cavities = inside[..., None]
     motion = track_cycle(
         tracked, mask, ed_phase=0, blood=None if blood is None else cavities, options=options
     )
     return fractions, _along(motion, points[inside[0]], normal, heights)
+
+
+def _coarser(view: VolumeSeries) -> VolumeSeries:
+    """Average the pixels of a view in blocks of PIXEL_MM or more; its slice becomes APART_MM thick."""
+    grid = view.grid
+    a, b = (max(1, int(np.ceil(PIXEL_MM / step))) for step in grid.spacing_mm[:2])
+    nx, ny = grid.shape[0] // a, grid.shape[1] // b
+    blocks = view.values[:, : nx * a, : ny * b].reshape(len(view.timing), nx, a, ny, b, 1)
+    origin = grid.to_mm(np.array([0.5 * (a - 1), 0.5 * (b - 1), 0.0]))
+    spacing = np.array([a * grid.spacing_mm[0], b * grid.spacing_mm[1], APART_MM])
+    coarse = Grid(grid.frame, (nx, ny, 1), origin, spacing, grid.direction)
+    return VolumeSeries(coarse, blocks.mean(axis=(2, 4)), view.timing)
 
 
 def _chosen_phases(view: VolumeSeries, ed_fraction: float) -> tuple[list[int], FloatArray]:
@@ -176,7 +274,11 @@ def _along(
     return out
 
 
-def _cyclic(at: FloatArray, fractions: FloatArray, values: FloatArray, row: int) -> FloatArray:
-    """Interpolate one row of values over the cycle."""
-    order = np.argsort(fractions % 1.0)
-    return np.asarray(np.interp(at, (fractions % 1.0)[order], values[row][order], period=1.0))
+def _in_common(
+    own: FloatArray, values: FloatArray, fractions: FloatArray, ed_phase: int, phases: SlicePhases
+) -> FloatArray:
+    """(2, n) curves of a view, known from end-diastole on in its own cycle, at the phases of the stack."""
+    since = own - own[0]
+    es = phases.es_of(np.interp(phases.since_ed, since, -values[0], period=1.0))
+    at = own_fraction((fractions - fractions[ed_phase]) % 1.0, es, phases.common_es)
+    return np.stack([np.interp(at, since, row, period=1.0) for row in values])

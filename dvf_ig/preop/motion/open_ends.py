@@ -6,7 +6,7 @@ import numpy as np
 
 from dvf_ig.core import BoolArray, FloatArray, Grid, SeenPart, read_only_arrays
 
-from .slice_stack import observable_axes
+from .base_descent import BaseDescent, towards_base
 
 GAP_MM = 18.0
 """Largest distance of slices between which the surface counts as known: stacks are made every 8 to 18 mm."""
@@ -56,16 +56,8 @@ def open_ends(organ: BoolArray, grid: Grid) -> tuple[OpenEnd, ...]:
     return tuple(ends)
 
 
-def towards_base(grid: Grid, organ: BoolArray) -> FloatArray:
-    """(3,) unit normal of a stack towards the end where the organ is larger."""
-    area = organ.sum(axis=(0, 1))
-    half = len(area) // 2
-    sign = 1.0 if area[-half:].sum() > area[:half].sum() else -1.0
-    return np.asarray(sign * grid.direction[:, 2])
-
-
 def seen_part(
-    grid: Grid, organ: BoolArray, slice_shift_mm: FloatArray | None, phases: int
+    grid: Grid, organ: BoolArray, slice_shift_mm: FloatArray | None, descent: BaseDescent | None
 ) -> SeenPart | None:
     """Return the part of an organ's surface that a stack of slices shows; None for an image without gaps.
 
@@ -75,9 +67,9 @@ def seen_part(
     Args:
         grid, organ: of the stack, (nx, ny, nz) at end-diastole.
         slice_shift_mm: (nz, 3) by which the slices show the heart displaced; None: not known.
-        phases: of the cycle.
+        descent: by which the shown part moves along the normal; None for an image without gaps.
     """
-    if observable_axes(grid.spacing_mm)[2]:
+    if descent is None:
         return None
     normal = towards_base(grid, organ)
     slices = np.flatnonzero(organ.any(axis=(0, 1)))
@@ -90,6 +82,7 @@ def seen_part(
     slabs = [(part[0] - HALF_SLICE_MM, part[-1] + HALF_SLICE_MM) for part in np.split(heights, cuts)]
     if apical not in (0, grid.shape[2] - 1) and grid.spacing_mm[2] <= GAP_MM:
         slabs[0] = (slabs[0][0] - FAR_MM, slabs[0][1])
-    bounds = np.tile(np.array(slabs), (phases, 1, 1))
+    still, phases = np.array(slabs), range(len(descent.base_mm))
+    bounds = np.stack([still + descent.shift_mm(still, phase) for phase in phases])
     ends = np.array([heights[0] - HALF_SLICE_MM, heights[-1] + HALF_SLICE_MM])
-    return SeenPart(normal, bounds, ends, np.zeros(phases))
+    return SeenPart(normal, bounds, ends, descent.sigma_by_phase_mm)

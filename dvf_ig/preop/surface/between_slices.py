@@ -28,8 +28,7 @@ def between_slices(mask: BoolArray, grid: Grid) -> tuple[BoolArray, Grid]:
     """
     pitch, pixel = float(grid.spacing_mm[2]), float(grid.spacing_mm[:2].mean())
     parts = max(1, 2 * round(0.5 * pitch / pixel))
-    occupied = np.flatnonzero(mask.any(axis=(0, 1)))
-    depth = np.stack([_depth(mask[:, :, k], grid.spacing_mm[:2]) for k in occupied], axis=-1)
+    depth, occupied = depth_within_slices(mask, grid)
     # (count of fine slices) from half a pitch before the first occupied slice to half a pitch after the last
     first, last = int(occupied[0]), int(occupied[-1])
     count = (last - first + 1) * parts + 1
@@ -38,6 +37,16 @@ def between_slices(mask: BoolArray, grid: Grid) -> tuple[BoolArray, Grid]:
     origin = grid.to_mm(np.array([0.0, 0.0, height[0]]))
     spacing = np.array([grid.spacing_mm[0], grid.spacing_mm[1], pitch / parts])
     return fine, Grid(grid.frame, (grid.shape[0], grid.shape[1], count), origin, spacing, grid.direction)
+
+
+def depth_within_slices(mask: BoolArray, grid: Grid) -> tuple[FloatArray, IntArray]:
+    """(nx, ny, m) signed distance to the outline within each of m slices that hold one, positive inside.
+
+    Returns:
+        the depth, and the numbers of the slices.
+    """
+    occupied = np.flatnonzero(mask.any(axis=(0, 1)))
+    return np.stack([_depth(mask[:, :, k], grid.spacing_mm[:2]) for k in occupied], axis=-1), occupied
 
 
 def _depth(mask: BoolArray, pixel_mm: FloatArray) -> FloatArray:

@@ -70,10 +70,14 @@ def surface_of_mask(mask: BoolArray, grid: Grid, *, smoothing_voxels: float = SM
     return _surface(_Crop(mask[box[0]], start), grid, smoothing_voxels)
 
 
-def border_caps(mesh: Mesh, grid: Grid) -> BoolArray:
-    """Flag (t,) triangles within one voxel of the image border, where the surface was cut, not imaged."""
-    index = grid.to_index(mesh.vertices_mm[mesh.triangles].mean(axis=1))
-    return np.asarray(((index < 1.0) | (index > np.array(grid.shape) - 2.0)).any(axis=1))
+def border_caps(mesh: Mesh, grid: Grid, axes: int = 3) -> BoolArray:
+    """Flag (t,) triangles within one voxel of the image border, where the surface was cut, not imaged.
+
+    Args:
+        axes: number of axes of the grid that count: 2 of a stack, whose ends `SeenPart` describes.
+    """
+    index = grid.to_index(mesh.vertices_mm[mesh.triangles].mean(axis=1))[:, :axes]
+    return np.asarray(((index < 1.0) | (index > np.array(grid.shape[:axes]) - 2.0)).any(axis=1))
 
 
 @read_only_arrays

@@ -123,7 +123,14 @@ def test_fitted_surfaces_of_a_real_heart_give_a_model_with_its_ventricles(
     low = surfaces["EPICARDIAL"].vertices_mm.min(axis=(0, 1)) - 10
     labels = rasterise(surfaces, Grid.axis_aligned("mr", (80, 70, 80), low, 2.0))
     write_volume(labels.phase(1), tmp_path / "es.nrrd")
-    told = found("model", "check", tmp_path / "heart.npz", "--labels", f"{tmp_path}/es.nrrd@0.36")["labels"]
+    checked = found(
+        *("model", "check", tmp_path / "heart.npz", "--labels", f"{tmp_path}/es.nrrd@0.36"),
+        *("--surfaces", bivme),
+    )
+    own = checked["surfaces"]["end_systole"]
+    assert own["phase"] == own["surface_phase"] == 9
+    assert own["seen_mm"]["mean"] < 1e-6
+    told = checked["labels"]
     assert told["dice"] > 0.98
     assert told["mean_mm"] < 0.4
 
@@ -151,3 +158,6 @@ def test_a_real_cine_with_distant_slices_gives_a_model_and_says_what_is_missing(
     assert model.timing.rr_s == pytest.approx(0.829, abs=0.001)
     assert [chamber.name for chamber in model.chambers] == ["label 2"]
     assert 0.2 < model.es_fraction < 0.5
+    assert "it is assumed to descend by 12.0 ± 3.0 mm" in " ".join(done.stderr.split())
+    assert model.seen is not None
+    assert 0.2 < model.unseen_share < 0.5

@@ -1,12 +1,15 @@
 """One folder of all series of an examination: the stack and its views by geometry, the rest with a reason."""
 
+import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
+from dvf_ig.cli.main import app
 from dvf_ig.core import UnreadableFileError
 from dvf_ig.io import DicomExamination, read_dicom_examination
 
@@ -69,13 +72,13 @@ def examined(folder: Path, *parts: list[Any]) -> Path:
 
 
 @pytest.fixture(scope="module")
-def found(tmp_path_factory: pytest.TempPathFactory) -> DicomExamination:
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     turned = np.array([[0.0, 0.8, 0.6], NORMAL])
     flow = [*cine("flow", LAX, MIDDLE + 4.0 * SAX[1], 900), *cine("flow", LAX, MIDDLE + 4.0 * SAX[1], 950)]
     scouts = [image("scout", axes, MIDDLE, 1, 0.0, 5) for axes in (SAX, LAX, np.eye(3)[:2])]
     late = stack("enhancement", phases=1)
     beside = cine("beside", SAX, MIDDLE + 3.0 * NORMAL, 700)
-    folder = examined(
+    return examined(
         tmp_path_factory.mktemp("exam") / "all",
         scouts,
         stack(),
@@ -85,7 +88,35 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> DicomExamination:
         flow,
         beside,
     )
+
+
+@pytest.fixture(scope="module")
+def found(folder: Path) -> DicomExamination:
     return read_dicom_examination(folder)
+
+
+def test_inspect_says_and_draws_where_the_slices_lie(folder: Path, tmp_path: Path) -> None:
+    picture = tmp_path / "slices.png"
+    done = CliRunner().invoke(app, ["inspect", str(folder), "-o", str(picture), "--json"])
+    assert done.exit_code == 0, done.output
+    facts = json.loads(done.stdout)
+    assert facts["kind"] == "examination of DICOM images"
+    assert facts["short_axis"] == {
+        "slices": SLICES,
+        "pitch_mm": PITCH_MM,
+        "phases": PHASES,
+        "length_mm": 40.0,
+    }
+    assert {
+        name.split(" ", 1)[1]: one["angle_to_slices_deg"] for name, one in facts["long_axis"].items()
+    } == {
+        "view a": pytest.approx(90.0),
+        "view b": pytest.approx(90.0),
+    }
+    assert any("whole without it" in one["reason"] for one in facts["left_out"].values())
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    refused = CliRunner().invoke(app, ["inspect", __file__, "-o", str(picture)])
+    assert refused.exit_code == 3
 
 
 def test_stack_and_views_are_found_by_their_geometry(found: DicomExamination) -> None:

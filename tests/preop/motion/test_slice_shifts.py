@@ -6,6 +6,7 @@ import pytest
 from dvf_ig.core import CycleTiming, FloatArray, Grid, VolumeSeries
 from dvf_ig.preop import MotionOptions, slice_shifts
 from dvf_ig.preop.motion.base_descent import base_descent
+from dvf_ig.preop.motion.slice_phases import SlicePhases
 
 PHASES = 8
 MIDDLE_MM = np.array([40.0, 40.0, 35.0])
@@ -91,7 +92,10 @@ def test_the_base_comes_down_as_the_views_show() -> None:
     image = stack()
     shown = views()
     shifts = slice_shifts(image, organ(image), organ(image), shown)
-    base = base_descent(image, organ(image), None, 0, shown, shifts, MotionOptions(threads=1))
+    since = image.timing.fractions
+    course = np.sin(np.pi * since) ** 2
+    phases = SlicePhases(since, course, 0.5, np.full(6, 0.5))
+    base = base_descent(image, organ(image), None, 0, shown, shifts, phases, MotionOptions(threads=1))
     assert base is not None
     assert base.views == 2
     # the top slice lies 60 mm from the foot, where the field comes down by DESCENT_MM
