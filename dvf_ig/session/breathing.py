@@ -29,6 +29,7 @@ from dvf_ig.registration import (
     BeatMeasurement,
     BreathBeat,
     BreathingPose,
+    OscillationWatch,
     PoseChart,
     learn_breathing,
 )
@@ -131,7 +132,22 @@ class BreathingTracker:
         self._last_onset_s = -inf
         self._unknown_breaths = 0
         self._rest_level, self._rest_level_s = nan, -inf
+        self._watch = OscillationWatch(center_mm)
+        self._watch_changed_s = -inf
         self._known = _Moment(nan, False, np.zeros((6, 6)), 0.0, None)
+
+    def watch(self, middle_s: float, decided_s: float, measurement: BeatMeasurement) -> None:
+        """Look for breathing in the poses of beats if nothing follows the breath."""
+        if self.follows:
+            return
+        before = self._watch.found
+        self._watch.add(middle_s, measurement)
+        if (self._watch.found is None) is not (before is None):
+            self._watch_changed_s = decided_s
+
+    def restart_watch(self) -> None:
+        """Forget the watched beats: the heart has moved in another way."""
+        self._watch.restart()
 
     @property
     def _clock(self) -> BreathClock:
@@ -234,10 +250,11 @@ class BreathingTracker:
     def changed_s(self, now_s: float) -> float:
         """Return when what `motion` and `withheld` give last changed.
 
-        That is the latest sample, the end of each motion that is published without another one, or the loss.
+        That is the latest sample, the end of each motion that is published without another one, or the loss;
+        if nothing follows the breath, when beats began or ceased to show it.
         """
         if not self.follows:
-            return -inf
+            return self._watch_changed_s
         latest_s = self._clock.latest_s
         silent_s = now_s - latest_s
         if not silent_s >= AHEAD_S:
@@ -264,7 +281,7 @@ class BreathingTracker:
     def _evaluated(self, changed_s: float, now_s: float) -> "_Moment":
         nothing = np.zeros((6, 6))
         if not self.follows:
-            return _Moment(changed_s, False, nothing, 0.0, None)
+            return self._without_surrogate(changed_s)
         reading, features = self._clock.reading(now_s), self._features(np.array([now_s]))
         if reading.state is BreathState.INIT:
             return _Moment(changed_s, True, nothing, 0.0, BreathingReason.NO_BREATH.value)
@@ -284,6 +301,13 @@ class BreathingTracker:
         withheld = not model.knows(features)[0]
         outside = BreathingReason.NOT_LEARNT.value if withheld else None
         return _Moment(changed_s, bool(withheld), covariance, bound_mm, outside)
+
+    def _without_surrogate(self, changed_s: float) -> "_Moment":
+        found, reason = self._watch.found, None
+        if found is not None:
+            template = BreathingReason.NOT_FOLLOWED.value
+            reason = template.format(mm=2.0 * found.amplitude_mm, per_minute=found.per_minute)
+        return _Moment(changed_s, found is not None, np.zeros((6, 6)), 0.0, reason)
 
     def _features(self, t_s: FloatArray) -> FloatArray:
         """Compute (n, 4) features; NaN also where they do not tell where the heart is."""

@@ -84,6 +84,10 @@ class BreathingReason(Enum):
     LEARNING = "the motion in breathing is being learnt: force is given at end-expiration alone"
     CHANGED = "breathing has changed for good and is learnt again: force is given at end-expiration alone"
     NOT_LEARNT = "the breath lies outside of what was learnt"
+    NOT_FOLLOWED = (
+        "ultrasound shows the heart moving by {mm:.1f} mm with breaths, some {per_minute:.0f} a minute, that "
+        "nothing follows: record them (key respiration), or hold the breath"
+    )
 
 
 class NoForce(Enum):

@@ -18,6 +18,10 @@ OF_TRACKER = (
 """Hazards of a tracked tool; a haptic device's own encoders do not have them."""
 
 
+OF_POSE = Hazard.NO_POSE | Hazard.POSE_CONTRADICTED | Hazard.BREATHING
+"""Hazards that the motion in breathing may explain."""
+
+
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class GuidanceState:
@@ -125,7 +129,7 @@ class GuidanceState:
         sentences = self.supervised.sentences
         if self.supervisor is SupervisorState.LATCHED and self.rearmed is not None:
             sentences += (self.rearmed.value,)
-        if self.hazards & Hazard.BREATHING and self.breathing is not None:
+        if self.hazards & OF_POSE and self.breathing is not None:
             sentences += (self.breathing,)
         return sentences + self.registration_reasons
 
