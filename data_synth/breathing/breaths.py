@@ -9,7 +9,7 @@ from scipy.signal import lfilter
 from dvf_ig.core import FloatArray, InvalidInputError, read_only_arrays
 
 BreathKind = Literal["ventilated", "spontaneous"]
-BreathEvent = Literal["sigh", "cough", "pause", "disconnection", "doubled-rate"]
+BreathEvent = Literal["sigh", "cough", "pause", "disconnection", "doubled-rate", "deepened"]
 
 GRID_S = 0.01
 WARM_UP_S = 30.0
@@ -122,6 +122,8 @@ def draw_breaths(spec: BreathSpec, seconds: float, rng: np.random.Generator) -> 
         depth = max(0.2, 1.0 + depth_sd * float(rng.standard_normal()))
         if begin_s >= times.get("doubled-rate", np.inf):
             period_s *= 0.5
+        if begin_s >= times.get("deepened", np.inf):
+            depth *= SIGH_DEPTH
         if not sighed and begin_s >= times.get("sigh", np.inf):
             depth, sighed = depth * SIGH_DEPTH, True
         inside = (t_s >= begin_s) & (t_s < begin_s + period_s)

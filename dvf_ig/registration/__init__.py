@@ -103,3 +103,4 @@ from .tracking.tip_in_image import TipView as TipView
 from .tracking.tip_in_image import patch_around as patch_around
 from .tracking.tip_in_image import sighting as sighting
 from .tracking.tip_in_image import tip_view as tip_view
+from .unfollowed_breathing import OscillationWatch as OscillationWatch

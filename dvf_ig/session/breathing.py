@@ -15,10 +15,13 @@ from scipy.spatial.transform import Rotation
 
 from dvf_ig.cardiac.respiration import (
     PARTING,
+    RELEARN_BREATHS,
     BreathClock,
     BreathClockOptions,
+    BreathEvent,
     BreathReading,
     BreathState,
+    RelearningClock,
 )
 from dvf_ig.core import HEART_RADIUS_MM, BoolArray, FloatArray, IntArray, PoseMotion, read_only_arrays
 from dvf_ig.registration import (
@@ -26,12 +29,14 @@ from dvf_ig.registration import (
     BeatMeasurement,
     BreathBeat,
     BreathingPose,
+    OscillationWatch,
     PoseChart,
     learn_breathing,
 )
 
 from .clocks import StampOrder
 from .events import RespirationSample
+from .reasons import BreathingReason
 
 REST_SHARE = 0.3
 """Share of the time in which ρ and its lags are lowest, and the heart rests."""
@@ -40,6 +45,8 @@ FIRST_BREATHS, TRUSTED_BREATHS = 4, 10
 MAX_HELD_OUT_MM = 2.0
 """Largest error in held-out breaths of a model that forces may follow."""
 REMEMBERED_BREATHS = 40
+KNOWN_SHARE, LONGEST_BREATH_S = 0.8, 30.0
+"""A breath of which less was learnt lies outside; a longer one is a pause."""
 LOST_S = BreathClockOptions().lost_s
 AHEAD_S = 0.1
 """A published motion reaches this far, if no sample replaces it before."""
@@ -78,12 +85,13 @@ class FrameBreathing:
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class _Moment:
-    """What holds from one sample to the next: whether the pose is withheld, and how well it is known."""
+    """What holds from one sample to the next: whether and why the pose is withheld, how well it is known."""
 
     changed_s: float
     withheld: bool
     covariance_mm2: FloatArray
     bound_mm: float
+    reason: str | None
 
 
 def moved_to_rest(
@@ -111,8 +119,10 @@ class BreathingTracker:
 
     def __init__(self, center_mm: FloatArray) -> None:
         self.order = StampOrder()
+        self._changed = False  # for good, and not learnt again yet
         self._center_mm = center_mm
-        self._clock = BreathClock()
+        self._following = RelearningClock()
+        self._changes = 0
         self._waiting: deque[RespirationSample] = deque()
         self._beats: deque[BreathBeat] = deque()
         self._model: BreathingPose | None = None
@@ -120,8 +130,28 @@ class BreathingTracker:
         self._rest = np.array([1.0, 0.0, 0.0, 0.0])
         self._breath = 0
         self._last_onset_s = -inf
+        self._unknown_breaths = 0
         self._rest_level, self._rest_level_s = nan, -inf
-        self._known = _Moment(nan, False, np.zeros((6, 6)), 0.0)
+        self._watch = OscillationWatch(center_mm)
+        self._watch_changed_s = -inf
+        self._known = _Moment(nan, False, np.zeros((6, 6)), 0.0, None)
+
+    def watch(self, middle_s: float, decided_s: float, measurement: BeatMeasurement) -> None:
+        """Look for breathing in the poses of beats if nothing follows the breath."""
+        if self.follows:
+            return
+        before = self._watch.found
+        self._watch.add(middle_s, measurement)
+        if (self._watch.found is None) is not (before is None):
+            self._watch_changed_s = decided_s
+
+    def restart_watch(self) -> None:
+        """Forget the watched beats: the heart has moved in another way."""
+        self._watch.restart()
+
+    @property
+    def _clock(self) -> BreathClock:
+        return self._following.clock
 
     @property
     def follows(self) -> bool:
@@ -145,11 +175,15 @@ class BreathingTracker:
         self.order.advance(now_s)
         while self._waiting and self._waiting[0].t_s <= now_s:
             sample = self._waiting.popleft()
-            self._clock.push(np.array([sample.t_s]), sample.values[None])
+            self._following.push(np.array([sample.t_s]), sample.values[None])
+        if self._following.changes > self._changes:
+            self._changes = self._following.changes
+            self._forget()
         if now_s >= self._rest_level_s + 1.0:
             self._rest_level, self._rest_level_s = self._clock.rest_level(REST_SHARE), now_s
         onsets = self._clock.onsets_s
         if onsets and onsets[-1] > self._last_onset_s:
+            self._count_unknown(self._last_onset_s, onsets[-1])
             self._last_onset_s = onsets[-1]
             self._breath += 1
             self._learn()
@@ -216,19 +250,26 @@ class BreathingTracker:
     def changed_s(self, now_s: float) -> float:
         """Return when what `motion` and `withheld` give last changed.
 
-        That is the latest sample, the end of each motion that is published without another one, or the loss.
+        That is the latest sample, the end of each motion that is published without another one, or the loss;
+        if nothing follows the breath, when beats began or ceased to show it.
         """
         if not self.follows:
-            return -inf
+            return self._watch_changed_s
         latest_s = self._clock.latest_s
         silent_s = now_s - latest_s
         if not silent_s >= AHEAD_S:
             return latest_s
-        return latest_s + (LOST_S if silent_s > LOST_S else AHEAD_S * floor(silent_s / AHEAD_S))
+        if silent_s > LOST_S:
+            return latest_s + LOST_S
+        return latest_s + min(AHEAD_S * floor(silent_s / AHEAD_S), LOST_S - AHEAD_S)
 
     def withheld(self, now_s: float) -> bool:
         """Whether the pose of the moment is not known: beyond what was learnt, or before it, not at rest."""
         return self._moment(now_s).withheld
+
+    def reason(self, now_s: float) -> str | None:
+        """Return why the pose is withheld or serves at rest alone, as a sentence; None if it does neither."""
+        return self._moment(now_s).reason
 
     def _moment(self, now_s: float) -> "_Moment":
         """Return what holds since the latest sample, computed once."""
@@ -240,17 +281,33 @@ class BreathingTracker:
     def _evaluated(self, changed_s: float, now_s: float) -> "_Moment":
         nothing = np.zeros((6, 6))
         if not self.follows:
-            return _Moment(changed_s, False, nothing, 0.0)
+            return self._without_surrogate(changed_s)
         reading, features = self._clock.reading(now_s), self._features(np.array([now_s]))
-        lost = reading.state in (BreathState.INIT, BreathState.LOST) or reading.event in PARTING
-        if lost or not np.isfinite(features).all():
-            return _Moment(changed_s, True, nothing, 0.0)
+        if reading.state is BreathState.INIT:
+            return _Moment(changed_s, True, nothing, 0.0, BreathingReason.NO_BREATH.value)
+        if reading.state is BreathState.LOST:
+            return _Moment(changed_s, True, nothing, 0.0, BreathingReason.LOST.value)
+        if reading.event in PARTING or not np.isfinite(features).all():
+            event = BreathEvent.DISCONNECTION if reading.event is BreathEvent.NONE else reading.event
+            reason = BreathingReason.NOT_ORDINARY.value.format(what=event.name.lower().replace("_", " "))
+            return _Moment(changed_s, True, nothing, 0.0, reason)
         model = self.model
         if model is None:
-            return _Moment(changed_s, not features[0, 1:].max() <= self._rest_level, nothing, 0.0)
+            cause = BreathingReason.CHANGED if self._changed else BreathingReason.LEARNING
+            withheld = not features[0, 1:].max() <= self._rest_level
+            return _Moment(changed_s, withheld, nothing, 0.0, cause.value)
         covariance = model.covariance_mm2(features - self._rest)[0]
         bound_mm = float(2.0 * np.sqrt(MEAN_SQUARE_OF_COORDINATES @ np.diag(covariance)))
-        return _Moment(changed_s, not model.knows(features)[0], covariance, bound_mm)
+        withheld = not model.knows(features)[0]
+        outside = BreathingReason.NOT_LEARNT.value if withheld else None
+        return _Moment(changed_s, bool(withheld), covariance, bound_mm, outside)
+
+    def _without_surrogate(self, changed_s: float) -> "_Moment":
+        found, reason = self._watch.found, None
+        if found is not None:
+            template = BreathingReason.NOT_FOLLOWED.value
+            reason = template.format(mm=2.0 * found.amplitude_mm, per_minute=found.per_minute)
+        return _Moment(changed_s, found is not None, np.zeros((6, 6)), 0.0, reason)
 
     def _features(self, t_s: FloatArray) -> FloatArray:
         """Compute (n, 4) features; NaN also where they do not tell where the heart is."""
@@ -263,6 +320,24 @@ class BreathingTracker:
         """Compute the motion from rest at (n, 4) features."""
         return model.xi_mm(features - self._rest)
 
+    def _count_unknown(self, begin_s: float, end_s: float) -> None:
+        """Count breaths in a row that lie outside of what was learnt; after RELEARN_BREATHS forget it."""
+        if self._model is None or not self._learnt or not end_s - begin_s < LONGEST_BREATH_S:
+            return
+        features = self._features(np.arange(begin_s, end_s, 0.1))
+        known = self._model.knows(features[np.isfinite(features).all(axis=1)])
+        outside = len(known) > 0 and known.mean() < KNOWN_SHARE
+        self._unknown_breaths = self._unknown_breaths + 1 if outside else 0
+        if self._unknown_breaths >= RELEARN_BREATHS:
+            self._forget()
+
+    def _forget(self) -> None:
+        """Begin again with the gate: breathing has changed for good."""
+        self._beats.clear()
+        self._model, self._learnt, self._unknown_breaths = None, False, 0
+        self._rest_level_s = self._last_onset_s = -inf
+        self._changed = True
+
     def _learn(self) -> None:
         """Learn again with every breath; until forces follow it, the rest is that of the gate."""
         if len({beat.breath for beat in self._beats}) < FIRST_BREATHS:
@@ -274,3 +349,4 @@ class BreathingTracker:
             self._rest = self._clock.rest_features(REST_SHARE)
         self._model = model
         self._learnt |= model.breaths >= TRUSTED_BREATHS and model.held_out_mm <= MAX_HELD_OUT_MM
+        self._changed &= not self._learnt

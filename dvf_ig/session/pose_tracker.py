@@ -133,7 +133,10 @@ class PoseTracker:
 
     def _apply(self, event: PoseEvent) -> None:
         """Change the state, and carry out the actions that follow."""
+        before = self.pose
         self.pose, actions = next_pose(self.pose, event)
+        if isinstance(before, InUse) and not isinstance(self.pose, InUse) and self._breathing is not None:
+            self._breathing.restart_watch()
         for action in actions:
             if not isinstance(action, RegisterNext):
                 self.history.append(action)
@@ -183,6 +186,9 @@ class PoseTracker:
             evaluation = self._evaluate(compared.slices, estimate)
         elif evaluation is not None:
             evaluation = at_pose(evaluation, estimate)
+        if evaluation is not None and self._breathing is not None:
+            middle_s = 0.5 * (evaluation.begin_s + evaluation.end_s)
+            self._breathing.watch(middle_s, now_s, evaluation.measurement)
         if evaluation is None and not compared.irregular:
             self._apply(BeatMissed())
         self._take_evaluation(evaluation, now_s)

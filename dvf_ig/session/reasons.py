@@ -75,6 +75,21 @@ class Refused:
         return self.cause.value.format(mm=self.distance_mm)
 
 
+class BreathingReason(Enum):
+    """Why a pose is withheld or served at rest alone; each value is the sentence that a user reads."""
+
+    NO_BREATH = "what follows the breath has shown none yet; check its channel or marker if this lasts 20 s"
+    LOST = "no sample of what follows the breath has come for 0.5 s; check its sender"
+    NOT_ORDINARY = "breathing is not ordinary ({what}): the pose waits for ordinary breaths"
+    LEARNING = "the motion in breathing is being learnt: force is given at end-expiration alone"
+    CHANGED = "breathing has changed for good and is learnt again: force is given at end-expiration alone"
+    NOT_LEARNT = "the breath lies outside of what was learnt"
+    NOT_FOLLOWED = (
+        "ultrasound shows the heart moving by {mm:.1f} mm with breaths, some {per_minute:.0f} a minute, that "
+        "nothing follows: record them (key respiration), or hold the breath"
+    )
+
+
 class NoForce(Enum):
     """Each value is the sentence that a user reads; `{share}` counts the ticks from the first pose on."""
 

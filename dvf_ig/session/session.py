@@ -188,6 +188,7 @@ class Session:
             if confirmation is None
             else hypot(confirmation.bound_mm(now_s), self._breathing.bound_mm(now_s)),
             doubt=self._pose.doubt,
+            breathing=self._breathing.reason(now_s),
             tip_seen=self._tip.seen,
             registration=self.history.last_registration,
             model_phase=self._servo.model_phase,

@@ -18,6 +18,10 @@ OF_TRACKER = (
 """Hazards of a tracked tool; a haptic device's own encoders do not have them."""
 
 
+OF_POSE = Hazard.NO_POSE | Hazard.POSE_CONTRADICTED | Hazard.BREATHING
+"""Hazards that the motion in breathing may explain."""
+
+
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class GuidanceState:
@@ -29,6 +33,7 @@ class GuidanceState:
         pose_age_s: time since a heart beat confirmed the pose; infinite before the first.
         pose_bound_mm: 95 % bound on the RMS error of the pose in use over the heart; NaN before the first.
         doubt: why the pose is suspended; None while it is not.
+        breathing: why breathing withholds the pose or lets it serve at rest alone; None if it does neither.
         tip_seen: where ultrasound shows the tool's tip; None if it does not.
         registration: the last one that ended, with its evidence; None before the first.
         model_phase: in the model's cycle; NaN if the phase is not locked.
@@ -45,6 +50,7 @@ class GuidanceState:
     pose_age_s: float
     pose_bound_mm: float
     doubt: Doubt | None
+    breathing: str | None
     tip_seen: TipSighting | None
     registration: RegistrationRecord | None
     model_phase: float
@@ -123,6 +129,8 @@ class GuidanceState:
         sentences = self.supervised.sentences
         if self.supervisor is SupervisorState.LATCHED and self.rearmed is not None:
             sentences += (self.rearmed.value,)
+        if self.hazards & OF_POSE and self.breathing is not None:
+            sentences += (self.breathing,)
         return sentences + self.registration_reasons
 
     @property

@@ -1,6 +1,9 @@
 """Pose in breathing: learnt from noisy beats as well as theory says, honest about itself, and on real MR."""
 
+from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -10,15 +13,17 @@ from data_synth.breathing.breaths import BreathSpec, draw_breaths
 from data_synth.breathing.motion import Breathing, breathing_of
 from data_synth.breathing.recorded import recorded_breathing
 from dvf_ig.cardiac.respiration import BreathClock
-from dvf_ig.core import HEART_RADIUS_MM, FloatArray, InvalidInputError
-from dvf_ig.registration import BreathBeat, learn_breathing
+from dvf_ig.core import HEART_RADIUS_MM, FloatArray, InvalidInputError, Rigid
+from dvf_ig.registration import BeatMeasurement, BreathBeat, OscillationWatch, learn_breathing
 from dvf_ig.registration.tracking.pose_estimate import MEAN_SQUARE_OF_COORDINATES
+from dvf_ig.registration.unfollowed_breathing import Oscillation
 
 WARM_S, BREATH_S, BEAT_S, AHEAD_S = 20.0, 60.0 / 14.0, 0.86, 0.06
 NOISE_MM = 1.0 / np.sqrt(MEAN_SQUARE_OF_COORDINATES.sum())
 """Of each coordinate, so that the RMS over the heart is 1 mm."""
 AXES = np.concatenate([np.eye(3), -np.eye(3), np.ones((1, 3)) / np.sqrt(3), -np.ones((1, 3)) / np.sqrt(3)])
 VENTILATED = BreathSpec("ventilated", excursion_mm=10.0)
+HOME = Rigid.identity("mr", "tracker")
 
 
 def true_xi_mm(breathing: Breathing, t_s: FloatArray) -> FloatArray:
@@ -129,3 +134,59 @@ def test_a_real_heart_follows_the_dome_of_the_liver(name: str, data_dir: Path) -
     assert rms < 0.35 * before, f"{rms:.2f} of {before:.2f} px"
     # single images also move with the heartbeat: 88 % and 95 % of them lie within two standard deviations
     assert np.mean(np.abs(missed) <= stated) > 0.85
+
+
+def watched(
+    move: Callable[[float], FloatArray], beats: int, *, irregular: float = 0.03, seed: int = 3
+) -> tuple[list[float], list[Oscillation | None]]:
+    """Watch beats of a heart with 0.8 mm of noise a coordinate; times, and what was found after each."""
+    rng, t_s, watch = np.random.default_rng(seed), 0.0, OscillationWatch(np.zeros(3))
+    times, found = [], []
+    for _ in range(beats):
+        t_s += 0.85 * max(0.4, 1.0 + irregular * rng.standard_normal())
+        information = np.eye(6) / 0.8**2
+        offset = move(t_s) + 0.8 * rng.standard_normal(6)
+        measured = SimpleNamespace(
+            pose=HOME, informative=True, information=information, offset_information_mm=information @ offset
+        )
+        watch.add(t_s, cast("BeatMeasurement", measured))
+        times.append(t_s)
+        found.append(watch.found)
+    return times, found
+
+
+def shifted(along_mm: float) -> FloatArray:
+    return np.array([0.0, 0.0, 0.0, 0.0, -0.3, -0.95]) * along_mm
+
+
+@pytest.mark.parametrize("irregular", [0.03, 0.18], ids=["sinus", "atrial fibrillation"])
+def test_beats_show_a_heart_that_moves_with_the_breath(irregular: float) -> None:
+    """4 mm from end to end; then the breath is held."""
+
+    def move(t_s: float) -> FloatArray:
+        return shifted(4.0 * np.sin(np.pi * t_s / 4.3) ** 2 if t_s < 60.0 else 0.0)
+
+    times, found = watched(move, 120, irregular=irregular)
+    first = next(i for i, one in enumerate(found) if one is not None)
+    assert times[first] < 30.0
+    for at, one in zip(times, found, strict=True):
+        if times[first] < at < 60.0:
+            assert one is not None
+            assert one.per_minute == pytest.approx(14.0, abs=1.5)
+            assert 2.0 * one.amplitude_mm == pytest.approx(4.0, abs=1.2)
+    assert found[-1] is None
+
+
+@pytest.mark.parametrize(
+    "move",
+    [
+        lambda t: shifted(0.0),
+        lambda t: shifted(0.15 * t),
+        lambda t: shifted(0.75 * np.sin(2 * np.pi * 0.22 * t)),
+    ],
+    ids=["still", "creeps 9 mm/min", "biased by the sweep"],
+)
+def test_beats_of_a_heart_that_does_not_breathe_show_no_breath(move: Callable[[float], FloatArray]) -> None:
+    for seed in range(4):
+        for irregular in (0.03, 0.18):
+            assert not any(watched(move, 80, irregular=irregular, seed=seed)[1])

@@ -13,6 +13,7 @@ from dvf_ig.core import HEART_RADIUS_MM, BoolArray, FloatArray, PoseMotion, Resp
 from dvf_ig.registration import BeatMeasurement, PoseChart
 from dvf_ig.session import RespirationSample
 from dvf_ig.session.breathing import BreathingTracker, FrameBreathing, moved_to_rest
+from dvf_ig.session.reasons import BreathingReason
 
 CENTER = np.zeros(3)
 LEARN_S, STOP_S = 66.0, 90.0
@@ -156,6 +157,40 @@ def test_a_disconnection_before_the_motion_is_learnt_is_no_rest() -> None:
     served = (times > 16.0) & ~withheld
     assert errors[served].max() < 5.0
     assert (~withheld[times > 42.0 + 3.0 * 60.0 / 14.0]).any()
+
+
+def test_breathing_that_is_deeper_for_good_is_learnt_again() -> None:
+    """Withheld until five of its breaths gave a new scale, then the gate, then the motion."""
+    times, errors, withheld, tracker = follow((("deepened", 80.0),), 160.0)
+    assert withheld[(times > 86.0) & (times < 98.0)].mean() > 0.95
+    gated = (times > 105.0) & (times < 125.0)
+    assert 0.15 < (~withheld[gated]).mean() < 0.5
+    assert tracker.model is not None
+    late = times > 150.0
+    assert (~withheld[late]).mean() > 0.95
+    served = (times > LEARN_S) & ~withheld
+    assert errors[served].max() < 5.0
+    assert np.percentile(errors[late & ~withheld], 95) < 2.0
+
+
+def test_what_withholds_the_pose_is_said() -> None:
+    _, recorded = world((("sigh", 70.0),))
+    tracker, said, pushed = BreathingTracker(CENTER), [], 0
+    for now_s in np.arange(0.5, 90.0, 0.5).tolist():
+        due = int(np.searchsorted(recorded.t_s, min(now_s, 80.0), side="right"))
+        for k in range(pushed, due):
+            tracker.push(RespirationSample(float(recorded.t_s[k]), recorded.values[k]))
+        pushed = due
+        tracker.advance(now_s)
+        said.append((now_s, tracker.reason(now_s), tracker.withheld(now_s)))
+    reasons = [reason for _, reason, _ in said if reason is not None]
+    order = list(dict.fromkeys(reasons))
+    assert order == [
+        BreathingReason.NO_BREATH.value,
+        BreathingReason.LEARNING.value,
+        BreathingReason.NOT_ORDINARY.value.format(what="deep breath"),
+        BreathingReason.LOST.value,
+    ]
 
 
 def test_frames_in_a_gap_of_the_samples_are_not_used() -> None:

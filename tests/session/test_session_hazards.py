@@ -372,3 +372,18 @@ def test_a_device_s_servo_is_published_what_the_session_s_own_is_but_for_the_tra
     assert (lost.tool_status, lost.now_s) == (Status.OK, states[-1].now_s)
     assert lost.transform is states[-1].transform
     np.testing.assert_array_equal(lost.margin_mm, states[-1].margin_mm)
+
+
+def test_breathing_that_nothing_follows_withholds_the_pose_and_is_said() -> None:
+    """5 mm from end to end, 15 a minute; a heart that lies still is served on."""
+
+    def breathes(t_s: float) -> np.ndarray:
+        return np.array([0.0, 0.0, 0.0, 2.5 * np.sin(2 * np.pi * t_s / 4.0), 0.0, 0.0])
+
+    states = guided(toy_streams(30.0, patient=breathes), 30.0, from_s=29.0)
+    assert all(state.hazards & Hazard.BREATHING for state in states)
+    assert "ultrasound shows the heart moving by 4." in " ".join(states[-1].reasons)
+    assert "that nothing follows: record them (key respiration)" in " ".join(states[-1].reasons)
+    assert not any(state.force_n.any() for state in states[-20:])
+    calm = guided(toy_streams(30.0), 30.0, from_s=29.0)
+    assert not any(state.hazards & Hazard.BREATHING for state in calm)

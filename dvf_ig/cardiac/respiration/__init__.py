@@ -7,6 +7,8 @@ from .breath_clock import BreathClockOptions as BreathClockOptions
 from .breath_clock import BreathEvent as BreathEvent
 from .breath_clock import BreathReading as BreathReading
 from .breath_clock import BreathState as BreathState
+from .relearning import RELEARN_BREATHS as RELEARN_BREATHS
+from .relearning import RelearningClock as RelearningClock
 from .surrogate import SurrogateScale as SurrogateScale
 from .surrogate import learn_scale as learn_scale
 from .tracking import BreathTrack as BreathTrack

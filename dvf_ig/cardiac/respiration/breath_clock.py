@@ -130,6 +130,16 @@ class BreathClock:
         """Beginnings of the last breaths."""
         return tuple(self._onsets)
 
+    @property
+    def ordinary_breaths(self) -> int:
+        """Number of ordinary breaths in a row."""
+        return self._ordinary
+
+    @property
+    def astray(self) -> bool:
+        """Whether an event of PARTING ended LOCKED, and too few ordinary breaths have followed it."""
+        return self._event in PARTING and self._ordinary < self._options.lock_breaths
+
     def push(self, t_s: FloatArray, values: FloatArray) -> None:
         """Add samples (n,), (n, columns).
 

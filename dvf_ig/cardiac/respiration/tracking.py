@@ -6,7 +6,8 @@ import numpy as np
 
 from dvf_ig.core import FloatArray, IntArray, Progress, Respiration, read_only_arrays, untold
 
-from .breath_clock import BreathClock, BreathClockOptions
+from .breath_clock import BreathClockOptions
+from .relearning import RelearningClock
 
 
 @read_only_arrays
@@ -51,13 +52,14 @@ def track_breathing(
         t_s: (n,) strictly increasing times at which the clock is read.
         progress: called with the fraction done.
     """
-    clock, times = BreathClock(options), np.asarray(t_s, dtype=np.float64)
+    following, times = RelearningClock(options), np.asarray(t_s, dtype=np.float64)
     rows, codes, onsets = np.empty((len(times), 4)), np.empty((len(times), 2), dtype=np.int64), set[float]()
     first = 0
     for i, at_s in enumerate(times.tolist()):
         last = int(np.searchsorted(recorded.t_s, at_s, side="right"))
-        clock.push(recorded.t_s[first:last], recorded.values[first:last])
+        following.push(recorded.t_s[first:last], recorded.values[first:last])
         first = last
+        clock = following.clock
         reading = clock.reading(at_s)
         rows[i] = reading.rho, reading.sigma_rho, reading.phase, reading.period_s
         codes[i] = reading.state, reading.event

@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 from scipy.signal import butter, sosfiltfilt
 
-from dvf_ig.cardiac.respiration import BreathClock, BreathEvent, BreathState, learn_scale, track_breathing
+from dvf_ig.cardiac.respiration import (
+    BreathClock,
+    BreathEvent,
+    BreathState,
+    RelearningClock,
+    learn_scale,
+    track_breathing,
+)
 from dvf_ig.core import FloatArray, InvalidInputError, Respiration
 from dvf_ig.io.respiration import read_respiration
 
@@ -67,6 +74,28 @@ def test_what_is_not_ordinary_is_named_in_time(change: object, event: BreathEven
     assert (track.state[soon] != BreathState.LOCKED).any()
     assert event in track.event[(at > 60.0) & (at < 66.0)]
     assert track.state[-1] == BreathState.LOCKED
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [lambda v: 5.0 + 1.9 * (v - 5.0), lambda v: v - 6.0, lambda v: v + 20.0],
+    ids=["deeper", "lower", "higher"],
+)
+def test_breathing_that_has_changed_for_good_is_learnt_again(changed: object) -> None:
+    assert callable(changed)
+    t_s = np.arange(0.0, 140.0, 0.04)
+    values = np.where(t_s > 60.0, changed(ventilated(t_s)), ventilated(t_s))
+    noise = 0.1 * np.random.default_rng(0).standard_normal(len(t_s))
+    clock = RelearningClock()
+    for k in range(len(t_s)):
+        clock.push(t_s[k : k + 1], (values + noise)[k : k + 1, None])
+        if t_s[k] < 60.0 + 4.0 * 4.0:
+            assert clock.changes == 0
+    assert clock.changes == 1
+    assert clock.clock.reading(140.0).state is BreathState.LOCKED
+    rho = clock.clock.features(np.arange(110.0, 139.0, 0.1))[:, 1]
+    assert np.percentile(rho, [5, 99]) == pytest.approx([0.0, 1.0], abs=0.2)
+    assert np.isnan(clock.clock.features(np.array([59.0]))).all()
 
 
 def test_missing_samples_lose_it_and_bad_ones_are_refused() -> None:

@@ -1,0 +1,135 @@
+"""Evidence that a heart moves with the breath, from the poses of single beats alone.
+
+The poses of the last beats are fitted by a constant, a linear drift and one oscillation of all six
+coordinates, each beat with its own information,
+
+    ξ(t) = a + b t + c cos 2πft + d sin 2πft,
+
+for the frequencies of breathing. How much the oscillation lowers χ² is the evidence.
+"""
+
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from dvf_ig.core import FloatArray, read_only_arrays
+
+from .breathing import CONSTANT_MM
+from .pose_chart import PoseChart
+from .tracking.pose_estimate import BeatMeasurement
+
+LEAST_BEATS, MOST_BEATS = 16, 32
+"""Beats that are evidence of an oscillation, and that are remembered."""
+FREQUENCIES_HZ = np.arange(0.1, 0.56, 0.02)
+"""Six to 33 breaths a minute, at the resolution of MOST_BEATS."""
+BEATS_A_BREATH = 2.2
+"""Fewest beats a breath in which it is still seen."""
+OSCILLATION_MM = 5.0
+"""Prior SD of drift and oscillation."""
+FOUND, GONE = 80.0, 40.0
+"""Fall of χ² from which an oscillation is breathing, and below which it no longer is. Biases that change with
+the view oscillate with a sweeping probe, too (docs/theory/respiration.md)."""
+LEAST_MM, GONE_MM = 1.0, 0.7
+"""The same limits of the amplitude of the translation."""
+
+
+@read_only_arrays
+@dataclass(frozen=True, slots=True, eq=False)
+class BeatPose:
+    """Pose of one beat.
+
+    Attributes:
+        t_s: half-way through it.
+        information: (6, 6) J, 1/mm²; offset_information: (6,) J ξ, in one `PoseChart` for all beats.
+    """
+
+    t_s: float
+    information: FloatArray
+    offset_information: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Oscillation:
+    """Strongest oscillation of the poses of beats.
+
+    Attributes:
+        per_minute: its frequency; fall: of χ²; amplitude_mm: of the translation.
+    """
+
+    per_minute: float
+    fall: float
+    amplitude_mm: float
+
+    def is_breathing(self, *, before: bool) -> bool:
+        """Whether it is taken for breathing, `before`: also by the beats until the last."""
+        return self.fall >= (GONE if before else FOUND) and self.amplitude_mm >= LEAST_MM * (
+            0.7 if before else 1
+        )
+
+
+class OscillationWatch:
+    """Watch over the poses of successive beats.
+
+    Args:
+        center_mm: (3,) centre of the heart, model frame.
+    """
+
+    def __init__(self, center_mm: FloatArray) -> None:
+        self.found: Oscillation | None = None
+        """Breathing that the last beats show; None if they show none."""
+        self._center_mm = center_mm
+        self._chart: PoseChart | None = None
+        self._beats: deque[BeatPose] = deque(maxlen=MOST_BEATS)
+
+    def add(self, middle_s: float, measurement: BeatMeasurement) -> None:
+        """Add a beat that was compared with a pose, with the time half-way through it."""
+        if not measurement.informative or (self._beats and middle_s <= self._beats[-1].t_s):
+            return
+        if self._chart is None:
+            self._chart = PoseChart(measurement.pose, self._center_mm)
+        information = 0.5 * (measurement.information + measurement.information.T)
+        from_base_mm = self._chart.coordinates(measurement.pose)
+        offset = measurement.offset_information_mm + information @ from_base_mm
+        self._beats.append(BeatPose(middle_s, information, offset))
+        oscillation = strongest_oscillation(tuple(self._beats))
+        breathes = oscillation is not None and oscillation.is_breathing(before=self.found is not None)
+        self.found = oscillation if breathes else None
+
+    def restart(self) -> None:
+        """Forget the beats, since the heart has moved in another way; breathing that was found stays so."""
+        self._beats.clear()
+
+
+def strongest_oscillation(beats: tuple[BeatPose, ...]) -> Oscillation | None:
+    """Fit the oscillation of the lowest χ²; None from fewer than LEAST_BEATS."""
+    if len(beats) < LEAST_BEATS:
+        return None
+    t_s = np.array([beat.t_s for beat in beats])
+    information = np.array([beat.information for beat in beats])
+    offsets = np.array([beat.offset_information for beat in beats])
+    t_s = t_s - t_s.mean()
+    steady = np.stack([np.ones_like(t_s), t_s / t_s.std()], axis=1)
+    without, _ = _fit(steady, information, offsets)
+    fastest_hz = 1.0 / (BEATS_A_BREATH * float(np.median(np.diff(t_s))))
+    best = Oscillation(0.0, 0.0, 0.0)
+    for frequency_hz in FREQUENCIES_HZ[fastest_hz >= FREQUENCIES_HZ].tolist():
+        angle = 2.0 * np.pi * frequency_hz * t_s
+        waves = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        explained, b_mm = _fit(np.concatenate([steady, waves], axis=1), information, offsets)
+        if explained - without > best.fall:
+            amplitude_mm = float(np.linalg.norm(b_mm[2:, 3:]))
+            best = Oscillation(60.0 * frequency_hz, explained - without, amplitude_mm)
+    return best
+
+
+def _fit(features: FloatArray, information: FloatArray, offsets: FloatArray) -> tuple[float, FloatArray]:
+    """Fit B (p, 6) of ξ = Bᵀ f by ridge; also return the χ² that it explains."""
+    count = features.shape[1]
+    products = (features[:, :, None] * features[:, None, :]).reshape(len(features), -1)
+    normal = (products.T @ information.reshape(len(features), 36)).reshape(count, count, 6, 6)
+    prior = np.repeat([CONSTANT_MM**-2.0, *[OSCILLATION_MM**-2.0] * (count - 1)], 6)
+    matrix = normal.transpose(0, 2, 1, 3).reshape(6 * count, 6 * count) + np.diag(prior)
+    right = (features.T @ offsets).ravel()
+    solved = np.linalg.solve(matrix, right)
+    return float(right @ solved), solved.reshape(count, 6)
