@@ -1,15 +1,18 @@
-"""Commands killed or interrupted at random times while they write: their output must be old or new.
+"""Commands killed, interrupted, or left without a place while they write: their output must be old or new.
 
 A command runs up to the time at which it first makes a temporary file or folder; until then nothing of its
 output is touched. There it is forked repeatedly, and each child is ended at a random time until its end; then
-the output is examined as the next command would see it, and restored.
+the output is examined as the next command would see it, and restored. At last the disk is full, then the
+folder is read-only (both need the right to mount), and two processes write at once.
 """
 
 import json
+import math
 import os
 import random
 import shutil
 import signal
+import subprocess
 import tempfile
 import time
 import uuid
@@ -37,8 +40,27 @@ WRITERS = {
     "register": "register {scene} -o o/registered",
     "replay": "replay {scene} -o o/run",
     "study": "study calibration --kind watertank --seeds 1 --workers 1 -o o/study",
+    "calibrate device": "calibrate device {scene}/landmarks_tracker.mrk.json --touched "
+    "{scene}/landmarks_mr.mrk.json --max-residual-mm 50 -o o/device.json",
+    "gate --respiration": "gate --respiration csv:breath.csv -o o/gate.json",
+    "config schema": "config schema -o o/session.schema.json",
+    "model export": "model export model.npz --format stl -o o/surfaces",
+    "view": "view run -o o/run.html",
+    "view model": "view model.npz -o o/model.html",
+    "export slicer": "export slicer run --recording {scene} -o o/slicer",
+    "export mcap": "export mcap run -o o/run.mcap",
+    "export rerun": "export rerun run -o o/run.rrd",
 }
 """Command lines, each of which writes below the folder "o"."""
+MADE_BEFORE = {
+    "scene": "synth scenario --preset calm --seconds 8 --seed 101 -o scene",
+    "run": "replay scene -o run",
+    "model.npz": "model build --labels scene/preop/labels.nrrd --organ 1,2 -o model.npz",
+}
+"""Inputs, made if a chosen command names them."""
+PLACES = ("full disk", "read-only folder", "two processes")
+CANNOT_WRITE = 4
+"""Exit code of a command that cannot write."""
 State = dict[str, tuple[int, int, int]]
 
 
@@ -48,9 +70,14 @@ def fuzz_kill(trials: int, seed: int, chosen: list[str]) -> int:
     with tempfile.TemporaryDirectory() as scratch:
         os.chdir(scratch)
         scene = Path("scene")
-        if not (pid := os.fork()):
-            os._exit(_run(WRITERS["synth scenario"].format(n=101).replace("o/scene", "scene"), Path("log")))
-        os.waitpid(pid, 0)
+        for made, words in MADE_BEFORE.items():
+            if made == "scene" or any(made in WRITERS[name].split() for name in chosen):
+                if not (pid := os.fork()):
+                    os._exit(_run(words, Path("log")))
+                os.waitpid(pid, 0)
+        Path("breath.csv").write_text(
+            "t_s,chest_mm\n" + "".join(f"{k / 25},{5 * math.sin(k / 15):.3f}\n" for k in range(2000))
+        )
         for name in chosen:
             read_end, write_end = os.pipe()
             if not (pid := os.fork()):
@@ -61,7 +88,7 @@ def fuzz_kill(trials: int, seed: int, chosen: list[str]) -> int:
             os.waitpid(pid, 0)
             counts = json.loads(answer) if answer else {"failed": 1}
             print(f"{name}: {counts}", flush=True)
-            bad += counts.get("mixed", 0) + counts.get("damaged", 0) + counts.get("failed", 0)
+            bad += sum(counts.get(key, 0) for key in ("mixed", "damaged", "failed", "without a sentence"))
     return bad
 
 
@@ -125,8 +152,42 @@ def _forked(trials: int, rng: random.Random, answer: int) -> bool:
         lasts_s = _end(pid, signal.SIGINT if number % 2 else signal.SIGKILL, rng, lasts_s)
         counts["kills"] += 1
         _judge(old, new, counts)
+    counts["without a sentence"] = 0
+    for place in PLACES:
+        old = _put_back()
+        if (mounted := _mounted(place)) is None:
+            counts[f"no right to mount: {place}"] = 1
+            continue
+        before, children = _state(), []
+        for _ in range(2 if place == "two processes" else 1):
+            if not (pid := os.fork()):
+                return True
+            children.append(pid)
+        codes = [os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) for pid in children]
+        if mounted:
+            counts["mixed"] += _state() != before
+            subprocess.run(["umount", "o"], check=True)
+            counts["without a sentence"] += codes != [CANNOT_WRITE]
+        else:
+            counts["without a sentence"] += not set(codes) <= {0, CANNOT_WRITE} or 0 not in codes
+            _judge(old, new, counts)
+        counts[place] = codes[0] if len(codes) == 1 else sum(code == 0 for code in codes)
     os.write(answer, json.dumps({**counts, "writing lasts s": round(lasts_s, 2)}).encode())
     return False
+
+
+def _mounted(place: str) -> bool | None:
+    """Return whether a full or read-only disk takes the folder's place; None without the right to mount."""
+    if place == "two processes":
+        return False
+    options = "size=16k" if place == "full disk" else "size=16k,ro"
+    if subprocess.run(["mount", "-t", "tmpfs", "-o", options, "tmpfs", "o"], check=False).returncode:
+        return None
+    if place == "full disk":
+        with suppress(OSError), Path("o/other").open("wb", buffering=0) as stream:
+            while stream.write(bytes(4096)):
+                pass
+    return True
 
 
 def _end(pid: int, kind: signal.Signals, rng: random.Random, lasts_s: float) -> float:

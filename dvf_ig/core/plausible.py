@@ -116,6 +116,11 @@ def surface_problem(vertices_mm: Any) -> str | None:
     return _side_problem(vertices_mm, SURFACE_MM, "an organ's surface")
 
 
+def heart_problem(vertices_mm: Any) -> str | None:
+    """Say why (v, 3) vertices of a heart's outer surface cannot be in mm; None if they can."""
+    return _side_problem(vertices_mm, POSSIBLE_HEART_MM, "a heart's surface")
+
+
 def spread_problem(points_mm: Any) -> str | None:
     """Say why (n, 3) landmarks cannot be in mm; None if they can, or are fewer than three."""
     return _side_problem(points_mm, SPREAD_MM, "a set of landmarks") if len(points_mm) >= 3 else None

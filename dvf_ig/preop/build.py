@@ -23,6 +23,7 @@ from dvf_ig.core import (
     VolumeSeries,
     untold,
 )
+from dvf_ig.core.plausible import heart_problem
 from dvf_ig.core.space.frames import require_same_frame
 from dvf_ig.core.threads import thread_pool
 from dvf_ig.preop.spline.phase_fit import axis_solvers, fit_phase, sample_grid
@@ -239,6 +240,8 @@ def _labelled_mm3(labels: VolumeSeries, value: int | None) -> FloatArray | None:
 def _check_reference(reference: Sequence[Mesh], timing: CycleTiming, frame: str, name: str) -> None:
     if len(reference) != len(timing):
         raise InvalidInputError(f"{len(reference)} surfaces for {len(timing)} phases; needed one a phase")
+    if problem := heart_problem(np.concatenate([mesh.vertices_mm for mesh in reference])):
+        raise InvalidInputError(f"surface {name} {problem}")
     checked: set[int] = set()
     for i, mesh in enumerate(reference):
         require_same_frame(frame, mesh.frame, f"surface {name}, phase {i}")

@@ -91,6 +91,15 @@ def test_somebodys_file_stays(words: str, tmp_path: Path) -> None:
     assert contents(tmp_path) == {out.name: "mine"}
 
 
+@pytest.mark.parametrize("words", WRITERS)
+def test_a_name_that_no_file_can_have_is_refused_before_the_work(words: str, tmp_path: Path) -> None:
+    for name in ("x" * 300 + ENDINGS.get(words, "x"), "心臓" * 50 + ENDINGS.get(words, "x")):
+        done = CliRunner().invoke(app, invocation(words, tmp_path / name))
+        assert done.exit_code == 4, (name, done.output)
+        assert done.stderr.startswith("error: cannot write"), done.stderr
+        assert contents(tmp_path) == {}
+
+
 @pytest.mark.parametrize("words", [words for words in WRITERS if words.split()[0] in OF_ONE_FILE])
 @pytest.mark.parametrize("out", [".", "..", "folder"])
 def test_a_folder_is_no_file(words: str, out: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

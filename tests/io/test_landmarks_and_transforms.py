@@ -161,7 +161,7 @@ def test_points_of_a_table(tmp_path: Path, text: str, xyz: list[float]) -> None:
     [
         ("1,,3\n4,5,6\n", "line 1: a cell is empty"),
         ("x,y,w\n1,2,3\n", "columns \\(x, y, w\\); needed x,y,z"),
-        ("x,y,z\n1,2\n", "line 2: 2 cells, but 3 in the first row; needed"),
+        ("x,y,z\n1,2\n", "line 2: 2 cells under 3 names"),
         ("1,2,3,4\n", "has 4 columns"),
         ("x [km],y,z\n1,2,3\n", "column 1 is in 'km'"),
     ],

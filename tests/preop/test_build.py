@@ -1,5 +1,7 @@
 """From surfaces to a model and its check, on beating spheres."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -29,6 +31,12 @@ def test_model_describes_the_surface(model, beating_sphere):
     assert model.es_fraction == 0.3
     assert model.sources == ("balls",)
     assert np.array_equal(model.reference[1].vertices_mm, beating_sphere.vertices_mm[1])
+
+
+def test_a_heart_in_cm_is_no_model(beating_sphere: SurfaceSeries) -> None:
+    in_cm = replace(beating_sphere, vertices_mm=0.1 * beating_sphere.vertices_mm)
+    with pytest.raises(InvalidInputError, match=r"is 4 mm across.*it is in cm \(then 40 mm\)"):
+        model_from_surfaces(in_cm)
 
 
 def test_distance_and_gradient_of_each_phase_are_those_of_the_sphere(model):

@@ -44,7 +44,9 @@ _INTERVAL = re.compile(
     r"|(?P<each>\d+(?:\.\d+)?)\s*(?P<per>s|sec|ms|msec|us|usec)/sample",
     re.IGNORECASE,
 )
-_EMPTY = ("", "na", "n/a", "null", "none", "-", "--", "nan")
+_EMPTY = ("", "na", "n/a", "null", "none", "missing", "-", "--", "nan")
+_COMMENT = ("#", "%")
+_DECIMAL_COMMAS = re.compile(r"[-+]?\d+,\d+([eE][-+]?\d+)?")
 _LABCHART_NAMES, _LABCHART_RANGE, _LABCHART_UNITS = "ChannelTitle=", "Range=", "UnitName="
 
 
@@ -86,6 +88,8 @@ class Table:
         clocks: indices of columns with times of day or elapsed times, converted to s.
         rate_hz: sampling rate that the preamble states.
         mark: mark between cells.
+        lines: line number of each row.
+        preamble: lines before the rows that are no comments.
     """
 
     columns: tuple[Column, ...] | None
@@ -93,37 +97,44 @@ class Table:
     clocks: tuple[int, ...]
     rate_hz: float | None
     mark: str
+    lines: tuple[int, ...]
+    preamble: tuple[str, ...]
 
 
-def parse_table(path: Path, text: str) -> Table:
-    """Parse a text table.
+def parse_table(path: Path, text: str, *, least: int = 2) -> Table:
+    """Parse a text table of at least `least` rows.
 
     Raises:
-        UnreadableFileError: a line that is not understood, or two statements of a rate that differ.
+        UnreadableFileError: a line that is not understood, commas that may be decimal marks or separators, or
+            two statements of a rate that differ.
     """
     numbered = [(n, line.rstrip(" \r")) for n, line in enumerate(text.split("\n"), 1) if line.strip()]
     forced = re.fullmatch(r'"?sep=(.)"?', numbered[0][1]) if numbered else None
     numbered = numbered[1:] if forced else numbered
-    lines = [(n, line) for n, line in numbered if not line.lstrip().startswith("#")]
+    lines = [(n, line) for n, line in numbered if not line.lstrip().startswith(_COMMENT)]
     mark = forced[1] if forced else _separator([line for _, line in lines])
     first = next((i for i, (_, line) in enumerate(lines) if _is_row(line, mark)), len(lines))
     preamble, rows = lines[:first], lines[first:]
+    if mark == ",":
+        _require_clear_commas(path, lines)
     if mark == "," and _decimal_commas(preamble, [line for _, line in rows]):
         mark = ";"  # one column, whose commas are decimal marks
     width = len(_cells(rows[0][1], mark)) if rows else 0
     comments = [
-        line.lstrip("# \t")
+        line.lstrip("#% \t")
         for n, line in numbered
-        if line.lstrip()[0] == "#" and (not rows or n < rows[0][0])
+        if line.lstrip()[0] in _COMMENT and (not rows or n < rows[0][0])
     ]
     headings, units = _headings(path, preamble, comments, mark, width)
-    if len(rows) < 2:
-        raise UnreadableFileError(f"{path} has {len(rows)} samples; needed at least 2")
+    if len(rows) < least:
+        raise UnreadableFileError(f"{path} has {len(rows)} rows of numbers; needed at least {least}")
     values, clocks = _numbers(path, rows, mark)
-    if headings and len(headings) == values.shape[1] - 1 and np.isnan(values[:, -1]).all():
-        headings = [*headings, ""]  # a separator ends each row
+    if len(headings) in (0, values.shape[1] - 1) and all(line.endswith(mark) for _, line in rows):
+        values = values[:, :-1]  # a separator ends each row
     if headings and values.shape[1] != len(headings):
-        raise UnreadableFileError(f"{path}: {values.shape[1]} columns under {len(headings)} names")
+        raise UnreadableFileError(
+            f"{path}, line {rows[0][0]}: {values.shape[1]} cells under {len(headings)} names"
+        )
     columns = None
     if headings:
         units = units if len(units) == len(headings) else [""] * len(headings)
@@ -132,13 +143,14 @@ def parse_table(path: Path, text: str) -> Table:
             for heading, unit in zip(headings, units, strict=True)
         )
     stated_hz = _stated_hz(path, [*comments, *(line for _, line in preamble)])
-    return Table(columns, values, clocks, stated_hz, mark)
+    numbers = tuple(number for number, _ in rows)
+    return Table(columns, values, clocks, stated_hz, mark, numbers, tuple(line for _, line in preamble))
 
 
 def first_rows(text: str, rows: int) -> str | None:
     """Return the preamble and first rows of numbers of a table that grows; None if it has fewer rows yet."""
     lines = [line for line in text.split("\n") if line.strip()]
-    mark = _separator([line for line in lines if not line.lstrip().startswith("#")])
+    mark = _separator([line for line in lines if not line.lstrip().startswith(_COMMENT)])
     numbers = [i for i, line in enumerate(lines) if _is_row(line, mark)][:rows]
     return "\n".join([*lines[: numbers[0]], *(lines[i] for i in numbers)]) if len(numbers) == rows else None
 
@@ -187,6 +199,17 @@ def _decimal_commas(preamble: list[tuple[int, str]], rows: list[str]) -> bool:
     if preamble:
         return "," not in preamble[-1][1]
     return any(re.search(r",0\d|^\s*-0,", row) for row in rows)
+
+
+def _require_clear_commas(path: Path, lines: list[tuple[int, str]]) -> None:
+    """Refuse numbers such as "1,5 2,5", which may be two or four."""
+    for i, line in lines[:2]:
+        words = [word for word in line.split() if "," in word]
+        if len(line.split()) > 1 and words and all(_DECIMAL_COMMAS.fullmatch(word) for word in words):
+            raise UnreadableFileError(
+                f"{path}, line {i}: '{line[:40]}' may have decimal commas, or more numbers; write decimal "
+                "points"
+            )
 
 
 def _headings(
@@ -272,7 +295,7 @@ def _numbers(path: Path, rows: list[tuple[int, str]], mark: str) -> tuple[FloatA
         texts = [mark.join(cells) for cells in split]
     if mark != ",":
         texts = [text.replace(",", ".") for text in texts]
-    empty = re.compile(rf"(?:(?<={mark})|^) *(?:n/?a|null|none|--?)? *(?={mark}|$)", re.IGNORECASE)
+    empty = re.compile(rf"(?:(?<={mark})|^) *(?:n/?a|null|none|missing|--?)? *(?={mark}|$)", re.IGNORECASE)
     several = mark in texts[0]
     texts = [empty.sub("nan", text).replace('"', "") if several else text for text in texts]
     try:
@@ -282,7 +305,7 @@ def _numbers(path: Path, rows: list[tuple[int, str]], mark: str) -> tuple[FloatA
         for (number, line), text in zip(rows, texts, strict=True):
             if text.count(mark) != width:
                 raise UnreadableFileError(
-                    f"{path}, line {number}: {text.count(mark) + 1} cells, but the first row has {width + 1}"
+                    f"{path}, line {number}: {text.count(mark) + 1} cells, but {width + 1} in the first row"
                 ) from exc
             if not all(_is_plain_number(cell) for cell in text.split(mark)):
                 raise _not_numbers(path, number, line) from exc

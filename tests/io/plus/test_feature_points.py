@@ -26,9 +26,9 @@ def test_rows_find_their_frames_and_gaps_are_nan(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("", "no rows of numbers"),
+        ("", "has 0 rows of numbers"),
         ("x,y\n1,2\n", "columns x, y"),
-        (HEAD + "0,1\n", "line 2: 2 cells, but 3 in the first row; needed"),
+        (HEAD + "0,1\n", "line 2: 2 cells under 3 names"),
         (HEAD + "0,1,2\n1,one,2\n", "line 3"),
         (HEAD + "1.5,1,2\n", "not a frame number"),
         (HEAD + "0,1,2\n0,1,2\n", "twice"),

@@ -125,12 +125,13 @@ def test_a_sequence_in_metres_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "no rows of numbers"),
+        ("", "has 0 rows of numbers"),
         ("1 2 3\n", "has 3 columns"),
         ("1 2 3 0 0 0 9\n", "quaternion of row 1 has length 9"),
-        ("1 2 3 0 0 0 one\n", "line 1: 'one' is not a number"),
-        ("1 2 3 0 0 0 1\n1 2\n", "line 2: 2 cells, but 7 in the first row; needed"),
-        ("inf 2 3 0 0 0 1\n", "'inf' is not a number"),
+        ("1 2 3 0 0 0 one\n", "line 1: '1 2 3 0 0 0 one'; needed numbers"),
+        ("1 2 3 0 0 0 1\n1 2\n", "line 2: 2 cells, but 7 in the first row"),
+        ("inf 2 3 0 0 0 1\n", "line 1: a number is beyond"),
+        ("date = 3\n1 2 3 0 0 0 1\n", "'date = 3' is not a number"),
         ("1,5 2,5 3,5 0,0 0,0 0,0 1,0\n", "may have decimal commas"),
         ("t,x,y,z,qx,qy,qz,qw\nnan,1,2,3,0,0,0,1\n", "a time that is not finite"),
         ("x,y,z,qx,qy,qz\n1,2,3,0,0,0\n", "once \\(not qw\\)"),
