@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 settings.register_profile("dvf_ig", deadline=None, derandomize=True)
 settings.load_profile("dvf_ig")
+gc.disable()  # while tests are collected, which stay to the end
 
 REPO = Path(__file__).resolve().parent.parent
 SHARED = {"imaged": "one intervention", "anatomy": "one phantom"}
@@ -44,6 +45,7 @@ def pytest_collection_finish() -> None:
     """
     gc.freeze()
     gc.set_threshold(20_000, 20, 20)
+    gc.enable()
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -64,7 +64,7 @@ def read_only_arrays(cls: type[T]) -> type[T]:
     An array that anybody could still write to is copied once at construction; others are shared. The same
     holds for arrays within tuples and dicts, and after unpickling. Place it above `@dataclass`.
     """
-    names = [f.name for f in fields(cls)]  # type: ignore[arg-type]
+    names = [f.name for f in fields(cls) if f.type not in _NUMBERS]  # type: ignore[arg-type]
     restore = getattr(cls, "__setstate__", _restored)
     for method, original in (("__init__", cls.__init__), ("__setstate__", restore)):
         setattr(cls, method, _then_protect(original, names))
@@ -93,6 +93,8 @@ def _then_protect(method: Callable[..., None], names: list[str]) -> Callable[...
 
 
 _HOLDERS = (np.ndarray, tuple, dict)
+_NUMBERS = (bool, int, float, str)
+"""Types of fields that hold no array: they are not looked at."""
 
 
 def _protected(value: Any) -> Any:

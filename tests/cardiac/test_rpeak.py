@@ -33,11 +33,13 @@ def beats_ecg(r_s: FloatArray, rate_hz: float, duration_s: float, noise_mv: floa
 
 R_TRUE = np.cumsum(0.8 + 0.05 * np.sin(np.arange(20) * 0.9)) + 0.3
 ECG = beats_ecg(R_TRUE, 500.0, 18.0)
+FOUND = detect_r_peaks(ECG)
+SHORT = ECG.between(0.0, 9.0)
+FOUND_IN_SHORT = detect_r_peaks(SHORT)
 
 
 def test_every_beat_is_found_to_within_two_samples() -> None:
-    peaks = detect_r_peaks(ECG)
-    found = np.array([p.t_s for p in peaks])
+    found = np.array([p.t_s for p in FOUND])
     assert len(found) == len(R_TRUE)
     # 20 µV of noise moves the top of an 11 ms wide wave by less than a sample; two allow for the smoothing
     assert np.abs(found - R_TRUE).max() <= 2 / ECG.rate_hz
@@ -51,11 +53,11 @@ def test_sampling_rates(rate_hz: float) -> None:
 
 
 def test_knowledge_is_never_before_the_peak_and_comes_soon() -> None:
-    peaks = [p for p in detect_r_peaks(ECG) if p.t_s > 2.5]
+    peaks = [p for p in FOUND if p.t_s > 2.5]
     delays = np.array([p.detected_at_s - p.t_s for p in peaks])
     assert (delays > 0).all()
     assert np.percentile(delays, 95) < 0.2
-    early = [p for p in detect_r_peaks(ECG) if p.t_s < 1.8]
+    early = [p for p in FOUND if p.t_s < 1.8]
     assert early
     assert all(p.detected_at_s >= 1.99 for p in early), "beats of the learning time are known only after it"
 
@@ -63,31 +65,31 @@ def test_knowledge_is_never_before_the_peak_and_comes_soon() -> None:
 @settings(max_examples=25)
 @given(st.lists(st.integers(1, 700), min_size=1, max_size=40))
 def test_any_chunking_gives_the_same_peaks(sizes: list[int]) -> None:
-    whole = detect_r_peaks(ECG)
-    detector = RPeakDetector(ECG.rate_hz, 2)
+    detector = RPeakDetector(SHORT.rate_hz, 2)
     first, pieces, k = 0, [], 0
-    while first < len(ECG):
+    while first < len(SHORT):
         size = sizes[k % len(sizes)]
-        pieces += detector.push(ECG.samples[first : first + size], first / ECG.rate_hz)
+        pieces += detector.push(SHORT.samples[first : first + size], first / SHORT.rate_hz)
         first, k = first + size, k + 1
-    assert tuple(pieces) == whole
+    assert tuple(pieces) == FOUND_IN_SHORT
+    assert len(pieces) > 8
 
 
 @settings(max_examples=20)
-@given(st.floats(2.5, 17.5))
+@given(st.floats(2.5, 8.5))
 def test_a_prefix_knows_exactly_what_was_detected_in_it(stop_s: float) -> None:
     prefix = ECG.between(0.0, stop_s)
     last = (len(prefix) - 1) / ECG.rate_hz
-    expected = tuple(p for p in detect_r_peaks(ECG) if p.detected_at_s <= last)
+    expected = tuple(p for p in FOUND if p.detected_at_s <= last)
     assert detect_r_peaks(prefix) == expected
 
 
 @given(st.floats(0.01, 1000.0))
 @settings(max_examples=10)
 def test_gain_does_not_matter(gain: float) -> None:
-    scaled = Signal(ECG.samples * gain, ECG.rate_hz, 0.0, ECG.leads)
+    scaled = Signal(SHORT.samples * gain, SHORT.rate_hz, 0.0, SHORT.leads)
     found = np.array([p.t_s for p in detect_r_peaks(scaled)])
-    assert np.allclose(found, [p.t_s for p in detect_r_peaks(ECG)], atol=1 / ECG.rate_hz)
+    assert np.allclose(found, [p.t_s for p in FOUND_IN_SHORT], atol=1 / SHORT.rate_hz)
 
 
 def test_one_dead_lead_of_two_changes_nothing_much() -> None:
@@ -180,16 +182,21 @@ def matched(found: FloatArray, truth: FloatArray, window_s: float) -> int:
     return count
 
 
+END_S = 599.5
+"""A later beat is known after the ten minutes."""
+
+
 @pytest.mark.parametrize(
     ("record", "se_150", "ppv_150", "se_50"),
-    # measured on the whole record, with room for 0.2 % more mistakes
+    # measured on the whole record, with room for 0.2 % more mistakes; its first ten minutes keep to it
     [("106", 0.981, 0.993, 0.967), ("119", 0.998, 0.998, 0.998), ("220", 0.998, 0.998, 0.998)],
 )
 def test_annotated_records(data_dir: Path, record: str, se_150: float, ppv_150: float, se_50: float) -> None:
     pytest.importorskip("wfdb")
     spec = f"wfdb:{data_dir / 'mitdb-ds1' / record}"
+    peaks = [p for p in detect_r_peaks(read_ecg(spec).between(0.0, 600.0)) if p.t_s < END_S]
     truth = read_annotations(spec).t_s
-    peaks = detect_r_peaks(read_ecg(spec))
+    truth = truth[truth < END_S]
     found = np.array([p.t_s for p in peaks])
     assert matched(found, truth, 0.15) / len(truth) >= se_150
     assert matched(found, truth, 0.15) / len(found) >= ppv_150

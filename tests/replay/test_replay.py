@@ -69,12 +69,12 @@ def test_estimates_do_not_read_the_truth(scenario: Scenario, replay: Replay) -> 
     assert result["force_error_n"] is None
 
 
-@pytest.mark.parametrize(("ecg_chunk", "further_s"), [(1, 3.0), (1000, 1.5)])
+@pytest.mark.parametrize("ecg_chunk", [1, 1000])
 def test_neither_the_future_nor_how_the_streams_are_cut_changes_anything(
-    scenario: Scenario, replay: Replay, ecg_chunk: int, further_s: float, monkeypatch: pytest.MonkeyPatch
+    scenario: Scenario, replay: Replay, ecg_chunk: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("dvf_ig.replay.engine.events_of", partial(events_of, ecg_chunk=ecg_chunk))
-    until = float(replay.poses[0][0]) + further_s
+    until = float(replay.poses[0][0]) + 1.5
     cut = run_replay(_cut(scenario, until), model=replay.heart.model, seed=0)
     _same_until(replay, cut, until - 0.01)
 
