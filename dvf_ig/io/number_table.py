@@ -11,8 +11,8 @@ from dvf_ig.core import read_only_arrays
 from dvf_ig.core.arrays import FloatArray
 from dvf_ig.core.errors import UnreadableFileError
 
-from .ecg.table_text import parse_table
 from .reading import read_text
+from .table_text import parse_table
 
 LARGEST = 1e12
 """Largest number in a table; squares of larger ones may overflow."""
@@ -40,7 +40,7 @@ class NumberTable:
 def read_number_table(path: Path, what: str) -> NumberTable:
     """Read a table of numbers whose rows all have the same number of cells.
 
-    The parser is that of recorded signals (`ecg.table_text`); apart from comments only the names of the
+    The parser is that of recorded signals (`table_text`); apart from comments only the names of the
     columns may come before the numbers.
 
     Raises:

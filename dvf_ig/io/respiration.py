@@ -11,11 +11,11 @@ from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
 from dvf_ig.core.recordings.respiration import Respiration
 from dvf_ig.core.recordings.signal import Signal
 from dvf_ig.io import limits
-from dvf_ig.io.ecg.table_text import parse_table
 from dvf_ig.io.ecg.trigger import EcgName
 from dvf_ig.io.ecg.wfdb import existing_record, quiet, wfdb_package
 from dvf_ig.io.plus.poses import read_poses
 from dvf_ig.io.reading import read_text, reading
+from dvf_ig.io.table_text import parse_table
 from dvf_ig.io.writing.atomic import write_text
 
 log = logging.getLogger(__name__)

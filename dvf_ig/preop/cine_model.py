@@ -21,6 +21,7 @@ from dvf_ig.core import (
     read_only_arrays,
     untold,
 )
+from dvf_ig.preop.components import largest_component
 from dvf_ig.preop.motion.base_descent import BaseDescent, base_descent, propagate_through, usual_descent
 from dvf_ig.preop.motion.cavity import cavity_volumes_mm3
 from dvf_ig.preop.motion.cycle import CycleMotion, MotionOptions, propagate_surface, track_cycle
@@ -29,7 +30,6 @@ from dvf_ig.preop.motion.quality import MotionQuality, assess_motion
 from dvf_ig.preop.motion.slice_phases import SlicePhases, retimed, slice_phases
 from dvf_ig.preop.motion.slice_shifts import SliceShifts, slice_shifts
 from dvf_ig.preop.motion.slice_stack import observable_axes
-from dvf_ig.preop.segment.components import largest_component
 from dvf_ig.preop.surface.between_slices import between_slices
 from dvf_ig.preop.surface.budget import SurfaceBudget, surface_budget
 from dvf_ig.preop.surface.chambers import chamber_of, label_name

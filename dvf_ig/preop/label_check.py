@@ -16,9 +16,9 @@ from dvf_ig.core import (
     read_only_arrays,
 )
 from dvf_ig.core.space.frames import require_same_frame
+from dvf_ig.preop.components import largest_component
 from dvf_ig.preop.distance.triangle_tree import build_triangle_tree
 from dvf_ig.preop.motion.quality import dice
-from dvf_ig.preop.segment.components import largest_component
 from dvf_ig.preop.spline.field import SplineField
 from dvf_ig.preop.surface.from_labels import surface_of_mask
 

@@ -12,14 +12,10 @@ import numpy as np
 
 from dvf_ig.core.arrays import FloatArray
 from dvf_ig.core.errors import UnreadableFileError
+from dvf_ig.io.table_text import IN_ONE_MV, UNSTATED
 
 log = logging.getLogger(__name__)
 
-IN_ONE_MV = {"mv": 1.0, "millivolt": 1.0, "millivolts": 1.0, "v": 1e-3, "volt": 1e-3, "volts": 1e-3}
-IN_ONE_MV |= {"uv": 1e3, "µv": 1e3, "μv": 1e3, "microvolt": 1e3, "microvolts": 1e3, "nv": 1e6}
-"""How many of a unit are 1 mV."""
-UNSTATED = ("", "unknown", "nu", "adu", "a.u.", "au", "n/a", "none", "-", "counts", "count", "bit", "bits")
-"""Units that state no quantity, in lower case; NU is PhysioNet's "no unit"."""
 UNKNOWN_UNIT = "unknown"
 _SPLIT = re.compile(r"[^a-z0-9]+")
 _ECG_WORDS = re.compile(

@@ -14,10 +14,11 @@ from dvf_ig.core.recordings.signal import Signal
 from dvf_ig.io import limits
 from dvf_ig.io.plus.ecg_field import read_ecg_field
 from dvf_ig.io.reading import reading
+from dvf_ig.io.table_text import IN_ONE_MV
 from dvf_ig.io.writing.atomic import write_text
 
 from .edf import read_edf
-from .leads import IN_ONE_MV, Channel, choose_leads, swing_of
+from .leads import Channel, choose_leads, swing_of
 from .text_table import read_ecg_table
 from .wfdb import read_wfdb
 

@@ -16,14 +16,14 @@ from dvf_ig.core.errors import UnreadableFileError
 from dvf_ig.core.plausible import ECG_RATE_HZ, ECG_SWING_MV
 from dvf_ig.core.recordings.signal import Signal
 from dvf_ig.io import limits
+from dvf_ig.io.clock_times import past_midnight
 from dvf_ig.io.json_file import read_json
 from dvf_ig.io.reading import decode_text, read_bytes, read_text
+from dvf_ig.io.table_text import IN_ONE_MV, IN_ONE_SECOND, Column, Table, numbers_of, parse_table
 
-from .clock_times import past_midnight
 from .even_rate import even_rate_hz
-from .leads import IN_ONE_MV, UNKNOWN_UNIT, Channel, choose_leads, in_millivolts, swing_of
+from .leads import UNKNOWN_UNIT, Channel, choose_leads, in_millivolts, swing_of
 from .pmu_log import is_pmu_log, read_pmu_log
-from .table_text import IN_ONE_SECOND, Column, Table, numbers_of, parse_table
 
 log = logging.getLogger(__name__)
 

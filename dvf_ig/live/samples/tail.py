@@ -13,9 +13,9 @@ from typing import BinaryIO
 
 from dvf_ig.core import FloatArray, InvalidInputError, UnreadableFileError
 from dvf_ig.io.ecg.edf import EdfRecords
-from dvf_ig.io.ecg.table_text import first_rows
 from dvf_ig.io.ecg.text_table import LeadColumns
 from dvf_ig.io.reading import decode_text
+from dvf_ig.io.table_text import first_rows
 from dvf_ig.session import EcgSamples
 
 from .batches import BatchClock, plausible

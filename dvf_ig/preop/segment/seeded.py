@@ -14,10 +14,9 @@ from scipy.sparse import csr_array
 
 from dvf_ig.core import BoolArray, FloatArray, Grid, IntArray, InvalidInputError, Seeds, Volume
 from dvf_ig.core.space.frames import require_same_frame
+from dvf_ig.preop.components import largest_component
 from dvf_ig.preop.conjugate_gradients import conjugate_gradients
 from dvf_ig.preop.motion.image_match import blurred
-
-from .components import largest_component
 
 BACKGROUND, WALL, CAVITY = 0, 1, 2
 BACKGROUND_MARKER, HEART_MARKER, CAVITY_MARKER = 1, 2, 3

@@ -18,7 +18,7 @@ from dvf_ig.core import (
 )
 from dvf_ig.core.space.mesh import enclosed_volume_mm3
 from dvf_ig.core.threads import thread_pool
-from dvf_ig.preop.segment.components import largest_component
+from dvf_ig.preop.components import largest_component
 
 SMOOTHING_VOXELS = 1.0
 """Standard deviation of the Gaussian, in voxels of the geometric-mean size."""
