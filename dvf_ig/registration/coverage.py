@@ -66,7 +66,7 @@ class CoveredPart:
         grid: of `compared_voxels`, which ends where the images do.
         compared_voxels: (nx, ny, nz) of the heart at any phase and RIM_MM around it.
         surface_mm: (k, 3) points of the heart's surface at end-diastole within the images.
-        views: whether long-axis views show the heart beyond the ends of a stack (see `long_axis`).
+        views: whether long-axis views show the heart beyond the ends of a stack.
     """
 
     grid: Grid
@@ -97,6 +97,16 @@ class CoveredPart:
             i, j, k = np.clip(index, 0, last)
             mask &= padded[i, j, k].reshape(rows, columns)
         return replace(slices, images=np.where(masks, slices.images, np.float32(0)), masks=masks)
+
+    def extended(self, labels: VolumeSeries, known: BoolArray) -> "CoveredPart":
+        """The covered part with what long-axis views show beyond the ends of a stack.
+
+        Its surface, of which a sweep is to image enough, remains that of the stack.
+
+        Args:
+            labels: of stack and views; known: (nx, ny, nz) their voxels that an image shows.
+        """
+        return CoveredPart(labels.grid, _near_heart(labels) & known, self.surface_mm, views=True)
 
     def imaged_by(self, slices: SliceSet, pose: Rigid) -> Coverage:
         """Share of the surface near which slices have pixels at a pose."""
@@ -129,11 +139,15 @@ def covered_part(labels: VolumeSeries, surface_mm: FloatArray) -> CoveredPart:
         surface_mm: as for `ends_within`.
     """
     grid = labels.grid
-    heart = (labels.values != 0).any(axis=0)
-    outside_mm = ndimage.distance_transform_edt(~heart, sampling=grid.spacing_mm)
     inside = surface_mm[grid.holds(grid.to_index(surface_mm))]
     _, first = np.unique(np.floor(inside / (0.5 * CELL_MM)), axis=0, return_index=True)
-    return CoveredPart(grid, np.asarray(outside_mm <= RIM_MM), inside[first])
+    return CoveredPart(grid, _near_heart(labels), inside[first])
+
+
+def _near_heart(labels: VolumeSeries) -> BoolArray:
+    heart = (labels.values != 0).any(axis=0)
+    outside_mm = ndimage.distance_transform_edt(~heart, sampling=labels.grid.spacing_mm)
+    return np.asarray(outside_mm <= RIM_MM)
 
 
 def _cells_of(slices: SliceSet, pose: Rigid) -> set[tuple[int, ...]]:
