@@ -131,17 +131,19 @@ def ends_within(images: Grid, surface_mm: FloatArray) -> bool:
     return bool(inside.any() and not inside.all())
 
 
-def covered_part(labels: VolumeSeries, surface_mm: FloatArray) -> CoveredPart:
+def covered_part(labels: VolumeSeries, surface_mm: FloatArray, shown: BoolArray | None = None) -> CoveredPart:
     """The covered part of a heart.
 
     Args:
         labels: of the heart at every phase (0 outside), on a grid that ends where the images do.
         surface_mm: as for `ends_within`.
+        shown: (n, nx, ny, nz) voxels in which labels are known, at each phase; compared is what always is.
     """
     grid = labels.grid
     inside = surface_mm[grid.holds(grid.to_index(surface_mm))]
     _, first = np.unique(np.floor(inside / (0.5 * CELL_MM)), axis=0, return_index=True)
-    return CoveredPart(grid, _near_heart(labels), inside[first])
+    compared = _near_heart(labels)
+    return CoveredPart(grid, compared if shown is None else compared & shown.all(axis=0), inside[first])
 
 
 def _near_heart(labels: VolumeSeries) -> BoolArray:

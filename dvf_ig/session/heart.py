@@ -7,11 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from dvf_ig.core import (
+    BoolArray,
     DvfModel,
     FloatArray,
     Grid,
     InvalidInputError,
     Preop,
+    SeenPart,
     VolumeSeries,
     read_only_arrays,
     require_same_frame,
@@ -121,10 +123,11 @@ def build_heart(
     covered = None
     if preop.mr is not None and partly:
         labels = label_map_of_model(model, preop.mr.grid)
-        covered = covered_part(labels, vertices)
+        shown = _shown(labels, model.seen)
+        covered = covered_part(labels, vertices, shown)
         if _is_stack(preop.mr.grid) and preop.views:
             shifts_mm = _view_shifts_mm(preop.mr, preop.views, labels, model.ed_phase)
-            extended = beyond_stack(labels, preop.views, shifts_mm)
+            extended = beyond_stack(labels, shown, preop.views, shifts_mm)
             if extended is not None:
                 covered = covered.extended(extended.labels, extended.known)
                 labels = extended.labels
@@ -143,6 +146,14 @@ def build_heart(
             channels = channels_from_labels(labels, smoothing_mm=smoothing_mm)
         surface = target.result() if target is not None else None
     return Heart(model, channels, center, surface, grey, covered)
+
+
+def _shown(labels: VolumeSeries, seen: SeenPart | None) -> BoolArray:
+    """(n, nx, ny, nz) voxels at the heights at which slices show the heart, at each phase."""
+    if seen is None:
+        return np.ones(labels.values.shape, dtype=np.bool_)
+    centers_mm = labels.grid.centers_mm()
+    return np.stack([seen.holds(centers_mm, phase) for phase in range(len(labels.timing))])
 
 
 def _view_shifts_mm(

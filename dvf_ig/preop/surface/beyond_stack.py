@@ -17,7 +17,6 @@ from dvf_ig.core import (
     BoolArray,
     FloatArray,
     Grid,
-    IntArray,
     VolumeSeries,
     nearest_phase,
     read_only_arrays,
@@ -59,14 +58,16 @@ class ExtendedLabels:
 
 
 def beyond_stack(
-    labels: VolumeSeries, views: Sequence[VolumeSeries], shifts_mm: FloatArray
+    labels: VolumeSeries, shown: BoolArray, views: Sequence[VolumeSeries], shifts_mm: FloatArray
 ) -> ExtendedLabels | None:
-    """Extend the labels of a stack by what its long-axis views show beyond its ends.
+    """Extend the labels of a stack by what its long-axis views show beyond it.
 
     A view that does not show blood and wall within the stack adds nothing; None if no view does.
 
     Args:
         labels: 0 outside, 1 wall, 2 blood, on a grid whose last axis is the stack's normal.
+        shown: (n, nx, ny, nz) voxels in which they are known, at each phase: what follows the base into the
+            stack in systole is not labelled.
         views: one slice each.
         shifts_mm: (v, 3) displacement of the heart in each view from where the labels have it.
     """
@@ -76,33 +77,33 @@ def beyond_stack(
     grid = _lengthened(stack, beyond)
     beside = _beside_outline(labels)
     wanted = np.repeat(beside[:, :, None], grid.shape[2], axis=2)
-    wanted[:, :, inner] = False
+    wanted[:, :, inner] &= ~shown.all(axis=0)
     places_mm = grid.centers_mm()[wanted]
     depth_mm = np.zeros((len(labels.timing), len(places_mm)), dtype=np.float32)
     weights = np.zeros(len(places_mm), dtype=np.float32)
     nearest_mm = np.full(len(places_mm), np.inf)
     for view, shift_mm in zip(views, shifts_mm, strict=True):
         require_same_frame(stack.frame, view.grid.frame, "a long-axis view of a short-axis stack")
-        depths = _depths_in_view(labels, view, shift_mm, beside)
+        depths = _depths_in_view(labels, shown, view, shift_mm, beside)
         if depths is None:
             continue
         index = view.grid.to_index(places_mm + shift_mm)
         apart_mm = np.abs(index[:, 2]) * float(view.grid.spacing_mm[2])
         last = np.array(view.grid.shape[:2]) - 1.0
-        shown = ((index[:, :2] >= 0.0) & (index[:, :2] <= last)).all(axis=1)
-        weight = shown * np.maximum(apart_mm, LEAST_APART_MM) ** -NEARNESS_POWER
+        inside = ((index[:, :2] >= 0.0) & (index[:, :2] <= last)).all(axis=1)
+        weight = inside * np.maximum(apart_mm, LEAST_APART_MM) ** -NEARNESS_POWER
         for i, depth in enumerate(depths):
             depth_mm[i] += weight * ndimage.map_coordinates(depth, index[:, :2].T, order=1, mode="nearest")
         weights += weight
-        nearest_mm = np.where(shown, np.minimum(nearest_mm, apart_mm), nearest_mm)
+        nearest_mm = np.where(inside, np.minimum(nearest_mm, apart_mm), nearest_mm)
     if not (nearest_mm <= KNOWN_MM).any():
         return None
     depth_mm = np.where(weights > 0, depth_mm / np.maximum(weights, 1e-12), -np.inf)
     values = np.zeros((len(labels.timing), *grid.shape), dtype=np.uint8)
-    values[:, :, :, inner] = labels.values
     values[:, wanted] = np.where(depth_mm > 0.0, BLOOD, np.where(depth_mm > -WALL_MM, WALL, 0))
+    values[:, :, :, inner] = np.where(shown, labels.values, values[:, :, :, inner])
     known = np.zeros(grid.shape, dtype=np.bool_)
-    known[:, :, inner] = True
+    known[:, :, inner] = shown.all(axis=0)
     known[wanted] = nearest_mm <= KNOWN_MM
     return ExtendedLabels(VolumeSeries(grid, values, labels.timing), known)
 
@@ -122,32 +123,27 @@ def _beside_outline(labels: VolumeSeries) -> BoolArray:
 
 
 def _depths_in_view(
-    labels: VolumeSeries, view: VolumeSeries, shift_mm: FloatArray, beside: BoolArray
+    labels: VolumeSeries, shown: BoolArray, view: VolumeSeries, shift_mm: FloatArray, beside: BoolArray
 ) -> list[FloatArray] | None:
     """Signed depth within the blood of a view at every phase of the labels; None without blood and wall."""
     index = labels.grid.to_index(view.grid.centers_mm()[:, :, 0] - shift_mm)
-    in_stack = labels.grid.holds(index, margin=0.5)
     nearest = np.clip(np.rint(index), 0, np.array(labels.grid.shape) - 1).astype(np.int64)
-    looked_at = beside[nearest[..., 0], nearest[..., 1]] & ~in_stack
+    at = tuple(np.moveaxis(nearest, -1, 0))
+    in_stack = labels.grid.holds(index, margin=0.5) & shown[:, *at]
+    looked_at = beside[at[:2]]
     looked_at &= ((index[..., :2] > -0.5) & (index[..., :2] < np.array(beside.shape) - 0.5)).all(axis=-1)
+    known = labels.values[:, *at] * in_stack
     numbers = nearest_phase(view.timing.fractions, labels.timing.fractions)
-    first = _in_view(labels, 0, nearest, in_stack)
     levels = _smooth(view, int(numbers[0]))
-    if not (first == BLOOD).any() or not (first == WALL).any():
+    if not (known[0] == BLOOD).any() or not (known[0] == WALL).any():
         return None
-    blood, wall = (float(np.median(levels[first == code])) for code in (BLOOD, WALL))
+    blood, wall = (float(np.median(levels[known[0] == code])) for code in (BLOOD, WALL))
     threshold = wall + LEVEL * (blood - wall)
     depths = []
     for i, number in enumerate(numbers.tolist()):
-        ventricles = _in_view(labels, i, nearest, in_stack) == BLOOD
-        bright = (_smooth(view, number) > threshold) & looked_at
-        depths.append(_depth_mm(ventricles, bright & ~in_stack, view.grid.spacing_mm[:2]))
+        bright = (_smooth(view, number) > threshold) & looked_at & ~in_stack[i]
+        depths.append(_depth_mm(known[i] == BLOOD, bright, view.grid.spacing_mm[:2]))
     return depths
-
-
-def _in_view(labels: VolumeSeries, phase: int, nearest: IntArray, in_stack: BoolArray) -> IntArray:
-    """(rows, columns) of a view: labels of the stack there, 0 beyond it."""
-    return np.asarray(labels.values[phase][tuple(np.moveaxis(nearest, -1, 0))] * in_stack)
 
 
 def _smooth(view: VolumeSeries, phase: int) -> FloatArray:

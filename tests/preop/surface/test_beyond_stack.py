@@ -17,6 +17,7 @@ VIEW = Grid(
     np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]),
 )
 """A view in the plane y = 24: x along its first axis, z from −40 to 49 mm along its second."""
+SHOWN = np.ones((4, *STACK.shape), dtype=np.bool_)
 BLOOD, WALL, AROUND = 800.0, 300.0, 350.0
 
 
@@ -49,7 +50,7 @@ def view(grid: Grid = VIEW, shift_mm: FloatArray | None = None) -> VolumeSeries:
 
 def extended(one: VolumeSeries, shift_mm: FloatArray | None = None) -> ExtendedLabels:
     shifts = np.zeros((1, 3)) if shift_mm is None else shift_mm[None]
-    found = beyond_stack(labels(), [one], shifts)
+    found = beyond_stack(labels(), SHOWN, [one], shifts)
     assert found is not None
     return found
 
@@ -97,7 +98,24 @@ def test_views_that_miss_the_heart_add_nothing_and_another_frame_is_refused() ->
     away = Grid(
         "mr", VIEW.shape, VIEW.origin_mm + np.array([0.0, 90.0, 0.0]), VIEW.spacing_mm, VIEW.direction
     )
-    assert beyond_stack(labels(), [view(away)], np.zeros((1, 3))) is None
+    assert beyond_stack(labels(), SHOWN, [view(away)], np.zeros((1, 3))) is None
     ct = Grid("ct", VIEW.shape, VIEW.origin_mm, VIEW.spacing_mm, VIEW.direction)
     with pytest.raises(FrameMismatchError, match="long-axis view"):
-        beyond_stack(labels(), [view(ct)], np.zeros((1, 3)))
+        beyond_stack(labels(), SHOWN, [view(ct)], np.zeros((1, 3)))
+
+
+def test_what_follows_the_base_into_the_stack_is_taken_from_the_view() -> None:
+    shown = SHOWN.copy()
+    shown[2, :, :, 7:] = False  # above 13 mm, in one phase
+    found = beyond_stack(labels(), shown, [view()], np.zeros((1, 3)))
+    assert found is not None
+    at = found.labels.grid.centers_mm()
+    plane = (np.abs(at[..., 1] - 24.0) < 1.0) & (at[..., 2] > 13.0) & (at[..., 2] < 18.5)
+    ventricle = np.abs(at[plane][:, 0] - 24.0)
+    # the view's own outline of what is a ventricle there, and its wall of atria around it
+    assert (found.labels.values[2, plane][ventricle < 6.0] == 2).all()
+    assert (found.labels.values[2, plane][ventricle > 12.0] == 0).all()
+    np.testing.assert_array_equal(found.labels.values[0, plane], extended(view()).labels.values[0, plane])
+    assert found.known[plane & (np.abs(at[..., 0] - 24.0) < 10.0)].all()
+    away = (np.abs(at[..., 1] - 24.0) > KNOWN_MM) & (at[..., 2] > 13.0)
+    assert not found.known[away].any()
