@@ -27,11 +27,10 @@ BEYOND_MM = 56.0
 """How far beyond the stack views are looked at: atria reach 40 to 50 mm above the mitral plane."""
 ASIDE_MM = 10.0
 """How far outside the heart's outline, seen along the stack's normal, they are."""
-KNOWN_MM = 6.0
-"""Distance from a view's plane up to which the heart is known: half of a slice, and what varies little."""
-LEVEL = 0.6
-"""Blood is what is brighter than this share of the way from wall to blood. The pose of heart 2002 is 2.3 mm
-off with 0.65, 2.5 with 0.5, 2.7 with 0.35, and 1.6 with true outlines."""
+KNOWN_MM = 4.0
+"""Distance from a view's plane up to which the heart is known: half the usual thickness of a slice."""
+LEVEL = 0.5
+"""Blood is what is brighter than this share of the way from wall to blood."""
 SMOOTHING_PIXELS = 0.7
 """Standard deviation of the Gaussian on a view."""
 LEAST_DEPTH_MM = 4.0
