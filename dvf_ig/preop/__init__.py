@@ -63,6 +63,8 @@ from .spline.fit import fit_coefficients as fit_coefficients
 from .spline.fit import fit_weighted as fit_weighted
 from .spline.fit import surface_weights as surface_weights
 from .spline.volume import distance_volume as distance_volume
+from .surface.beyond_stack import ExtendedLabels as ExtendedLabels
+from .surface.beyond_stack import beyond_stack as beyond_stack
 from .surface.budget import SurfaceBudget as SurfaceBudget
 from .surface.budget import surface_budget as surface_budget
 from .surface.chambers import CHAMBER_SURFACES as CHAMBER_SURFACES

@@ -65,7 +65,6 @@ from .lc2.slices import prepare_slices as prepare_slices
 from .lc2.slices import prepare_volumes as prepare_volumes
 from .lc2.slices import slices_of_volume as slices_of_volume
 from .lc2.slices import subsample as subsample
-from .long_axis import with_long_axis_views as with_long_axis_views
 from .pairs.pair import register_pair as register_pair
 from .pose_chart import PoseChart as PoseChart
 from .pose_chart import covariance_to_mm as covariance_to_mm

@@ -66,7 +66,7 @@ class CoveredPart:
         grid: of `compared_voxels`, which ends where the images do.
         compared_voxels: (nx, ny, nz) of the heart at any phase and RIM_MM around it.
         surface_mm: (k, 3) points of the heart's surface at end-diastole within the images.
-        views: whether long-axis views show the heart beyond the ends of a stack (see `long_axis`).
+        views: whether long-axis views show the heart beyond the ends of a stack.
     """
 
     grid: Grid
@@ -98,6 +98,23 @@ class CoveredPart:
             mask &= padded[i, j, k].reshape(rows, columns)
         return replace(slices, images=np.where(masks, slices.images, np.float32(0)), masks=masks)
 
+    def holds(self, points_mm: FloatArray) -> BoolArray:
+        """(n,) whether (n, 3) points in the model's frame lie in the covered part."""
+        index = self.grid.to_index(points_mm)
+        last = np.array(self.grid.shape) - 1
+        i, j, k = np.clip(np.rint(index), 0, last).astype(np.int64).T
+        return np.asarray(self.grid.holds(index) & self.compared_voxels[i, j, k])
+
+    def extended(self, labels: VolumeSeries, known: BoolArray) -> "CoveredPart":
+        """The covered part with what long-axis views show beyond the ends of a stack.
+
+        Its surface, of which a sweep is to image enough, remains that of the stack.
+
+        Args:
+            labels: of stack and views; known: (nx, ny, nz) their voxels that an image shows.
+        """
+        return CoveredPart(labels.grid, _near_heart(labels) & known, self.surface_mm, views=True)
+
     def imaged_by(self, slices: SliceSet, pose: Rigid) -> Coverage:
         """Share of the surface near which slices have pixels at a pose."""
         seen = _cells_of(slices, pose)
@@ -121,19 +138,25 @@ def ends_within(images: Grid, surface_mm: FloatArray) -> bool:
     return bool(inside.any() and not inside.all())
 
 
-def covered_part(labels: VolumeSeries, surface_mm: FloatArray) -> CoveredPart:
+def covered_part(labels: VolumeSeries, surface_mm: FloatArray, shown: BoolArray | None = None) -> CoveredPart:
     """The covered part of a heart.
 
     Args:
         labels: of the heart at every phase (0 outside), on a grid that ends where the images do.
         surface_mm: as for `ends_within`.
+        shown: (n, nx, ny, nz) voxels in which labels are known, at each phase; compared is what always is.
     """
     grid = labels.grid
-    heart = (labels.values != 0).any(axis=0)
-    outside_mm = ndimage.distance_transform_edt(~heart, sampling=grid.spacing_mm)
     inside = surface_mm[grid.holds(grid.to_index(surface_mm))]
     _, first = np.unique(np.floor(inside / (0.5 * CELL_MM)), axis=0, return_index=True)
-    return CoveredPart(grid, np.asarray(outside_mm <= RIM_MM), inside[first])
+    compared = _near_heart(labels)
+    return CoveredPart(grid, compared if shown is None else compared & shown.all(axis=0), inside[first])
+
+
+def _near_heart(labels: VolumeSeries) -> BoolArray:
+    heart = (labels.values != 0).any(axis=0)
+    outside_mm = ndimage.distance_transform_edt(~heart, sampling=labels.grid.spacing_mm)
+    return np.asarray(outside_mm <= RIM_MM)
 
 
 def _cells_of(slices: SliceSet, pose: Rigid) -> set[tuple[int, ...]]:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dvf_ig.core import FloatArray, Rigid, read_only_arrays
-from dvf_ig.registration.boundary.fit import BoundaryFit, fit_boundary
+from dvf_ig.registration.boundary.fit import Boundary, BoundaryFit, fit_boundary
 from dvf_ig.registration.evidence.covariance import covariance_mm2, placement_covariance_mm2
 from dvf_ig.registration.lc2.slices import SliceSet
 from dvf_ig.registration.shape.blocks import BLOCK_MM, BlockedBoundary, BlockedLc2, BlockedMatch
@@ -41,10 +41,10 @@ def fuse(problem: Problem, refined: Refined) -> Fused:
     """Go from LC2's pose to the one that blocks of LC2 and of the boundary agree on best."""
     chart, center_mm = PoseChart(refined.best.pose, problem.center_mm), problem.center_mm
     covered = problem.inside_model(problem.images.coarse, chart.base)
-    seen = problem.visible_boundary
+    seen = problem.boundary_at(chart.base)
     boundary = None if seen is None else fit_boundary(seen, chart.base, center_mm)
     match = (
-        _match(problem, refined, boundary, chart)
+        _match(problem, refined, seen, boundary, chart)
         if covered.masks.any() and len(refined.inside.patches.centers)
         else None
     )
@@ -69,10 +69,14 @@ def fuse(problem: Problem, refined: Refined) -> Fused:
 
 
 def _match(
-    problem: Problem, refined: Refined, boundary: BoundaryFit | None, chart: PoseChart
+    problem: Problem,
+    refined: Refined,
+    seen: Boundary | None,
+    boundary: BoundaryFit | None,
+    chart: PoseChart,
 ) -> BlockedMatch:
     """LC2 and the boundary of every block of space."""
-    seen, points = problem.visible_boundary, None
+    points = None
     if seen is not None and boundary is not None:
         points = BlockedBoundary(seen, boundary.offset_mm, problem.center_mm, block_mm=BLOCK_MM)
     information = refined.inside.information / problem.options.times_seen

@@ -175,6 +175,14 @@ class Problem:
         """The boundary, if the slices show any of it."""
         return self.boundary if self.boundary is not None and len(self.boundary.points) else None
 
+    def boundary_at(self, pose: Rigid) -> Boundary | None:
+        """The visible boundary without what lies outside the covered part of the heart at a pose."""
+        seen, covered = self.visible_boundary, self.heart.covered
+        if seen is None or covered is None:
+            return seen
+        points = seen.points.subset(covered.holds(pose.apply_array(seen.points.points_mm)))
+        return replace(seen, points=points) if len(points) else None
+
     def compared(self, level: Level, pose: Rigid) -> SliceSet:
         """The slices without what lies outside the covered part of the heart at a pose."""
         covered = self.heart.covered

@@ -1,17 +1,19 @@
 """The pre-operative heart: its fixture model, and the channels that ultrasound is compared with."""
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from dvf_ig.core import (
+    BoolArray,
     DvfModel,
     FloatArray,
     Grid,
     InvalidInputError,
     Preop,
+    SeenPart,
     VolumeSeries,
     read_only_arrays,
     require_same_frame,
@@ -20,6 +22,7 @@ from dvf_ig.core.threads import thread_pool
 from dvf_ig.kernels.compiled import thread_count
 from dvf_ig.preop import (
     CHAMBER_SURFACES,
+    beyond_stack,
     close_surface,
     model_from_preop,
     observable_axes,
@@ -38,7 +41,6 @@ from dvf_ig.registration import (
     covered_part,
     ends_within,
     target_from_labels,
-    with_long_axis_views,
 )
 
 log = logging.getLogger(__name__)
@@ -118,8 +120,17 @@ def build_heart(
         _require_within(preop.mr, model, center)
     partly = preop.mr is not None and ends_within(preop.mr.grid, vertices)
     has_anatomy = preop.labels is not None or preop.surfaces
+    covered = None
     if preop.mr is not None and partly:
         labels = label_map_of_model(model, preop.mr.grid)
+        shown = _shown(labels, model.seen)
+        covered = covered_part(labels, vertices, shown)
+        if _is_stack(preop.mr.grid) and preop.views:
+            shifts_mm = _view_shifts_mm(preop.mr, preop.views, labels, model.ed_phase)
+            extended = beyond_stack(labels, shown, preop.views, shifts_mm)
+            if extended is not None:
+                covered = covered.extended(extended.labels, extended.known)
+                labels = extended.labels
     else:
         labels = label_map(preop) if has_anatomy else label_map_of_model(model)
     seen = bool((labels.values == BLOOD).any())
@@ -134,28 +145,26 @@ def build_heart(
             smoothing_mm = STACK_SMOOTHING_MM if partly else LABEL_SMOOTHING_MM
             channels = channels_from_labels(labels, smoothing_mm=smoothing_mm)
         surface = target.result() if target is not None else None
-    covered = covered_part(labels, vertices) if partly else None
-    if preop.mr is not None and covered is not None and preop.views and not grey:
-        channels, covered = with_long_axis_views(
-            channels,
-            covered,
-            preop.views,
-            _view_shifts_mm(preop, labels, model),
-            smoothing_mm=MR_SMOOTHING_MM,
-        )
     return Heart(model, channels, center, surface, grey, covered)
 
 
-def _view_shifts_mm(preop: Preop, labels: VolumeSeries, model: DvfModel) -> FloatArray:
-    """(v, 3) displacement of the heart in each long-axis view from where the model has it."""
-    mr = preop.mr
-    if mr is None:
-        raise TypeError("long-axis views go with the stack that they intersect")
+def _shown(labels: VolumeSeries, seen: SeenPart | None) -> BoolArray:
+    """(n, nx, ny, nz) voxels at the heights at which slices show the heart, at each phase."""
+    if seen is None:
+        return np.ones(labels.values.shape, dtype=np.bool_)
+    centers_mm = labels.grid.centers_mm()
+    return np.stack([seen.holds(centers_mm, phase) for phase in range(len(labels.timing))])
+
+
+def _view_shifts_mm(
+    mr: VolumeSeries, views: Sequence[VolumeSeries], labels: VolumeSeries, ed_phase: int
+) -> FloatArray:
+    """(v, 3) displacement of the heart in each long-axis view from where the labels have it."""
     index = labels.grid.to_index(mr.grid.centers_mm())
     nearest = np.clip(np.rint(index), 0, np.array(labels.grid.shape) - 1).astype(np.int64)
-    heart = labels.values[model.ed_phase][tuple(np.moveaxis(nearest, -1, 0))] != 0
+    heart = labels.values[ed_phase][tuple(np.moveaxis(nearest, -1, 0))] != 0
     organ = heart & labels.grid.holds(index, margin=1.0)
-    return slice_shifts(mr, organ, organ, preop.views).views_mm
+    return slice_shifts(mr, organ, organ, views).views_mm
 
 
 def _is_stack(grid: Grid) -> bool:
