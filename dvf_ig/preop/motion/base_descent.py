@@ -41,6 +41,8 @@ LEAST_PIXELS = 50
 """Labelled pixels of a view that shows the heart."""
 OUTLINE_STEPS, LONGEST_MM = 2, 8.0
 """Newton steps onto the outline of another slice, and the longest of them."""
+WALL_MM, CAP_MM = 2.0, 6.0
+"""Depth within an outline up to which a vertex follows it, and from which it is of a cap and does not."""
 
 
 @read_only_arrays
@@ -168,6 +170,7 @@ def propagate_through(
         return np.asarray(ndimage.map_coordinates(values, where, order=1, mode="nearest"))
 
     began, moved = at(depth, index), []
+    follows = np.clip((CAP_MM - np.abs(began)) / (CAP_MM - WALL_MM), 0.0, 1.0)
     for phase, deformation in enumerate(motion.deformations):
         if phase == motion.ed_phase:
             moved.append(surface.vertices_mm)
@@ -176,7 +179,7 @@ def propagate_through(
         places[:, 2] += sign * descent.shift_mm(height, phase) / grid.spacing_mm[2]
         for _ in range(OUTLINE_STEPS):
             slope = np.stack([at(one, places) for one in slopes], axis=1)
-            off = (began - at(depth, places)) / np.maximum((slope**2).sum(axis=1), 0.25)
+            off = follows * (began - at(depth, places)) / np.maximum((slope**2).sum(axis=1), 0.25)
             places[:, :2] += np.clip(off, -LONGEST_MM, LONGEST_MM)[:, None] * slope / grid.spacing_mm[:2]
         moved.append(deformation.move(grid.to_mm(places)))
     return SurfaceSeries(name, surface.frame, np.stack(moved), surface.triangles, image.timing, "")
