@@ -248,7 +248,6 @@ def _stack_payload(result: "CineModel") -> dict[str, Any]:
             "largest_mm": base.largest_mm,
             "sigma_mm": base.sigma_mm,
             "base_mm": base.base_mm.tolist(),
-            "apex_mm": base.apex_mm.tolist(),
             "views": base.views,
         },
         "slice_end_systole": None
