@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from dvf_ig.preop import SliceShifts
 
 BEYOND_MM = 25.0
-"""How far beyond the stack a view is drawn."""
+"""How far beyond the heart a view is drawn."""
 MOST_VIEWS = 5
 
 
@@ -71,22 +71,31 @@ def write_slices_picture(
 
 
 def write_shifts_picture(
-    path: Path | str, sax: VolumeSeries, views: Sequence[VolumeSeries], shifts: SliceShifts, ed_phase: int
+    path: Path | str,
+    sax: VolumeSeries,
+    view: VolumeSeries,
+    shifts: SliceShifts,
+    *,
+    ed_phase: int,
+    heart_mm: FloatArray,
 ) -> None:
     """Write a view next to what the stack shows in its plane, before and after the shifts, and the shifts.
 
+    Args:
+        view: the first of those that gave the shifts.
+        heart_mm: (n, 3) vertices about which the view is drawn.
     Raises:
         InvalidInputError: a suffix that is not .png.
         OutputError: not writable.
     """
     from matplotlib.figure import Figure
 
-    view, number = views[0], 0
     figure = Figure(figsize=(10.5, 7.0), layout="constrained")
     upper, lower = figure.subfigures(2, 1, height_ratios=(2.0, 1.0))
     axes = upper.subplots(1, 3)
     own = int(np.argmin(np.abs((view.timing.fractions - sax.timing.fractions[ed_phase] + 0.5) % 1.0 - 0.5)))
-    _draw_slice(axes[0], view.grid, view.values[own, ..., 0])
+    grid, part = _about(view.grid, heart_mm)
+    _draw_slice(axes[0], grid, view.values[own, ..., 0][part])
     axes[0].set_title("long-axis view", fontsize=9)
     none = np.zeros_like(shifts.sax_mm)
     for axis, title, by_slice, by_view in (
@@ -96,9 +105,9 @@ def write_shifts_picture(
             none,
             np.zeros(3),
         ),
-        (axes[2], f"shifts taken out ({shifts.after:.2f})", shifts.sax_mm, shifts.views_mm[number]),
+        (axes[2], f"shifts taken out ({shifts.after:.2f})", shifts.sax_mm, shifts.views_mm[0]),
     ):
-        _draw_slice(axis, view.grid, _stack_in(view.grid, sax, ed_phase, by_slice, by_view))
+        _draw_slice(axis, grid, _stack_in(grid, sax, ed_phase, by_slice, by_view))
         axis.set_title(title, fontsize=9)
     upper.suptitle("end-diastole: one strip for each short-axis slice", fontsize=10, color=TRUTH)
     axis, slices = lower.subplots(), np.arange(len(shifts.sax_mm))
@@ -120,6 +129,18 @@ def write_shifts_picture(
     write_png(path, figure, dpi=90)
 
 
+def _about(grid: Grid, heart_mm: FloatArray) -> tuple[Grid, tuple[slice, slice]]:
+    """The part of a slice about the heart, and its pixels."""
+    index, margin = grid.to_index(heart_mm)[:, :2], BEYOND_MM / grid.spacing_mm[:2]
+    low = np.maximum(np.floor(index.min(axis=0) - margin), 0.0).astype(int)
+    high = np.minimum(np.ceil(index.max(axis=0) + margin) + 1.0, np.array(grid.shape[:2])).astype(int)
+    (x, y), (end_x, end_y) = low.tolist(), high.tolist()
+    origin = grid.to_mm(np.array([float(x), float(y), 0.0]))
+    size = (end_x - x, end_y - y, 1)
+    part = slice(x, end_x), slice(y, end_y)
+    return Grid(grid.frame, size, origin, grid.spacing_mm, grid.direction), part
+
+
 def _slice_grid(grid: Grid, k: int) -> Grid:
     size = (grid.shape[0], grid.shape[1], 1)
     return Grid(grid.frame, size, grid.to_mm(np.array([0.0, 0.0, float(k)])), grid.spacing_mm, grid.direction)
@@ -132,6 +153,7 @@ def _draw_slice(axis: Axes, grid: Grid, grey: Any) -> None:
     axis.imshow(
         np.asarray(grey).T, cmap="gray", vmin=0.0, vmax=max(top, 1e-9), extent=(0.0, width, height, 0.0)
     )
+    axis.set_facecolor("black")
     draw_plane_marks(axis, (width, height), edge_letters(grid.direction[:, 0], grid.direction[:, 1]))
     axis.set_xlim(0.0, width), axis.set_ylim(height, 0.0)
     without_ticks(axis)

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from toy_session import CENTER, GUIDED_S, run, ticks, tool_events, toy_setup, toy_streams
 
-from dvf_ig.core import FloatArray, Rigid
-from dvf_ig.guidance import FixtureOptions, FixtureSet, Gaussian, Sigmoid
-from dvf_ig.guidance.margins import MarginOptions
+from dvf_ig.core import FloatArray, Rigid, SeenPart
+from dvf_ig.guidance import FixtureOptions, FixtureSet, Gaussian, Hazard, Sigmoid, Status
+from dvf_ig.guidance.margins import LARGEST_MARGIN_MM, MarginOptions
 from dvf_ig.guidance.servo import ServoInputs
 from dvf_ig.session import GuidanceState, Session
 from dvf_ig.session.margins import SHAPE_SIGMA_MM, TIP_SIGMA_MM, TOOL_SIGMA_MM
@@ -24,10 +24,14 @@ def outside(t_s: float) -> FloatArray:
     return np.asarray(CENTER + np.array([18.0, 0.3 * np.sin(3.0 * t_s), 0.0]))
 
 
-def states_with(margin: MarginOptions, until_s: float = GUIDED_S + 2.0) -> list[GuidanceState]:
+def states_with(
+    margin: MarginOptions, until_s: float = GUIDED_S + 2.0, seen: SeenPart | None = None
+) -> list[GuidanceState]:
     streams = toy_streams(until_s)
     streams.tool = tool_events(until_s, at=outside)
     setup = replace(toy_setup(), fixtures=FixtureSet(WALL_AND_GUIDE, margin=margin))
+    heart = replace(setup.heart, model=replace(setup.heart.model, seen=seen))
+    setup = replace(setup, heart=heart)
     with Session(setup) as session:
         return run(session, streams.merged(), ticks(GUIDED_S, until_s))
 
@@ -52,6 +56,19 @@ def test_an_adaptive_margin_is_the_quantile_of_all_that_the_session_states() -> 
         ).margin_mm.tolist()
         == margins[-1].tolist()
     )
+
+
+def test_where_no_slice_shows_the_heart_there_is_no_force_or_the_largest_margin() -> None:
+    phases = toy_setup().heart.model.phases
+    elsewhere = np.tile([[200.0, 300.0]], (phases, 1, 1))
+    seen = SeenPart(np.array([0.0, 0.0, 1.0]), elsewhere, np.array([200.0, 300.0]), np.zeros(phases))
+    for state in states_with(MarginOptions(), seen=seen)[5:]:
+        assert state.status is Status.UNSEEN
+        assert state.supervised.hazards & Hazard.OUT_OF_VOLUME
+        assert not np.asarray(state.force_n).any()
+    last = states_with(MarginOptions("adaptive"), seen=seen)[-1]
+    assert last.status is Status.OK
+    np.testing.assert_allclose(last.margin_mm, LARGEST_MARGIN_MM)
 
 
 def test_a_margin_widens_the_wall_that_a_session_renders() -> None:

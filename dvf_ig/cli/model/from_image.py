@@ -135,7 +135,10 @@ def _write_evidence(
     wrote(evidence)
     wrote(picture, image.grid.frame)
     if result.shifts is not None:
-        write_shifts_picture(shifts, image, views, result.shifts, request.ed_phase)
+        heart_mm = result.surfaces.vertices_mm[request.ed_phase]
+        write_shifts_picture(
+            shifts, image, views[0], result.shifts, ed_phase=request.ed_phase, heart_mm=heart_mm
+        )
         wrote(shifts, image.grid.frame)
 
 
@@ -245,7 +248,6 @@ def _stack_payload(result: "CineModel") -> dict[str, Any]:
             "largest_mm": base.largest_mm,
             "sigma_mm": base.sigma_mm,
             "base_mm": base.base_mm.tolist(),
-            "apex_mm": base.apex_mm.tolist(),
             "views": base.views,
         },
         "slice_end_systole": None

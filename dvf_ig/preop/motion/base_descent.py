@@ -1,9 +1,10 @@
 """Descent of the heart's base through the planes of a short-axis stack, as long-axis cines show it.
 
 The base comes down by 8 to 16 mm in systole, through slices that stay where they are: a stack alone cannot
-see it. A long-axis view shows it in its plane. Its motion is tracked as a stack's is (`track_cycle`); the
-motion along the stack's normal, of all that is labelled, is fitted as linear from apex to base. Without such
-a view the usual descent of adults is assumed, in the course of the volume.
+see it. A long-axis view shows it in its plane. Its motion is tracked as a stack's is (`track_cycle`); that of
+what is labelled next to the basal slice, along the stack's normal, is the base's. It is taken to fall
+linearly to zero at the apex, which stays: between them the wall slides along its own outline, which shows no
+motion. Without such a view the usual descent of adults is assumed, in the course of the volume.
 """
 
 from collections.abc import Sequence
@@ -37,26 +38,29 @@ USUAL_MM, USUAL_SIGMA_MM = 12.0, 3.0
 PIXEL_MM, APART_MM = 2.4, 20.0
 """Least pixel of a view that is tracked: a line through its motion needs no finer one. Its slice counts
 as 20 mm thick, so that no motion is looked for across it."""
-LEAST_PIXELS = 50
-"""Labelled pixels of a view that shows the heart."""
+LEAST_PIXELS, LEAST_BASAL_PIXELS = 50, 10
+"""Labelled pixels of a view that shows the heart, and of one that shows its base."""
+BASAL_SHARE = 0.875
+"""Share of the way from the apical to the basal slice from which on tissue shows the base's motion."""
 OUTLINE_STEPS, LONGEST_MM = 2, 8.0
 """Newton steps onto the outline of another slice, and the longest of them."""
+WALL_MM, CAP_MM = 2.0, 6.0
+"""Depth within an outline up to which a vertex follows it, and from which it is of a cap and does not."""
 
 
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class BaseDescent:
-    """Motion of base and apex along the stack's normal.
+    """Motion of the base along the stack's normal.
 
     Attributes:
-        base_mm: (n,) towards the apex, at every phase of the stack; apex_mm: (n,) towards the base.
-        ends_mm: (2,) heights along the normal of the apical and the basal slice, for which they hold.
+        base_mm: (n,) towards the apex, at every phase of the stack.
+        ends_mm: (2,) heights along the normal of the apical slice, which stays, and of the basal one.
         sigma_mm: standard deviation of the largest descent.
         views: number of long-axis views that it was seen in; 0 if it is assumed.
     """
 
     base_mm: FloatArray
-    apex_mm: FloatArray
     ends_mm: FloatArray
     sigma_mm: float
     views: int
@@ -86,7 +90,7 @@ class BaseDescent:
         """Motion towards the base of tissue that is at a height at end-diastole."""
         low, high = self.ends_mm
         share = np.clip((height_mm - low) / (high - low), 0.0, 1.0)
-        return np.asarray((1.0 - share) * self.apex_mm[phase] - share * self.base_mm[phase])
+        return np.asarray(-share * self.base_mm[phase])
 
 
 def base_descent(
@@ -125,10 +129,10 @@ def base_descent(
     if not curves:
         return None
     mean = np.mean(curves, axis=0)
-    largest = np.array([-base.min() for base, _ in curves])
+    largest = np.array([curve.max() for curve in curves])
     spread = float(largest.std(ddof=1)) if len(curves) > 1 else 1.5
     sigma_mm = max(spread, 0.5) / np.sqrt(len(curves))
-    return BaseDescent(-mean[0], mean[1], np.array(heights), sigma_mm, len(curves))
+    return BaseDescent(mean, np.array(heights), sigma_mm, len(curves))
 
 
 def usual_descent(grid: Grid, organ: BoolArray, volume_mm3: FloatArray) -> BaseDescent:
@@ -141,7 +145,7 @@ def usual_descent(grid: Grid, organ: BoolArray, volume_mm3: FloatArray) -> BaseD
     most, least = float(volume_mm3.max()), float(volume_mm3.min())
     share = (most - volume_mm3) / max(most - least, 1e-9)
     ends = np.array(_heights(grid, organ, towards_base(grid, organ)))
-    return BaseDescent(USUAL_MM * share, np.zeros(len(share)), ends, USUAL_SIGMA_MM, 0)
+    return BaseDescent(USUAL_MM * share, ends, USUAL_SIGMA_MM, 0)
 
 
 def propagate_through(
@@ -168,6 +172,7 @@ def propagate_through(
         return np.asarray(ndimage.map_coordinates(values, where, order=1, mode="nearest"))
 
     began, moved = at(depth, index), []
+    follows = np.clip((CAP_MM - np.abs(began)) / (CAP_MM - WALL_MM), 0.0, 1.0)
     for phase, deformation in enumerate(motion.deformations):
         if phase == motion.ed_phase:
             moved.append(surface.vertices_mm)
@@ -176,7 +181,7 @@ def propagate_through(
         places[:, 2] += sign * descent.shift_mm(height, phase) / grid.spacing_mm[2]
         for _ in range(OUTLINE_STEPS):
             slope = np.stack([at(one, places) for one in slopes], axis=1)
-            off = (began - at(depth, places)) / np.maximum((slope**2).sum(axis=1), 0.25)
+            off = follows * (began - at(depth, places)) / np.maximum((slope**2).sum(axis=1), 0.25)
             places[:, :2] += np.clip(off, -LONGEST_MM, LONGEST_MM)[:, None] * slope / grid.spacing_mm[:2]
         moved.append(deformation.move(grid.to_mm(places)))
     return SurfaceSeries(name, surface.frame, np.stack(moved), surface.triangles, image.timing, "")
@@ -209,7 +214,7 @@ def _curve(
     heights: tuple[float, float],
     options: MotionOptions,
 ) -> tuple[FloatArray, FloatArray] | None:
-    """(m,) phases and (2, m) motion of base and apex towards the base, in one view."""
+    """(m,) phases and (m,) descent of the base in one view; None if it does not show the base."""
     view = _coarser(view)
     grid = view.grid
     index = np.stack(np.meshgrid(*(np.arange(n) for n in grid.shape[:2]), indexing="ij"), axis=-1)
@@ -224,7 +229,9 @@ def _curve(
         for mask in (organ, blood if blood is not None else organ)
     ]
     inside = np.stack(shares).reshape(2, *grid.shape[:2]) > 0.5
-    if int(inside[0].sum()) < LEAST_PIXELS:
+    share = (points @ normal - heights[0]) / (heights[1] - heights[0])
+    basal = inside[0] & (share > BASAL_SHARE) & (share < 1.0)
+    if int(inside[0].sum()) < LEAST_PIXELS or int(basal.sum()) < LEAST_BASAL_PIXELS:
         return None
     chosen, fractions = _chosen_phases(view, ed_fraction)
     timing = CycleTiming(fractions - fractions[0], view.timing.rr_s)
@@ -233,7 +240,9 @@ def _curve(
     motion = track_cycle(
         tracked, mask, ed_phase=0, blood=None if blood is None else cavities, options=options
     )
-    return fractions, _along(motion, points[inside[0]], normal, heights)
+    at_base = points[basal]
+    moved = [deformation.move(at_base) - at_base for deformation in motion.deformations]
+    return fractions, -np.stack(moved).mean(axis=1) @ normal / share[basal].mean()
 
 
 def _coarser(view: VolumeSeries) -> VolumeSeries:
@@ -257,28 +266,11 @@ def _chosen_phases(view: VolumeSeries, ed_fraction: float) -> tuple[list[int], F
     return numbers, own[first] + (own[numbers] - own[first]) % 1.0
 
 
-def _along(
-    motion: CycleMotion, points: FloatArray, normal: FloatArray, heights: tuple[float, float]
-) -> FloatArray:
-    """(2, m) motion towards the base at both heights, of a line through that of all points."""
-    height = points @ normal
-    inside = (height > heights[0]) & (height < heights[1])
-    line = np.column_stack([np.ones(int(inside.sum())), height[inside]])
-    ends = np.array([[1.0, heights[1]], [1.0, heights[0]]])
-    out = np.zeros((2, len(motion.deformations)))
-    for i, deformation in enumerate(motion.deformations):
-        if i == motion.ed_phase:
-            continue
-        moved = (deformation.move(points[inside]) - points[inside]) @ normal
-        out[:, i] = ends @ np.linalg.lstsq(line, moved, rcond=None)[0]
-    return out
-
-
 def _in_common(
     own: FloatArray, values: FloatArray, fractions: FloatArray, ed_phase: int, phases: SlicePhases
 ) -> FloatArray:
-    """(2, n) curves of a view, known from end-diastole on in its own cycle, at the phases of the stack."""
+    """(n,) curve of a view, known from end-diastole on in its own cycle, at the phases of the stack."""
     since = own - own[0]
-    es = phases.es_of(np.interp(phases.since_ed, since, -values[0], period=1.0))
+    es = phases.es_of(np.interp(phases.since_ed, since, values, period=1.0))
     at = own_fraction((fractions - fractions[ed_phase]) % 1.0, es, phases.common_es)
-    return np.stack([np.interp(at, since, row, period=1.0) for row in values])
+    return np.interp(at, since, values, period=1.0)

@@ -78,7 +78,8 @@ def seen_part(
     heights = middles @ normal
     order = np.argsort(heights)
     heights, apical = heights[order], int(slices[order[0]])
-    cuts = np.flatnonzero(np.diff(heights) > GAP_MM) + 1
+    apart_mm = np.abs(np.diff(slices[order])) * grid.spacing_mm[2]
+    cuts = np.flatnonzero(apart_mm > GAP_MM) + 1
     slabs = [(part[0] - HALF_SLICE_MM, part[-1] + HALF_SLICE_MM) for part in np.split(heights, cuts)]
     if apical not in (0, grid.shape[2] - 1) and grid.spacing_mm[2] <= GAP_MM:
         slabs[0] = (slabs[0][0] - FAR_MM, slabs[0][1])

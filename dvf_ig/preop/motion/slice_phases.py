@@ -17,8 +17,12 @@ from .free_form import FreeForm, volume_ratio
 
 LARGEST = 0.09
 """Largest deviation of a slice's end-systole, of a cycle: RR intervals that differ by a quarter."""
+SIGMA = 0.03
+"""Standard deviation of that: RR intervals of 10 %, where systole keeps its length."""
 TRIED = 37
-"""Number of deviations tried."""
+"""Number of deviations tried; the middle one is none."""
+LEAST_NOISE, CORRELATED = 0.05, 3.0
+"""Least standard deviation of a contraction of size 1, and how many neighbouring phases count as one."""
 LEAST_SHARE = 0.4
 """A slice that contracts by less than this share of the median says nothing about its end-systole."""
 ROUNDS, LEAST_PHASES = 3, 8
@@ -41,10 +45,18 @@ class SlicePhases:
     es: FloatArray
 
     def es_of(self, curve: FloatArray) -> float:
-        """End-systole with which a curve (n,) over one slice's own cycle follows the course best."""
-        tried = self.common_es + np.linspace(-LARGEST, LARGEST, TRIED)
-        off = [((self.in_common(curve, float(es)) - self.course) ** 2).sum() for es in tried]
-        return float(tried[int(np.argmin(off))])
+        """End-systole with which a curve (n,) over one slice's own cycle follows the course best.
+
+        What deviates from the course with the common end-systole counts as noise, so that the curve of a
+        slice whose motion is badly tracked moves its end-systole little from the common one.
+        """
+        deviations = np.linspace(-LARGEST, LARGEST, TRIED)
+        off = np.array(
+            [self.in_common(curve, self.common_es + float(one)) - self.course for one in deviations]
+        )
+        noise = max(LEAST_NOISE, float(off[TRIED // 2].std()))
+        cost = (off**2).sum(axis=1) / (noise**2 * CORRELATED) + (deviations / SIGMA) ** 2
+        return self.common_es + float(deviations[int(np.argmin(cost))])
 
     def in_common(self, curve: FloatArray, own_es: float) -> FloatArray:
         """(n,) curve of a slice's own cycle at the phases of the common one, of size 1."""

@@ -107,7 +107,7 @@ def test_a_surface_slides_along_the_outlines_that_the_slices_show():
     whole, still = np.ones(grid.shape, dtype=np.bool_), np.array([True, True, False])
     motion = CycleMotion(0, (identity, identity), 1, identity, (0, 0, 0), whole, still)
     image = VolumeSeries(grid, np.zeros((2, *grid.shape)), CycleTiming.uniform(2, 0.9))
-    descent = BaseDescent(np.array([0.0, 12.0]), np.zeros(2), np.array([0.0, 50.0]), 1.0, 1)
+    descent = BaseDescent(np.array([0.0, 12.0]), np.array([0.0, 50.0]), 1.0, 1)
     angle = np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False)
     z = np.array([12.0, 30.0, 45.0])[:, None] + 0.0 * angle
     radius = 14.0 + 0.3 * z
