@@ -19,7 +19,7 @@ from .breathing import CONSTANT_MM
 from .pose_chart import PoseChart
 from .tracking.pose_estimate import BeatMeasurement
 
-LEAST_BEATS, MOST_BEATS = 16, 32
+LEAST_BEATS, MOST_BEATS = 12, 32
 """Beats that are evidence of an oscillation, and that are remembered."""
 FREQUENCIES_HZ = np.arange(0.1, 0.56, 0.02)
 """Six to 33 breaths a minute, at the resolution of MOST_BEATS."""
@@ -132,4 +132,4 @@ def _fit(features: FloatArray, information: FloatArray, offsets: FloatArray) -> 
     matrix = normal.transpose(0, 2, 1, 3).reshape(6 * count, 6 * count) + np.diag(prior)
     right = (features.T @ offsets).ravel()
     solved = np.linalg.solve(matrix, right)
-    return float(right @ solved), solved.reshape(count, 6)
+    return float(right @ solved), np.asarray(solved.reshape(count, 6), dtype=np.float64)
