@@ -196,9 +196,9 @@ class BreathingTracker:
                 moved_mm, per_minute = 2.0 * found.amplitude_mm, found.per_minute
                 self._log(BreathingRecord(decided_s, unfollowed_mm=moved_mm, per_minute=per_minute))
 
-    def restart_watch(self) -> None:
-        """Forget the watched beats: the heart has moved in another way."""
-        self._watch.restart()
+    def shifted(self, from_s: float) -> None:
+        """Watch for breathing from then on at another place of the heart."""
+        self._watch.shifted(from_s)
 
     @property
     def _clock(self) -> BreathClock:

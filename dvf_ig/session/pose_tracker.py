@@ -136,7 +136,8 @@ class PoseTracker:
         before = self.pose
         self.pose, actions = next_pose(self.pose, event)
         if isinstance(before, InUse) and not isinstance(self.pose, InUse) and self._breathing is not None:
-            self._breathing.restart_watch()
+            since_s = 0.0 if self.doubt is None else self.doubt.since_s
+            self._breathing.shifted(since_s if since_s > 0.0 else inf)
         for action in actions:
             if not isinstance(action, RegisterNext):
                 self.history.append(action)
