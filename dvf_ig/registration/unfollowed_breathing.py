@@ -27,9 +27,10 @@ BEATS_A_BREATH = 2.2
 """Fewest beats a breath in which it is still seen."""
 OSCILLATION_MM = 5.0
 """Prior SD of drift and oscillation."""
-FOUND, GONE = 80.0, 40.0
-"""Fall of χ² from which an oscillation is breathing, and below which it no longer is. Biases that change with
-the view oscillate with a sweeping probe, too (docs/theory/respiration.md)."""
+FOUND, GONE = 90.0, 45.0
+"""Fall of χ² from which an oscillation is breathing, and below which it no longer is: between the 65 at most
+that biases make which change with a sweeping view, and the 131 at least of 4 mm of breathing
+(docs/theory/respiration.md)."""
 LEAST_MM, GONE_MM = 1.0, 0.7
 """The same limits of the amplitude of the translation."""
 
@@ -42,13 +43,15 @@ class BeatPose:
     Attributes:
         t_s: half-way through it.
         information: (6, 6) J, 1/mm²; offset_information: (6,) J ξ, in one `PoseChart` for all beats.
+        square: ξᵀ J ξ.
         place: number of the place where the heart lay, which a shift counts up.
     """
 
     t_s: float
     information: FloatArray
     offset_information: FloatArray
-    place: int = 0
+    square: float
+    place: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +59,8 @@ class Oscillation:
     """Strongest oscillation of the poses of beats.
 
     Attributes:
-        per_minute: its frequency; fall: of χ²; amplitude_mm: of the translation.
+        per_minute: its frequency; amplitude_mm: of the translation.
+        fall: of χ², over that of what is left if the beats scatter more than they state.
     """
 
     per_minute: float
@@ -94,7 +98,8 @@ class OscillationWatch:
         information = 0.5 * (measurement.information + measurement.information.T)
         from_base_mm = self._chart.coordinates(measurement.pose)
         offset = measurement.offset_information_mm + information @ from_base_mm
-        self._beats.append(BeatPose(middle_s, information, offset, self._place))
+        square = float(offset @ np.linalg.pinv(information, rcond=1e-9, hermitian=True) @ offset)
+        self._beats.append(BeatPose(middle_s, information, offset, square, self._place))
         oscillation = strongest_oscillation(tuple(self._beats))
         breathes = oscillation is not None and oscillation.is_breathing(before=self.found is not None)
         self.found = oscillation if breathes else None
@@ -119,14 +124,17 @@ def strongest_oscillation(beats: tuple[BeatPose, ...]) -> Oscillation | None:
     constants = steady.shape[1] - 1
     without, _ = _fit(steady, constants, information, offsets)
     fastest_hz = 1.0 / (BEATS_A_BREATH * float(np.median(np.diff(t_s))))
+    total = float(np.sum([beat.square for beat in beats]))
     best = Oscillation(0.0, 0.0, 0.0)
     for frequency_hz in FREQUENCIES_HZ[fastest_hz >= FREQUENCIES_HZ].tolist():
         angle = 2.0 * np.pi * frequency_hz * t_s
         waves = np.stack([np.cos(angle), np.sin(angle)], axis=1)
         explained, b_mm = _fit(np.hstack([steady, waves]), constants, information, offsets)
-        if explained - without > best.fall:
+        free = 6 * len(beats) - b_mm.size
+        fall = (explained - without) / max(1.0, (total - explained) / free)
+        if fall > best.fall:
             amplitude_mm = float(np.linalg.norm(b_mm[-2:, 3:]))
-            best = Oscillation(60.0 * frequency_hz, explained - without, amplitude_mm)
+            best = Oscillation(60.0 * frequency_hz, fall, amplitude_mm)
     return best
 
 
