@@ -45,7 +45,7 @@ def breathing_rows(result: dict[str, Any]) -> list[tuple[str, str]]:
     more = f" and {len(events) - 6} more" if len(events) > 6 else ""
     return [
         ("breathing", f"{result['name']}, {len(result['breaths_s'])} breaths"),
-        ("breaths a minute", "–" if rate is None else f"{rate:.1f}"),
+        ("breaths a minute", "too few, or irregular" if rate is None else f"{rate:.1f}"),
         ("breathing locked", f"{100 * result['state_share']['LOCKED']:.1f} % of the time"),
         ("breathing events", f"{shown}{more}" if events else "none"),
     ]

@@ -12,7 +12,7 @@ from dvf_ig.core.recordings.respiration import Respiration
 from dvf_ig.core.recordings.signal import Signal
 from dvf_ig.io import limits
 from dvf_ig.io.ecg.trigger import EcgName
-from dvf_ig.io.ecg.wfdb import existing_record, quiet, wfdb_package
+from dvf_ig.io.ecg.wfdb import read_wfdb_signals
 from dvf_ig.io.plus.poses import read_poses
 from dvf_ig.io.reading import read_text, reading
 from dvf_ig.io.table_text import parse_table
@@ -27,7 +27,7 @@ Table = tuple[FloatArray, tuple[str, ...], FloatArray]
 _BREATH = re.compile(r"resp|rsp|breath|thor|abdom|chest|volume|pressure|paw|flow|cvp", re.IGNORECASE)
 _TIME = re.compile(r"(t|time|times|timestamp|elapsed)[\W_]*(s|sec|ms)?\W*", re.IGNORECASE)
 _MOST_STEP_S = 0.5
-"""Slower samples than 2 Hz do not show a breath; longer steps in a table are taken as ms."""
+"""Slower samples than 2 Hz do not show a breath; longer steps of times without a unit may be ms."""
 
 
 def read_respiration(spec: str, rate_hz: float | None = None) -> Respiration:
@@ -36,7 +36,8 @@ def read_respiration(spec: str, rate_hz: float | None = None) -> Respiration:
     Args:
         spec: `csv:FILE#CHANNEL` or `wfdb:RECORD#CHANNEL`, without #CHANNEL the only one that is named as
             breathing is; or `marker:FILE`, a tracked sequence of one marker or a table of x, y, z (mm).
-        rate_hz: sampling rate of a table without times.
+        rate_hz: sampling rate of a table without times, or whose times state no unit, and of a WFDB record
+            whose header states none.
     Raises:
         InvalidInputError: none of these kinds.
         UnreadableFileError: absent or damaged; no such channel, or several that may be meant.
@@ -53,13 +54,22 @@ def read_respiration(spec: str, rate_hz: float | None = None) -> Respiration:
         if kind == "marker" and path.suffix.lower() not in (".csv", ".tsv", ".txt"):
             poses = read_poses(path)
             return _samples(path, poses.t_s[poses.valid], poses.translations_mm[poses.valid], poses.source)
-        t_s, names, values = _wfdb(path) if kind == "wfdb" else _table(path, rate_hz)
+        if kind == "wfdb":
+            channels, signals = read_wfdb_signals(path, rate_hz)
+            at = choose_channel(path, tuple(one.label for one in channels), channel or None, example(path))
+            t_s = np.arange(len(signals[at])) / (channels[at].rate_hz or 1.0)
+            return _samples(path, t_s, signals[at][:, None], channels[at].label)
+        t_s, names, values = _table(path, rate_hz)
         if kind == "marker":
             axes = [choose_channel(path, names, axis) for axis in "xyz"]
             return _samples(path, t_s, values[:, axes], path.stem)
-        example = f"name it: {path.name}#CHANNEL"
-        at = choose_channel(path, names, channel or None, example)
+        at = choose_channel(path, names, channel or None, example(path))
         return _samples(path, t_s, values[:, [at]], names[at])
+
+
+def example(path: Path) -> str:
+    """Say how a channel of a file is named."""
+    return f"name it: {path.name}#CHANNEL"
 
 
 def split_respiration(spec: str) -> EcgName:
@@ -105,17 +115,6 @@ def choose_channel(source: object, names: tuple[str, ...], wanted: str | None, a
     return likely[0]
 
 
-def _wfdb(record: Path) -> Table:
-    wfdb = wfdb_package()
-    try:
-        with quiet():
-            data = wfdb.rdrecord(str(existing_record(record).resolve()))
-    except (ValueError, LookupError, TypeError, OSError) as exc:
-        raise UnreadableFileError(f"{record}: not a readable WFDB record ({exc}); copy it again") from exc
-    values = np.asarray(data.p_signal, dtype=np.float64)
-    return np.arange(len(values)) / float(data.fs), tuple(data.sig_name), values
-
-
 def _table(path: Path, rate_hz: float | None) -> Table:
     """Read a text table that names its columns."""
     table = parse_table(path, read_text(path, "a table of breathing"))
@@ -126,7 +125,7 @@ def _table(path: Path, rate_hz: float | None) -> Table:
     kept = [i for i in range(len(header)) if i != at]
     names = tuple(header[i] for i in kept)
     if at is not None:
-        return _seconds(values[:, at], header[at]), names, values[:, kept]
+        return _seconds(path, values[:, at], header[at], rate_hz), names, values[:, kept]
     if rate_hz is None:
         raise UnreadableFileError(
             f"{path} has no column of times (t_s, time or timestamp) among {', '.join(names)[:60]}; give its "
@@ -135,12 +134,30 @@ def _table(path: Path, rate_hz: float | None) -> Table:
     return np.arange(len(values)) / rate_hz, names, values
 
 
-def _seconds(times: FloatArray, name: str) -> FloatArray:
-    """Convert times to s by the unit in their name; without one, long steps are ms."""
+def _seconds(path: Path, times: FloatArray, name: str, rate_hz: float | None) -> FloatArray:
+    """Convert times to s by the unit in their name; without one, steps too long for a breath need a rate.
+
+    Raises:
+        UnreadableFileError: no unit, long steps, and no rate, or one that fits neither s nor ms.
+    """
     match = _TIME.fullmatch(name)
     unit = match[2].lower() if match is not None and match[2] else ""
-    long_steps = not unit and float(np.nanmedian(np.diff(times))) > _MOST_STEP_S
-    return times / 1000.0 if unit == "ms" or long_steps else times
+    step = float(np.nanmedian(np.diff(times)))
+    if unit == "ms":
+        return times / 1000.0
+    if unit or step <= _MOST_STEP_S:
+        return times
+    if rate_hz is None:
+        raise UnreadableFileError(
+            f"{path}: its times '{name}' state no unit and step by {step:g}; name the column {name}_ms, or "
+            "give the sampling rate: --rate, respiration.rate_hz"
+        )
+    for unit_s in (1.0, 0.001):
+        if 0.5 <= step * unit_s * rate_hz <= 2.0:
+            return times * unit_s
+    raise UnreadableFileError(
+        f"{path}: its times '{name}' step by {step:g}, at {rate_hz:g} Hz neither s nor ms; correct one"
+    )
 
 
 def write_channels(signal: Signal, path: Path | str) -> None:

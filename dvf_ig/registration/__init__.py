@@ -16,6 +16,7 @@ from .boundary.target import target_from_model as target_from_model
 from .breathing import BreathBeat as BreathBeat
 from .breathing import BreathingPose as BreathingPose
 from .breathing import learn_breathing as learn_breathing
+from .breathing import misfits as misfits
 from .coverage import Coverage as Coverage
 from .coverage import CoveredPart as CoveredPart
 from .coverage import covered_part as covered_part

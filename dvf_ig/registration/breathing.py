@@ -5,11 +5,11 @@ a beat is paired with the mean of s over its frames, since the heart moves while
 Source: docs/theory/respiration.md.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dvf_ig.core import BoolArray, FloatArray, InvalidInputError, read_only_arrays
+from dvf_ig.core import BoolArray, FloatArray, IntArray, InvalidInputError, read_only_arrays
 
 from .tracking.pose_estimate import MEAN_SQUARE_OF_COORDINATES
 
@@ -89,13 +89,14 @@ def learn_breathing(beats: tuple[BreathBeat, ...]) -> BreathingPose | None:
     """
     if any(not np.isfinite(beat.features).all() or not np.isfinite(beat.information).all() for beat in beats):
         raise InvalidInputError("a beat's features or pose are not finite; leave the beat out")
-    breaths = sorted({beat.breath for beat in beats})
+    table = _Table.of(beats)
+    breaths = np.unique(table.breaths)
     if len(beats) < LEAST_BEATS or len(breaths) < 3:
         return None
     own = 0.0
     for _ in range(3):  # the model's own error widens every beat, which changes the fit a little
-        b_mm, covariance = _ridge(beats, own)
-        own = _own_variance(beats, b_mm)
+        b_mm, covariance = _ridge(table, own)
+        own = _own_variance(table, b_mm)
     frames = np.concatenate([beat.frames for beat in beats])
     center = frames.mean(axis=0)
     spread = np.cov((frames - center)[:, 1:].T)
@@ -104,54 +105,102 @@ def learn_breathing(beats: tuple[BreathBeat, ...]) -> BreathingPose | None:
     reach = np.linalg.norm((frames - center) @ whitening, axis=1)
     radius = BEYOND * float(np.quantile(reach, 0.995))
     return BreathingPose(
-        b_mm, covariance, own, center, whitening, radius, _held_out_mm(beats, breaths, own), len(breaths)
+        b_mm, covariance, own, center, whitening, radius, _held_out_mm(table, breaths, own), len(breaths)
     )
 
 
-def _ridge(beats: tuple[BreathBeat, ...], own_mm2: float) -> tuple[FloatArray, FloatArray]:
+def misfits(beats: tuple[BreathBeat, ...], features: FloatArray) -> FloatArray:
+    """Compute what fits to other features of the beats miss, as multiples of what a good fit would.
+
+    Args:
+        features: (m, n, 4) m alternatives for n beats; NaN for a beat that one of them does not have.
+    Returns:
+        (m,) χ² over its expected value, times the number of directions that the beats tell anything of.
+    """
+    known = np.asarray(np.isfinite(features).all(axis=(0, 2)))
+    table = _Table.of(tuple(beat for beat, here in zip(beats, known, strict=True) if here))
+    tables = [replace(table, features=one[known]) for one in features]
+    missed = np.array([one.missed(_ridge(one, 0.0)[0]) for one in tables])
+    seen = float(table.seen.sum())
+    return np.asarray(missed / max(1.0, float(missed.min()) / max(seen * (1.0 - FEATURES / len(known)), 1.0)))
+
+
+@read_only_arrays
+@dataclass(frozen=True, slots=True, eq=False)
+class _Table:
+    """Beats as arrays over n of them.
+
+    Attributes:
+        features: (n, 4); information: (n, 6, 6); offsets: (n, 6) J ξ; xi_mm: (n, 6).
+        traces: (n,) of the information; seen: (n,) directions that a beat tells anything of.
+        breaths: (n,)
+    """
+
+    features: FloatArray
+    information: FloatArray
+    offsets: FloatArray
+    xi_mm: FloatArray
+    traces: FloatArray
+    seen: FloatArray
+    breaths: IntArray
+
+    @classmethod
+    def of(cls, beats: tuple[BreathBeat, ...]) -> "_Table":
+        information = np.array([beat.information for beat in beats]).reshape(-1, 6, 6)
+        offsets = np.array([beat.offset_information for beat in beats]).reshape(-1, 6)
+        inverses = np.linalg.pinv(information, rcond=1e-9, hermitian=True)
+        shares = np.linalg.solve(information + np.eye(6) / CONSTANT_MM**2, information)
+        return cls(
+            np.array([beat.features for beat in beats]).reshape(-1, FEATURES),
+            information,
+            offsets,
+            np.einsum("nij,nj->ni", inverses, offsets),
+            np.trace(information, axis1=1, axis2=2),
+            np.trace(shares, axis1=1, axis2=2),
+            np.array([beat.breath for beat in beats]),
+        )
+
+    def part(self, chosen: BoolArray) -> "_Table":
+        """Choose beats."""
+        return _Table(*(getattr(self, name)[chosen] for name in self.__slots__))
+
+    def missed(self, b_mm: FloatArray) -> float:
+        """Sum the squared residuals over their noise."""
+        apart = self.xi_mm - self.features @ b_mm
+        return float(np.einsum("ni,nij,nj->", apart, self.information, apart, optimize=True))
+
+
+def _ridge(beats: _Table, own_mm2: float) -> tuple[FloatArray, FloatArray]:
     """Solve for B (4, 6) and its covariance (4, 6, 4, 6); ξ of a beat varies by `own_mm2` beyond noise."""
-    features = np.array([beat.features for beat in beats])
+    features, size = beats.features, FEATURES * 6
     scale = np.concatenate([[1.0], np.maximum(features[:, 1:].std(axis=0), 1e-6)])
-    normal, right = np.zeros((FEATURES, 6, FEATURES, 6)), np.zeros((FEATURES, 6))
-    for beat in beats:
-        widened = np.linalg.inv(np.eye(6) + own_mm2 * beat.information)
-        f, j, h = beat.features / scale, widened @ beat.information, widened @ beat.offset_information
-        normal += np.einsum("i,j,kl->ikjl", f, f, 0.5 * (j + j.T))
-        right += np.outer(f, h)
+    scaled = features / scale
+    widened = np.linalg.inv(np.eye(6) + own_mm2 * beats.information)
+    information = widened @ beats.information
+    information = 0.5 * (information + information.transpose(0, 2, 1))
+    products = (scaled[:, :, None] * scaled[:, None, :]).reshape(len(scaled), -1)
+    normal = (products.T @ information.reshape(len(scaled), 36)).reshape(FEATURES, FEATURES, 6, 6)
+    right = scaled.T @ np.einsum("nij,nj->ni", widened, beats.offsets)
     prior = np.concatenate([[CONSTANT_MM], np.full(FEATURES - 1, MOTION_MM)])
-    size = FEATURES * 6
-    matrix = normal.reshape(size, size) + np.diag(np.repeat(prior**-2.0, 6))
+    matrix = normal.transpose(0, 2, 1, 3).reshape(size, size) + np.diag(np.repeat(prior**-2.0, 6))
     covariance = np.linalg.inv(matrix).reshape(FEATURES, 6, FEATURES, 6)
     b_mm = np.einsum("ikjl,jl->ik", covariance, right)
     covariance = covariance / scale[:, None, None, None] / scale[None, None, :, None]
     return b_mm / scale[:, None], covariance
 
 
-def _own_variance(beats: tuple[BreathBeat, ...], b_mm: FloatArray) -> float:
+def _own_variance(beats: _Table, b_mm: FloatArray) -> float:
     """Estimate the variance of a coordinate beyond the noise, of which the fit absorbs a share."""
-    missed, widths, seen = _missed(beats, b_mm)
-    return max(0.0, (missed - seen * (1.0 - FEATURES / len(beats))) / widths)
+    expected = float(beats.seen.sum()) * (1.0 - FEATURES / len(beats.features))
+    return max(0.0, (beats.missed(b_mm) - expected) / float(beats.traces.sum()))
 
 
-def _missed(beats: tuple[BreathBeat, ...], b_mm: FloatArray) -> tuple[float, float, float]:
-    """Sum squared residuals over their noise, the traces of the information, and the directions seen."""
-    square, trace, seen = 0.0, 0.0, 0.0
-    for beat in beats:
-        xi = np.linalg.lstsq(beat.information, beat.offset_information, rcond=1e-9)[0]
-        apart = xi - beat.features @ b_mm
-        square += float(apart @ beat.information @ apart)
-        trace += float(np.trace(beat.information))
-        total = beat.information + np.eye(6) / CONSTANT_MM**2
-        seen += float(np.trace(np.linalg.solve(total, beat.information)))
-    return square, trace, seen
-
-
-def _held_out_mm(beats: tuple[BreathBeat, ...], breaths: list[int], own_mm2: float) -> float:
+def _held_out_mm(beats: _Table, breaths: IntArray, own_mm2: float) -> float:
     """Learn without each block of breaths in turn, and measure what it misses of them beyond the noise."""
-    square, trace, seen = 0.0, 0.0, 0.0
-    for block in np.array_split(np.array(breaths), min(FOLDS, len(breaths))):
-        out = tuple(beat for beat in beats if beat.breath in block)
-        b_mm, _ = _ridge(tuple(beat for beat in beats if beat.breath not in block), own_mm2)
-        of_block = _missed(out, b_mm)
-        square, trace, seen = square + of_block[0], trace + of_block[1], seen + of_block[2]
-    return float(np.sqrt(max(0.0, (square - seen) / trace) * MEAN_SQUARE_OF_COORDINATES.sum()))
+    square = 0.0
+    for block in np.array_split(breaths, min(FOLDS, len(breaths))):
+        out = np.isin(beats.breaths, block)
+        b_mm, _ = _ridge(beats.part(~out), own_mm2)
+        square += beats.part(out).missed(b_mm)
+    beyond = max(0.0, (square - float(beats.seen.sum())) / float(beats.traces.sum()))
+    return float(np.sqrt(beyond * MEAN_SQUARE_OF_COORDINATES.sum()))

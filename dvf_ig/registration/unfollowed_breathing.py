@@ -1,7 +1,7 @@
 """Evidence that a heart moves with the breath, from the poses of single beats alone.
 
-The poses of the last beats are fitted by a constant, a linear drift and one oscillation of all six
-coordinates, each beat with its own information,
+The poses of the last beats are fitted by a constant (another one after each shift), a linear drift and one
+oscillation of all six coordinates, each beat with its own information,
 
     ξ(t) = a + b t + c cos 2πft + d sin 2πft,
 
@@ -9,7 +9,7 @@ for the frequencies of breathing. How much the oscillation lowers χ² is the ev
 """
 
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from .breathing import CONSTANT_MM
 from .pose_chart import PoseChart
 from .tracking.pose_estimate import BeatMeasurement
 
-LEAST_BEATS, MOST_BEATS = 16, 32
+LEAST_BEATS, MOST_BEATS = 12, 32
 """Beats that are evidence of an oscillation, and that are remembered."""
 FREQUENCIES_HZ = np.arange(0.1, 0.56, 0.02)
 """Six to 33 breaths a minute, at the resolution of MOST_BEATS."""
@@ -27,9 +27,10 @@ BEATS_A_BREATH = 2.2
 """Fewest beats a breath in which it is still seen."""
 OSCILLATION_MM = 5.0
 """Prior SD of drift and oscillation."""
-FOUND, GONE = 80.0, 40.0
-"""Fall of χ² from which an oscillation is breathing, and below which it no longer is. Biases that change with
-the view oscillate with a sweeping probe, too (docs/theory/respiration.md)."""
+FOUND, GONE = 90.0, 45.0
+"""Fall of χ² from which an oscillation is breathing, and below which it no longer is: between the 65 at most
+that biases make which change with a sweeping view, and the 131 at least of 4 mm of breathing
+(docs/theory/respiration.md)."""
 LEAST_MM, GONE_MM = 1.0, 0.7
 """The same limits of the amplitude of the translation."""
 
@@ -42,11 +43,15 @@ class BeatPose:
     Attributes:
         t_s: half-way through it.
         information: (6, 6) J, 1/mm²; offset_information: (6,) J ξ, in one `PoseChart` for all beats.
+        square: ξᵀ J ξ.
+        place: number of the place where the heart lay, which a shift counts up.
     """
 
     t_s: float
     information: FloatArray
     offset_information: FloatArray
+    square: float
+    place: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +59,8 @@ class Oscillation:
     """Strongest oscillation of the poses of beats.
 
     Attributes:
-        per_minute: its frequency; fall: of χ²; amplitude_mm: of the translation.
+        per_minute: its frequency; amplitude_mm: of the translation.
+        fall: of χ², over that of what is left if the beats scatter more than they state.
     """
 
     per_minute: float
@@ -80,6 +86,7 @@ class OscillationWatch:
         """Breathing that the last beats show; None if they show none."""
         self._center_mm = center_mm
         self._chart: PoseChart | None = None
+        self._place = 0
         self._beats: deque[BeatPose] = deque(maxlen=MOST_BEATS)
 
     def add(self, middle_s: float, measurement: BeatMeasurement) -> None:
@@ -91,14 +98,17 @@ class OscillationWatch:
         information = 0.5 * (measurement.information + measurement.information.T)
         from_base_mm = self._chart.coordinates(measurement.pose)
         offset = measurement.offset_information_mm + information @ from_base_mm
-        self._beats.append(BeatPose(middle_s, information, offset))
+        square = float(offset @ np.linalg.pinv(information, rcond=1e-9, hermitian=True) @ offset)
+        self._beats.append(BeatPose(middle_s, information, offset, square, self._place))
         oscillation = strongest_oscillation(tuple(self._beats))
         breathes = oscillation is not None and oscillation.is_breathing(before=self.found is not None)
         self.found = oscillation if breathes else None
 
-    def restart(self) -> None:
-        """Forget the beats, since the heart has moved in another way; breathing that was found stays so."""
-        self._beats.clear()
+    def shifted(self, from_s: float) -> None:
+        """Count beats from then on as those of another place: the heart has moved in another way."""
+        self._place += 1
+        moved = [replace(beat, place=self._place) if beat.t_s >= from_s else beat for beat in self._beats]
+        self._beats = deque(moved, maxlen=MOST_BEATS)
 
 
 def strongest_oscillation(beats: tuple[BeatPose, ...]) -> Oscillation | None:
@@ -109,27 +119,34 @@ def strongest_oscillation(beats: tuple[BeatPose, ...]) -> Oscillation | None:
     information = np.array([beat.information for beat in beats])
     offsets = np.array([beat.offset_information for beat in beats])
     t_s = t_s - t_s.mean()
-    steady = np.stack([np.ones_like(t_s), t_s / t_s.std()], axis=1)
-    without, _ = _fit(steady, information, offsets)
+    places = np.array([beat.place for beat in beats])
+    steady = np.column_stack([places[:, None] == np.unique(places), t_s / t_s.std()]).astype(np.float64)
+    constants = steady.shape[1] - 1
+    without, _ = _fit(steady, constants, information, offsets)
     fastest_hz = 1.0 / (BEATS_A_BREATH * float(np.median(np.diff(t_s))))
+    total = float(np.sum([beat.square for beat in beats]))
     best = Oscillation(0.0, 0.0, 0.0)
     for frequency_hz in FREQUENCIES_HZ[fastest_hz >= FREQUENCIES_HZ].tolist():
         angle = 2.0 * np.pi * frequency_hz * t_s
         waves = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-        explained, b_mm = _fit(np.concatenate([steady, waves], axis=1), information, offsets)
-        if explained - without > best.fall:
-            amplitude_mm = float(np.linalg.norm(b_mm[2:, 3:]))
-            best = Oscillation(60.0 * frequency_hz, explained - without, amplitude_mm)
+        explained, b_mm = _fit(np.hstack([steady, waves]), constants, information, offsets)
+        free = 6 * len(beats) - b_mm.size
+        fall = (explained - without) / max(1.0, (total - explained) / free)
+        if fall > best.fall:
+            amplitude_mm = float(np.linalg.norm(b_mm[-2:, 3:]))
+            best = Oscillation(60.0 * frequency_hz, fall, amplitude_mm)
     return best
 
 
-def _fit(features: FloatArray, information: FloatArray, offsets: FloatArray) -> tuple[float, FloatArray]:
-    """Fit B (p, 6) of ξ = Bᵀ f by ridge; also return the χ² that it explains."""
+def _fit(
+    features: FloatArray, constants: int, information: FloatArray, offsets: FloatArray
+) -> tuple[float, FloatArray]:
+    """Fit B (p, 6) of ξ = Bᵀ f by ridge, the first features `constants`; also return the χ² it explains."""
     count = features.shape[1]
     products = (features[:, :, None] * features[:, None, :]).reshape(len(features), -1)
     normal = (products.T @ information.reshape(len(features), 36)).reshape(count, count, 6, 6)
-    prior = np.repeat([CONSTANT_MM**-2.0, *[OSCILLATION_MM**-2.0] * (count - 1)], 6)
+    prior = np.repeat([*[CONSTANT_MM**-2.0] * constants, *[OSCILLATION_MM**-2.0] * (count - constants)], 6)
     matrix = normal.transpose(0, 2, 1, 3).reshape(6 * count, 6 * count) + np.diag(prior)
     right = (features.T @ offsets).ravel()
     solved = np.linalg.solve(matrix, right)
-    return float(right @ solved), solved.reshape(count, 6)
+    return float(right @ solved), np.asarray(solved.reshape(count, 6), dtype=np.float64)

@@ -27,6 +27,7 @@ def table(result: dict[str, Any]) -> list[tuple[str, str, str]]:
         *_bound_rows(result),
         *_update_rows(result),
         *_tip_rows(result),
+        *_breathing_rows(result),
         *_force_rows(result),
         _supervisor_row(result),
         ("time", _time(result), ""),
@@ -153,6 +154,22 @@ def _tip_rows(result: dict[str, Any]) -> list[tuple[str, str, str]]:
     return [
         ("tip in the image", f"{seen['off_mm']:.1f} mm from its place, {seen['seen_beats']} sightings", "")
     ]
+
+
+def _breathing_rows(result: dict[str, Any]) -> list[tuple[str, str, str]]:
+    """Describe what was found about the motion in breathing, if anything was."""
+    found = result["breathing"]
+    if found is None:
+        return []
+    if found["breaths"] is None:
+        text = (
+            f"{found['unfollowed_mm']:.1f} mm with breaths, some {found['per_minute']:.0f} a minute, that "
+            f"nothing follows; no force from {found['from_s']:.1f} s on"
+        )
+        return [("breathing", text, "")]
+    behind = f"{abs(found['latency_s']):.2f} s {'behind' if found['latency_s'] > 0 else 'ahead of'} the heart"
+    text = f"motion learnt from {found['breaths']} breaths, {found['held_out_mm']:.1f} mm off in others"
+    return [("breathing", f"{text}; what follows it is {behind}", "")]
 
 
 def _force_rows(result: dict[str, Any]) -> list[tuple[str, str, str]]:

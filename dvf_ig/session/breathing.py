@@ -7,6 +7,7 @@ All other parts of a session see the heart at rest, which is end-expiration.
 """
 
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 from math import floor, inf, nan
 
@@ -32,6 +33,7 @@ from dvf_ig.registration import (
     OscillationWatch,
     PoseChart,
     learn_breathing,
+    misfits,
 )
 
 from .clocks import StampOrder
@@ -45,6 +47,8 @@ FIRST_BREATHS, TRUSTED_BREATHS = 4, 10
 MAX_HELD_OUT_MM = 2.0
 """Largest error in held-out breaths of a model that forces may follow."""
 REMEMBERED_BREATHS = 40
+LATENCIES_S = np.arange(-0.6, 0.41, 0.05)
+"""Latencies of ρ that are compared."""
 KNOWN_SHARE, LONGEST_BREATH_S = 0.8, 30.0
 """A breath of which less was learnt lies outside; a longer one is a pause."""
 LOST_S = BreathClockOptions().lost_s
@@ -58,6 +62,7 @@ class FrameBreathing:
     """Breathing at the moments of n frames, as known when they were gathered.
 
     Attributes:
+        event_s: (n,) what they show happened then.
         features: (n, 4) s; NaN where it is not known.
         resting: (n,) at end-expiration, where nothing has to be known of the motion.
         xi_mm: (n, 6) motion from rest by the model; zero without one.
@@ -65,6 +70,7 @@ class FrameBreathing:
         learnt: forces follow the model.
     """
 
+    event_s: FloatArray
     features: FloatArray
     resting: BoolArray
     xi_mm: FloatArray
@@ -78,8 +84,38 @@ class FrameBreathing:
 
     def part(self, chosen: IntArray | slice) -> "FrameBreathing":
         """Choose frames."""
-        parts = (self.features[chosen], self.resting[chosen], self.xi_mm[chosen], self.known[chosen])
-        return FrameBreathing(*parts, self.learnt)
+        return FrameBreathing(
+            self.event_s[chosen],
+            self.features[chosen],
+            self.resting[chosen],
+            self.xi_mm[chosen],
+            self.known[chosen],
+            self.learnt,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class BreathingRecord:
+    """What a session has found about the motion in breathing.
+
+    Attributes:
+        from_s: when; the motion that forces follow is learnt again with every breath.
+        breaths: number of breaths it was learnt from; None if nothing follows the breath.
+        held_out_mm: its error in breaths that it was not learnt from, as in `BreathingPose`.
+        latency_s: how far what follows the breath is behind the heart; negative if it is ahead.
+        unfollowed_mm, per_minute: motion and rate of breaths that heart beats show, if nothing follows them.
+    """
+
+    from_s: float
+    breaths: int | None = None
+    held_out_mm: float | None = None
+    latency_s: float | None = None
+    unfollowed_mm: float | None = None
+    per_minute: float | None = None
+
+
+def no_log(_: BreathingRecord) -> None:
+    """Log nothing."""
 
 
 @read_only_arrays
@@ -110,21 +146,32 @@ def moved_to_rest(
     return back @ turn @ in_model, (at - base.translation_mm) @ back.T
 
 
+@read_only_arrays
+@dataclass(frozen=True, slots=True, eq=False)
+class _TimedBeat:
+    """A beat with the times of its frames, (m,)."""
+
+    beat: BreathBeat
+    frames_s: FloatArray
+
+
 class BreathingTracker:
     """The clock, the learning and the motion; one without samples never has an effect.
 
     Args:
         center_mm: (3,) centre of the heart, model frame.
+        log: called with what is found.
     """
 
-    def __init__(self, center_mm: FloatArray) -> None:
+    def __init__(self, center_mm: FloatArray, log: Callable[[BreathingRecord], None] = no_log) -> None:
+        self._log = log
         self.order = StampOrder()
         self._changed = False  # for good, and not learnt again yet
         self._center_mm = center_mm
         self._following = RelearningClock()
         self._changes = 0
         self._waiting: deque[RespirationSample] = deque()
-        self._beats: deque[BreathBeat] = deque()
+        self._beats: deque[_TimedBeat] = deque()
         self._model: BreathingPose | None = None
         self._learnt = False
         self._rest = np.array([1.0, 0.0, 0.0, 0.0])
@@ -144,10 +191,14 @@ class BreathingTracker:
         self._watch.add(middle_s, measurement)
         if (self._watch.found is None) is not (before is None):
             self._watch_changed_s = decided_s
+            found = self._watch.found
+            if found is not None:
+                moved_mm, per_minute = 2.0 * found.amplitude_mm, found.per_minute
+                self._log(BreathingRecord(decided_s, unfollowed_mm=moved_mm, per_minute=per_minute))
 
-    def restart_watch(self) -> None:
-        """Forget the watched beats: the heart has moved in another way."""
-        self._watch.restart()
+    def shifted(self, from_s: float) -> None:
+        """Watch for breathing from then on at another place of the heart."""
+        self._watch.shifted(from_s)
 
     @property
     def _clock(self) -> BreathClock:
@@ -186,7 +237,7 @@ class BreathingTracker:
             self._count_unknown(self._last_onset_s, onsets[-1])
             self._last_onset_s = onsets[-1]
             self._breath += 1
-            self._learn()
+            self._learn(now_s)
 
     def reading(self, now_s: float) -> BreathReading:
         """Read the clock."""
@@ -200,10 +251,10 @@ class BreathingTracker:
         resting = np.asarray(features[:, 1:].max(axis=1) <= self._rest_level)
         if self._model is None:
             nothing = np.zeros(len(event_s), dtype=np.bool_)
-            return FrameBreathing(features, resting, np.zeros((len(event_s), 6)), nothing, False)
+            return FrameBreathing(event_s, features, resting, np.zeros((len(event_s), 6)), nothing, False)
         known = self._model.knows(features)
         xi = np.where(known[:, None], self._xi_mm(self._model, features), 0.0)
-        return FrameBreathing(features, resting, xi, known, self._learnt)
+        return FrameBreathing(event_s, features, resting, xi, known, self._learnt)
 
     def add_beat(self, measurement: BeatMeasurement, frames: FrameBreathing) -> None:
         """Learn from a beat that was compared with a pose after its frames were moved by `frames`.
@@ -214,16 +265,15 @@ class BreathingTracker:
         if not measurement.informative or not good.any():
             return
         xi = frames.xi_mm[good].mean(axis=0)
-        self._beats.append(
-            BreathBeat(
-                frames.features[good].mean(axis=0),
-                frames.features[good],
-                measurement.information,
-                measurement.offset_information_mm + measurement.information @ xi,
-                self._breath,
-            )
+        beat = BreathBeat(
+            frames.features[good].mean(axis=0),
+            frames.features[good],
+            measurement.information,
+            measurement.offset_information_mm + measurement.information @ xi,
+            self._breath,
         )
-        while self._beats[0].breath < self._breath - REMEMBERED_BREATHS:
+        self._beats.append(_TimedBeat(beat, frames.event_s[good]))
+        while self._beats[0].beat.breath < self._breath - REMEMBERED_BREATHS:
             self._beats.popleft()
 
     def motion(self, resting: PoseMotion, now_s: float) -> PoseMotion:
@@ -297,6 +347,7 @@ class BreathingTracker:
             withheld = not features[0, 1:].max() <= self._rest_level
             return _Moment(changed_s, withheld, nothing, 0.0, cause.value)
         covariance = model.covariance_mm2(features - self._rest)[0]
+        covariance += reading.sigma_rho**2 * np.outer(model.b_mm[1], model.b_mm[1])
         bound_mm = float(2.0 * np.sqrt(MEAN_SQUARE_OF_COORDINATES @ np.diag(covariance)))
         withheld = not model.knows(features)[0]
         outside = BreathingReason.NOT_LEARNT.value if withheld else None
@@ -315,6 +366,17 @@ class BreathingTracker:
         if np.isfinite(features).any():
             features[~self._clock.tells(t_s)] = nan
         return features
+
+    def _latency_s(self) -> float:
+        """Estimate how far ρ is behind the heart: the shift of ρ alone that best explains the beats."""
+        frames_s = np.concatenate([one.frames_s for one in self._beats])
+        begins = np.cumsum([0, *(len(one.frames_s) for one in self._beats)])[:-1]
+        counts = np.diff([*begins, len(frames_s)])[:, None]
+        shifted = np.array([self._features(frames_s + late_s) for late_s in LATENCIES_S.tolist()])
+        shifted[:, :, 2:] *= 0.0  # a gap stays NaN
+        means = np.array([np.add.reduceat(one, begins, axis=0) / counts for one in shifted])
+        misfit = misfits(tuple(one.beat for one in self._beats), means)
+        return float(LATENCIES_S[misfit.argmin()])
 
     def _xi_mm(self, model: BreathingPose, features: FloatArray) -> FloatArray:
         """Compute the motion from rest at (n, 4) features."""
@@ -338,11 +400,12 @@ class BreathingTracker:
         self._rest_level_s = self._last_onset_s = -inf
         self._changed = True
 
-    def _learn(self) -> None:
+    def _learn(self, now_s: float) -> None:
         """Learn again with every breath; until forces follow it, the rest is that of the gate."""
-        if len({beat.breath for beat in self._beats}) < FIRST_BREATHS:
+        breaths = len({one.beat.breath for one in self._beats})
+        if breaths < FIRST_BREATHS:
             return
-        model = learn_breathing(tuple(self._beats))
+        model = learn_breathing(tuple(one.beat for one in self._beats))
         if model is None:
             return
         if not self._learnt:
@@ -350,3 +413,6 @@ class BreathingTracker:
         self._model = model
         self._learnt |= model.breaths >= TRUSTED_BREATHS and model.held_out_mm <= MAX_HELD_OUT_MM
         self._changed &= not self._learnt
+        if self._learnt:
+            record = BreathingRecord(now_s, model.breaths, model.held_out_mm, self._latency_s())
+            self._log(record)

@@ -9,6 +9,7 @@ from dvf_ig.core import Rigid
 from dvf_ig.registration import TipSighting
 
 from .beat_evaluation import BeatEvaluation
+from .breathing import BreathingRecord
 from .reasons import Doubt, Refused
 from .ultrasound_registration import RegistrationRecord
 
@@ -41,7 +42,15 @@ class RegistrationDecision:
     refused: Refused | None
 
 
-Entry = RPeak | RegistrationRecord | RegistrationDecision | BeatEvaluation | PoseUpdate | TipSighting
+Entry = (
+    RPeak
+    | RegistrationRecord
+    | RegistrationDecision
+    | BeatEvaluation
+    | PoseUpdate
+    | TipSighting
+    | BreathingRecord
+)
 
 
 class SessionHistory:
@@ -54,6 +63,7 @@ class SessionHistory:
         self._beats: deque[BeatEvaluation] = deque(maxlen=longest)
         self._updates: deque[PoseUpdate] = deque(maxlen=longest)
         self._sightings: deque[TipSighting] = deque(maxlen=longest)
+        self._breathing: deque[BreathingRecord] = deque(maxlen=longest)
 
     def append(self, entry: Entry) -> None:
         """Add the newest entry of its kind."""
@@ -70,6 +80,8 @@ class SessionHistory:
                 self._updates.append(entry)
             case TipSighting():
                 self._sightings.append(entry)
+            case BreathingRecord():
+                self._breathing.append(entry)
 
     @property
     def peaks(self) -> Sequence[RPeak]:
@@ -90,6 +102,11 @@ class SessionHistory:
     def sightings(self) -> Sequence[TipSighting]:
         """Sightings of the tool's tip, one for each beat whose images show it."""
         return self._sightings
+
+    @property
+    def breathing(self) -> Sequence[BreathingRecord]:
+        """What was found about the motion in breathing."""
+        return self._breathing
 
     @property
     def registrations(self) -> tuple[RegistrationRecord, ...]:

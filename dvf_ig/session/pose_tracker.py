@@ -136,7 +136,8 @@ class PoseTracker:
         before = self.pose
         self.pose, actions = next_pose(self.pose, event)
         if isinstance(before, InUse) and not isinstance(self.pose, InUse) and self._breathing is not None:
-            self._breathing.restart_watch()
+            since_s = 0.0 if self.doubt is None else self.doubt.since_s
+            self._breathing.shifted(since_s if since_s > 0.0 else inf)
         for action in actions:
             if not isinstance(action, RegisterNext):
                 self.history.append(action)
@@ -186,9 +187,6 @@ class PoseTracker:
             evaluation = self._evaluate(compared.slices, estimate)
         elif evaluation is not None:
             evaluation = at_pose(evaluation, estimate)
-        if evaluation is not None and self._breathing is not None:
-            middle_s = 0.5 * (evaluation.begin_s + evaluation.end_s)
-            self._breathing.watch(middle_s, now_s, evaluation.measurement)
         if evaluation is None and not compared.irregular:
             self._apply(BeatMissed())
         self._take_evaluation(evaluation, now_s)
@@ -201,6 +199,9 @@ class PoseTracker:
     ) -> None:
         if evaluation is None:
             return
+        if self._breathing is not None:
+            middle_s = 0.5 * (evaluation.begin_s + evaluation.end_s)
+            self._breathing.watch(middle_s, now_s, evaluation.measurement)
         evaluation = replace(evaluation, in_use=isinstance(self.pose, InUse))
         self.history.append(evaluation)
         if not isinstance(self.pose, Candidate):

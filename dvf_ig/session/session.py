@@ -84,7 +84,7 @@ class Session:
         self.history = history if history is not None else SessionHistory(REMEMBERED)
         self._threads = SliceThreads()
         self._frames = FrameBuffer()
-        self._breathing = BreathingTracker(setup.heart.center_mm)
+        self._breathing = BreathingTracker(setup.heart.center_mm, self.history.append)
         if ultrasound is None:
             source = self._arrived(clock, executor if executor is not None else InlineExecutor())
         else:

@@ -139,13 +139,13 @@ def test_a_real_heart_follows_the_dome_of_the_liver(name: str, data_dir: Path) -
 def watched(
     move: Callable[[float], FloatArray], beats: int, *, irregular: float = 0.03, seed: int = 3
 ) -> tuple[list[float], list[Oscillation | None]]:
-    """Watch beats of a heart with 0.8 mm of noise a coordinate; times, and what was found after each."""
+    """Watch beats of a heart with 0.6 mm of noise a coordinate; times, and what was found after each."""
     rng, t_s, watch = np.random.default_rng(seed), 0.0, OscillationWatch(np.zeros(3))
     times, found = [], []
     for _ in range(beats):
         t_s += 0.85 * max(0.4, 1.0 + irregular * rng.standard_normal())
-        information = np.eye(6) / 0.8**2
-        offset = move(t_s) + 0.8 * rng.standard_normal(6)
+        information = np.eye(6) / 0.6**2
+        offset = move(t_s) + 0.6 * rng.standard_normal(6)
         measured = SimpleNamespace(
             pose=HOME, informative=True, information=information, offset_information_mm=information @ offset
         )
@@ -190,3 +190,28 @@ def test_beats_of_a_heart_that_does_not_breathe_show_no_breath(move: Callable[[f
     for seed in range(4):
         for irregular in (0.03, 0.18):
             assert not any(watched(move, 80, irregular=irregular, seed=seed)[1])
+
+
+def test_a_shift_of_the_patient_is_no_breath_and_breathing_is_found_across_it() -> None:
+    """8 mm at 30 s; the session reports it three beats later."""
+
+    def found_of(breath_mm: float) -> list[Oscillation | None]:
+        rng, watch, found = np.random.default_rng(0), OscillationWatch(np.zeros(3)), []
+        for k in range(60):
+            t_s = 0.85 * k
+            moved = shifted(8.0 * (t_s > 30.0) + breath_mm * np.sin(np.pi * t_s / 4.3) ** 2)
+            offset = moved + 0.6 * rng.standard_normal(6)
+            measured = SimpleNamespace(
+                pose=HOME,
+                informative=True,
+                information=np.eye(6) / 0.36,
+                offset_information_mm=offset / 0.36,
+            )
+            watch.add(t_s, cast("BeatMeasurement", measured))
+            if k == 38:
+                watch.shifted(30.0)
+            found.append(watch.found)
+        return found
+
+    assert not any(found_of(0.0))
+    assert found_of(5.0)[-1] is not None

@@ -1,5 +1,6 @@
 """Breathing in a session: frames moved to rest exactly, motion learnt from beats, withheld in time."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,7 +13,13 @@ from data_synth.breathing.recorded import recorded_breathing
 from dvf_ig.core import HEART_RADIUS_MM, BoolArray, FloatArray, PoseMotion, Respiration, Rigid
 from dvf_ig.registration import BeatMeasurement, PoseChart
 from dvf_ig.session import RespirationSample
-from dvf_ig.session.breathing import BreathingTracker, FrameBreathing, moved_to_rest
+from dvf_ig.session.breathing import (
+    BreathingRecord,
+    BreathingTracker,
+    FrameBreathing,
+    moved_to_rest,
+    no_log,
+)
 from dvf_ig.session.reasons import BreathingReason
 
 CENTER = np.zeros(3)
@@ -68,11 +75,15 @@ def beat(tracker: BreathingTracker, breathing: Breathing, begin_s: float, rng: n
 
 
 def follow(
-    events: tuple[tuple[str, float], ...] = (), until_s: float = STOP_S
+    events: tuple[tuple[str, float], ...] = (),
+    until_s: float = STOP_S,
+    late_s: float = 0.0,
+    log: Callable[[BreathingRecord], None] = no_log,
 ) -> tuple[FloatArray, FloatArray, BoolArray, BreathingTracker]:
     """Follow a world: (n,) times every 0.1 s, errors over the heart (mm), whether the pose was withheld."""
     breathing, recorded = world(events, until_s=until_s)
-    tracker, rng, pushed, next_beat_s = BreathingTracker(CENTER), np.random.default_rng(5), 0, 14.0
+    recorded = Respiration(recorded.t_s + late_s, recorded.values, recorded.name)
+    tracker, rng, pushed, next_beat_s = BreathingTracker(CENTER, log), np.random.default_rng(5), 0, 14.0
     times, errors, withheld = [], [], []
     for now_s in np.arange(0.5, until_s, 0.1).tolist():
         due = int(np.searchsorted(recorded.t_s, now_s, side="right"))
@@ -159,6 +170,22 @@ def test_a_disconnection_before_the_motion_is_learnt_is_no_rest() -> None:
     assert (~withheld[times > 42.0 + 3.0 * 60.0 / 14.0]).any()
 
 
+def test_the_latency_of_what_follows_the_breath_is_estimated() -> None:
+    """The heart itself is late by its hysteresis: only a difference is known here."""
+    found: list[list[BreathingRecord]] = []
+    for late_s in (0.0, 0.2):
+        found.append([])
+        follow(until_s=80.0, late_s=late_s, log=found[-1].append)
+    soon, late = (records[-1].latency_s for records in found)
+    assert soon is not None
+    assert late is not None
+    assert late - soon == pytest.approx(0.2, abs=0.06)
+    held_out_mm = found[0][-1].held_out_mm
+    assert held_out_mm is not None
+    assert held_out_mm < 1.0
+    assert found[0][-1].breaths is not None
+
+
 def test_breathing_that_is_deeper_for_good_is_learnt_again() -> None:
     """Withheld until five of its breaths gave a new scale, then the gate, then the motion."""
     times, errors, withheld, tracker = follow((("deepened", 80.0),), 160.0)
@@ -209,7 +236,7 @@ def test_a_beat_without_information_teaches_nothing() -> None:
     tracker = BreathingTracker(CENTER)
     nothing = Measured(np.eye(6), np.zeros(6), informative=False)
     frames = FrameBreathing(
-        np.ones((3, 4)), np.ones(3, np.bool_), np.zeros((3, 6)), np.zeros(3, np.bool_), False
+        np.arange(3.0), np.ones((3, 4)), np.ones(3, np.bool_), np.zeros((3, 6)), np.zeros(3, np.bool_), False
     )
     measurement: BeatMeasurement = nothing  # type: ignore[assignment]
     tracker.add_beat(measurement, frames)

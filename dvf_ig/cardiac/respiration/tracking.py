@@ -9,6 +9,9 @@ from dvf_ig.core import FloatArray, IntArray, Progress, Respiration, read_only_a
 from .breath_clock import BreathClockOptions
 from .relearning import RelearningClock
 
+IRREGULAR = 0.3
+"""Standard deviation of the length of breaths over its mean, beyond which they have no rate."""
+
 
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,9 +35,12 @@ class BreathTrack:
     onsets_s: FloatArray
 
     def rate_per_min(self, start_s: float, stop_s: float) -> float:
-        """Compute breaths a minute between two times; NaN with fewer than three."""
+        """Compute breaths a minute between two times; NaN with fewer than three, or if they are irregular."""
         onsets = self.onsets_s[(self.onsets_s >= start_s) & (self.onsets_s < stop_s)]
         if len(onsets) < 3:
+            return float("nan")
+        lengths_s = np.diff(onsets)
+        if lengths_s.std() > IRREGULAR * lengths_s.mean():
             return float("nan")
         return float(60.0 * (len(onsets) - 1) / (onsets[-1] - onsets[0]))
 

@@ -12,6 +12,7 @@ from types import ModuleType
 
 import numpy as np
 
+from dvf_ig.core.arrays import FloatArray
 from dvf_ig.core.errors import MissingDependencyError, UnreadableFileError, install_extra
 from dvf_ig.core.recordings.signal import Signal
 from dvf_ig.io.provenance import record_file
@@ -43,7 +44,7 @@ def read_wfdb(record: Path, lead: str | None = None, rate_hz: float | None = Non
     """Read the ECG leads of a WFDB record (`choose_leads`), named without suffix, in mV, at their own rate.
 
     A signal without a gain is read at 200 units per mV (WFDB header(5)), with a warning. A lead that no
-    segment holds is all NaN; a lead without a name becomes "signal 0" and so on.
+    segment holds is all NaN.
 
     Args:
         record: path without suffix.
@@ -52,6 +53,27 @@ def read_wfdb(record: Path, lead: str | None = None, rate_hz: float | None = Non
     Raises:
         MissingDependencyError: the package wfdb is absent.
         UnreadableFileError: a file of the record is absent or damaged; no ECG, or leads of several rates.
+    """
+    channels, signals = read_wfdb_signals(record, rate_hz)
+    chosen = choose_leads(record, channels, lead)
+    samples, unit = in_millivolts(
+        record, np.column_stack([signals[i] for i in chosen]), [channels[i] for i in chosen]
+    )
+    left_out = tuple(channel.label for i, channel in enumerate(channels) if i not in chosen)
+    labels = tuple(channels[i].label for i in chosen)
+    return Signal(samples, channels[chosen[0]].rate_hz or 0.0, 0.0, labels, unit, left_out)
+
+
+def read_wfdb_signals(record: Path, rate_hz: float | None = None) -> tuple[list[Channel], list[FloatArray]]:
+    """Read all signals of a WFDB record, each at its own rate.
+
+    A signal without a name becomes "signal 0" and so on.
+
+    Args:
+        record, rate_hz: as of `read_wfdb`.
+    Raises:
+        MissingDependencyError: the package wfdb is absent.
+        UnreadableFileError: a file of the record is absent or damaged.
     """
     wfdb = wfdb_package()
     record = existing_record(record)
@@ -71,15 +93,9 @@ def read_wfdb(record: Path, lead: str | None = None, rate_hz: float | None = Non
     frames_hz = _frames_hz(record, header, rate_hz)
     labels = [name or f"signal {n}" for n, name in enumerate(data.sig_name)]
     rates = [frames_hz * (count or 1) for count in data.samps_per_frame or [1] * len(labels)]
-    channels = [
-        Channel(*channel)
-        for channel in zip(labels, [unit or UNIT for unit in data.units], rates, strict=True)
-    ]
-    chosen = choose_leads(record, channels, lead)
-    columns = np.column_stack([np.asarray(data.e_p_signal[i], dtype=np.float64) for i in chosen])
-    samples, unit = in_millivolts(record, columns, [channels[i] for i in chosen])
-    left_out = tuple(label for i, label in enumerate(labels) if i not in chosen)
-    return Signal(samples, rates[chosen[0]], 0.0, tuple(labels[i] for i in chosen), unit, left_out)
+    units = [unit or UNIT for unit in data.units]
+    channels = [Channel(*channel) for channel in zip(labels, units, rates, strict=True)]
+    return channels, [np.asarray(samples, dtype=np.float64) for samples in data.e_p_signal]
 
 
 def _compare_lengths(record: Path, header: RecordHeader) -> None:

@@ -10,10 +10,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from dvf_ig.guidance import Hazard
+from dvf_ig.registration.unfollowed_breathing import MOST_BEATS
 from dvf_ig.study.faults.injection import (
     ArrivalsChange,
     Fault,
     alternating,
+    breathing_by,
     drifting,
     early_beats,
     fibrillation,
@@ -74,9 +76,10 @@ BEAT_S = 0.90
 DETECTED_S = 0.25
 """An R peak is known so long after it: 0.139 s in 95 % (docs/theory/cardiac.md), and the packet's arrival."""
 LOST_S = 1.35 * BEAT_S + DETECTED_S
-PHASE_BACK_S, POSE_BACK_S, REGULAR_S = 12.0, 16.0, 45.0
+PHASE_BACK_S, POSE_BACK_S, REGULAR_S, BREATH_GONE_S = 12.0, 16.0, 45.0, 40.0
 """The operator waits so long for the phase, for a registration that beats confirm, and for the phase after
-fibrillation: forecasts that failed are forgotten by 5 % a beat."""
+fibrillation: forecasts that failed are forgotten by 5 % a beat; and until breaths have left all beats that
+are remembered."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -344,6 +347,21 @@ POSE_ROWS: tuple[Row, ...] = (
                     2 * BEAT_S + DETECTED_S + 0.15,
                 )
                 for by in (0.5, 1.0, 1.5)
+            ]
+        ),
+    ),
+    Row(
+        "breathing that nothing follows",
+        Hazard.BREATHING | Hazard.POSE_CONTRADICTED,
+        "the beats that are remembered (docs/theory/respiration.md), and the last one's comparison",
+        three(
+            [
+                Severity(
+                    f"{by:g} mm from end to end",
+                    SessionFault(Fault(patient=breathing_by(by)), 36.0, BREATH_GONE_S, SLOW_STEP_S),
+                    MOST_BEATS * BEAT_S + DETECTED_S + 0.15,
+                )
+                for by in (4.5, 6.0, 10.0)
             ]
         ),
     ),

@@ -250,6 +250,22 @@ def moved_by(by_mm: float) -> PatientChange:
     return lambda when, rng: _shifted(by_mm, when.begin_s, 0.5, rng)
 
 
+def breathing_by(by_mm: float) -> PatientChange:
+    """The patient breathes, BREATHS_A_MINUTE, and nothing follows it."""
+
+    def change(when: When, rng: np.random.Generator) -> Coordinates:
+        away = by_mm * _direction(rng)
+
+        def there(t_s: float) -> FloatArray:
+            if not when.begin_s <= t_s < when.end_s:
+                return np.zeros(6)
+            return np.asarray(away * np.sin(np.pi * BREATHS_A_MINUTE / 60.0 * (t_s - when.begin_s)) ** 2)
+
+        return there
+
+    return change
+
+
 def registered_off(by_mm: float) -> PatientChange:
     """Registrations that are asked for meanwhile put the heart elsewhere; it did not move."""
 
@@ -271,6 +287,7 @@ def _direction(rng: np.random.Generator) -> FloatArray:
     return np.concatenate([np.zeros(3), v / np.linalg.norm(v)])
 
 
+BREATHS_A_MINUTE = 14.0
 EARLY = 0.65
 """An early beat comes after this share of the interval."""
 FIBRILLATION_CV = 0.25
