@@ -53,7 +53,7 @@ WRITERS = {
 }
 """Command lines, each of which writes below the folder "o"."""
 MADE_BEFORE = {
-    "scene": "synth scenario --preset calm --seconds 8 --seed 101 -o scene",
+    "scene": "synth scenario --preset calm --seconds 17 --seed 101 -o scene",
     "run": "replay scene -o run",
     "model.npz": "model build --labels scene/preop/labels.nrrd --organ 1,2 -o model.npz",
 }
