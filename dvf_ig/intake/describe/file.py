@@ -99,8 +99,8 @@ def describe(
         raise InvalidInputError(f"a {what} belongs to an ECG; '{spec}' is not one")
     if not path.exists():
         raise UnreadableFileError(f"{path} does not exist; check the name")
-    if what := foreign_recording(path):
-        raise UnreadableFileError(f"{path} is {what}")
+    if other := foreign_recording(path):
+        raise UnreadableFileError(f"{path} is {other}")
     kind, facts = _folder_kind(path) if path.is_dir() else _file_kind(path)
     if names is None:
         return Description(kind, facts(path))
