@@ -53,7 +53,7 @@ WRITERS = {
 }
 """Command lines, each of which writes below the folder "o"."""
 MADE_BEFORE = {
-    "scene": "synth scenario --preset calm --seconds 8 --seed 101 -o scene",
+    "scene": "synth scenario --preset calm --seconds 17 --seed 101 -o scene",
     "run": "replay scene -o run",
     "model.npz": "model build --labels scene/preop/labels.nrrd --organ 1,2 -o model.npz",
 }
@@ -61,6 +61,8 @@ MADE_BEFORE = {
 PLACES = ("full disk", "read-only folder", "two processes")
 CANNOT_WRITE = 4
 """Exit code of a command that cannot write."""
+CONTINUED = ("study.json", "trials.jsonl")
+"""Files of a study that the next run of it continues, line by line."""
 State = dict[str, tuple[int, int, int]]
 
 
@@ -138,7 +140,7 @@ def _forked(trials: int, rng: random.Random, answer: int) -> bool:
     old, began = _state(), time.monotonic()
     if not (pid := os.fork()):
         return True
-    os.waitpid(pid, 0)
+    usual = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
     lasts_s, new = time.monotonic() - began, set(_state())
     counts = {"kills": 0, "old": 0, "new": 0, "refused by readers": 0, "mixed": 0, "damaged": 0}
     for number in range(trials):
@@ -169,9 +171,9 @@ def _forked(trials: int, rng: random.Random, answer: int) -> bool:
             subprocess.run(["umount", "o"], check=True)
             counts["without a sentence"] += codes != [CANNOT_WRITE]
         else:
-            counts["without a sentence"] += not set(codes) <= {0, CANNOT_WRITE} or 0 not in codes
+            counts["without a sentence"] += not set(codes) <= {usual, CANNOT_WRITE} or usual not in codes
             _judge(old, new, counts)
-        counts[place] = codes[0] if len(codes) == 1 else sum(code == 0 for code in codes)
+        counts[place] = codes[0] if len(codes) == 1 else sum(code == usual for code in codes)
     os.write(answer, json.dumps({**counts, "writing lasts s": round(lasts_s, 2)}).encode())
     return False
 
@@ -239,7 +241,11 @@ def _state() -> State:
     """Identify every file of the output except temporary ones."""
     files: State = {}
     for path in sorted(Path("o").rglob("*")):
-        if path.is_file() and path.name != LISTING and not any(map(TEMPORARY.fullmatch, path.parts)):
+        if (
+            path.is_file()
+            and path.name not in (LISTING, *CONTINUED)
+            and not any(map(TEMPORARY.fullmatch, path.parts))
+        ):
             at = path.stat()
             files[str(path)] = (at.st_ino, at.st_mtime_ns, at.st_size)
     return files

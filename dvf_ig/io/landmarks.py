@@ -53,6 +53,10 @@ _MODALITY = re.compile(r"(?<![A-Z])(?:(?P<MR>MRI?|CT)|(?P<US>US|(?i:ultrasound))
 _TAG_ROW = re.compile(r'((?:[-+\d.eE]+\s+)*[-+\d.eE]+)\s*(?:"([^"]*)")?')
 
 
+_OF_FCSV = ("CoordinateSystem", "columns", "coordinateUnits")
+"""Header fields of a fiducial list, except its version."""
+
+
 def read_landmarks(path: Path | str, frame: str) -> Landmarks:
     """Read named points; coordinates stored as RAS are converted to LPS.
 
@@ -211,7 +215,7 @@ def markup_points(path: Path, kinds: tuple[str, ...] = _POINTS) -> tuple[list[st
                 raise UnreadableFileError(f"{path}: its units are {units}; needed mm: save it again in mm")
             signs = _to_lps(path, markup.get("coordinateSystem", "LPS"))
             for point in markup["controlPoints"]:
-                name = str(point.get("label") or point.get("id") or len(marks.names) + 1)
+                name = str(point.get("label") or point.get("id") or len(marks.names) + 1).strip()
                 unknown |= set(point) - _OF_A_POINT
                 seen = point.get("visibility", True) is True and point.get("selected", True) is True
                 if marks.is_placed(name, point.get("positionStatus", "defined"), is_shown=seen):
@@ -231,8 +235,16 @@ def markup_points(path: Path, kinds: tuple[str, ...] = _POINTS) -> tuple[list[st
 
 def _from_fcsv(path: Path) -> tuple[list[str], FloatArray]:
     lines = read_text(path, "3D Slicer fiducials").splitlines()
-    header = dict(line[1:].split("=", 1) for line in lines if line.startswith("#") and "=" in line)
-    fields = {key.strip(): value.strip() for key, value in header.items()}
+    header = [line[1:].split("=", 1) for line in lines if line.startswith("#") and "=" in line]
+    stated = [(key.strip(), value.strip()) for key, value in header]
+    fields = dict(stated)
+    for key in ("CoordinateSystem", "columns"):
+        if len({value for other, value in stated if other == key}) > 1:
+            raise UnreadableFileError(f"{path} states {key} twice; delete the line that is wrong")
+    if (unit := fields.get("coordinateUnits", "mm")) != "mm":
+        raise UnreadableFileError(f"{path}: its units are {unit}; needed mm: save it again in mm")
+    if unknown := [key for key in fields if key not in _OF_FCSV and not key.startswith("Markups")]:
+        log.warning("%s: the fields %s are not known and are ignored", path, ", ".join(unknown))
     if "CoordinateSystem" not in fields:
         raise UnreadableFileError(
             f"{path} names no CoordinateSystem; needed '# CoordinateSystem = LPS' or RAS"
@@ -244,7 +256,7 @@ def _from_fcsv(path: Path) -> tuple[list[str], FloatArray]:
         status, shown = _status_column(columns), [columns.index(c) for c in ("vis", "sel") if c in columns]
         marks = _Marks()
         for row in csv.reader(line for line in lines if line.strip() and not line.startswith("#")):
-            name = row[label] if label < len(row) and row[label] else row[0]
+            name = (row[label] if label < len(row) and row[label] else row[0]).strip()
             state = row[status] if status < len(row) else ""
             seen = all(float(row[i]) != 0 for i in shown if i < len(row) and row[i])
             if marks.is_placed(name, _FCSV_STATUS.get(state.strip(), state), is_shown=seen):

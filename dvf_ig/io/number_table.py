@@ -49,7 +49,7 @@ def read_number_table(path: Path, what: str) -> NumberTable:
     """
     table = parse_table(path, read_text(path, what), least=1)
     if len(table.preamble) > (table.columns is not None) or table.clocks:
-        line = table.preamble[-1] if table.preamble else "a time of day"
+        line = table.preamble[0] if table.preamble else "a time of day"
         raise UnreadableFileError(f"{path}: '{line[:40]}' is not a number; needed {what}")
     for number, row in zip(table.lines, table.values, strict=True):
         if (np.abs(row) > LARGEST).any():

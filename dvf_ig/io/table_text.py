@@ -22,7 +22,6 @@ IN_ONE_MV |= {"uv": 1e3, "µv": 1e3, "μv": 1e3, "microvolt": 1e3, "microvolts":
 """How many of a unit are 1 mV."""
 UNSTATED = ("", "unknown", "nu", "adu", "a.u.", "au", "n/a", "none", "-", "counts", "count", "bit", "bits")
 """Units that state no quantity, in lower case; NU is PhysioNet's "no unit"."""
-
 IN_ONE_SECOND = {
     "s": 1.0,
     "sec": 1.0,

@@ -12,6 +12,7 @@ from dvf_ig.registration.boundary.points import BoundaryPoints, boundary_points
 from dvf_ig.registration.boundary.target import BoundaryTarget
 from dvf_ig.registration.evidence.checks import IMAGE_LIMITS, SLICE_LIMITS, VOLUME_LIMITS, Limits
 from dvf_ig.registration.evidence.covariance import PlacementUncertainty
+from dvf_ig.registration.evidence.image_offset import ProbePoses
 from dvf_ig.registration.lc2.channels import ModelChannels
 from dvf_ig.registration.lc2.lc2 import Lc2, SliceThreads
 from dvf_ig.registration.lc2.slices import SliceSet, prepare_volumes, within
@@ -100,6 +101,7 @@ class UltrasoundImages:
         placement: uncertainty of calibrations and clocks; None for slices of one image, which needs neither.
         options: how images of this kind are searched and judged.
         seconds: computing time of their preparation.
+        probe: where the probe was, to check its calibration; None if there is none, or it was checked before.
     """
 
     coarse: Level
@@ -109,6 +111,7 @@ class UltrasoundImages:
     placement: PlacementUncertainty | None = None
     options: RegistrationOptions = RegistrationOptions()
     seconds: float = 0.0
+    probe: ProbePoses | None = None
 
 
 class HeartTarget(Protocol):

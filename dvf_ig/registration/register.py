@@ -16,6 +16,7 @@ from dvf_ig.registration.evidence.assessment import (
     table_of,
 )
 from dvf_ig.registration.evidence.checks import Evidence, part_disagreements, wrong_pose_z_score
+from dvf_ig.registration.evidence.image_offset import ImageOffset, fit_image_offset
 from dvf_ig.registration.evidence.phase_offset import phase_offset
 from dvf_ig.registration.lc2.lc2 import Lc2, SliceThreads
 from dvf_ig.registration.surface_points.touched import TouchedSurface
@@ -88,6 +89,8 @@ def register(
             information=refined.inside.information,
         )
         stop = _stop(images.options, refined, fused, evidence, moved_mm=moved_mm, overlap=overlap)
+        if stop is Stop.CONVERGED and covered is None and _other_calibration(evidence):
+            stop = Stop.DISAGREEMENT
         stop, assessment = _assessed(  # trust.md: probability, bound and scale of the covariance
             stop,
             table_of(images.options.kind, "" if covered is None else covered.kind),
@@ -137,7 +140,22 @@ def _evidence(
         half_volume_mm=parts.half_volume_mm,
         boundary_mm=_boundary_distance_mm(problem, best, fused),
         phase_offset=None if rr_s is None else phase_offset(coarse, fused.pose, rr_s),
+        image_offset=_image_offset(problem, best),
     )
+
+
+def _other_calibration(evidence: Evidence) -> bool:
+    """Whether the views contradict the probe calibration; of a heart covered in part they cannot say."""
+    return evidence.image_offset is not None and evidence.image_offset.suspicious
+
+
+def _image_offset(problem: Problem, pose: Rigid) -> ImageOffset | None:
+    """How the image lies to its probe by the views; None if the probe is not to be checked."""
+    probe = problem.images.probe
+    if probe is None:
+        return None
+    slices = problem.compared(problem.images.coarse, pose)
+    return fit_image_offset(slices, probe, problem.coarse_lc2, pose, problem.center_mm)
 
 
 def _boundary_distance_mm(problem: Problem, pose: Rigid, fused: Fused) -> float | None:

@@ -107,6 +107,9 @@ class RegistrationResult:
         """How it ended, as a user reads it."""
         if self.stop is Stop.PHASE_OFFSET and self.evidence.phase_offset is not None:
             return self.evidence.phase_offset.sentence
+        offset = self.evidence.image_offset
+        if self.stop is Stop.DISAGREEMENT and offset is not None and offset.suspicious:
+            return offset.sentence
         pair, landmarks_mm = self.evidence.pair, self.landmarks_mm
         images_agree = self.evidence.worst_test_ratio(self.options.limits) <= 1.0
         if self.stop is Stop.DISAGREEMENT and images_agree and landmarks_disagree(landmarks_mm):

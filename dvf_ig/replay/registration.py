@@ -18,7 +18,6 @@ from dvf_ig.session import (
     UltrasoundRecording,
     build_heart,
     gate_recording,
-    image_offset_of,
     register_frames,
 )
 
@@ -88,14 +87,16 @@ def prepare_registration(
     return PreparedRegistration(scenario, recording, frames, start)
 
 
-def explain_refusal(prepared: PreparedRegistration, refused: Rigid, *, seed: int = 0) -> str | None:
+def explain_refusal(
+    prepared: PreparedRegistration, refused: RegistrationResult, *, seed: int = 0
+) -> str | None:
     """Say which single mistake in preparing the recording would explain a refused registration.
 
     Each is undone, and the registration tried again without displaced starts; None if none then passes its
     checks.
 
     Args:
-        refused: the pose that was refused.
+        refused: what was refused.
     """
     for sentence, undone in _undone(prepared, refused):
         try:
@@ -107,7 +108,9 @@ def explain_refusal(prepared: PreparedRegistration, refused: Rigid, *, seed: int
     return None
 
 
-def _undone(prepared: PreparedRegistration, refused: Rigid) -> Iterator[tuple[str, PreparedRegistration]]:
+def _undone(
+    prepared: PreparedRegistration, refused: RegistrationResult
+) -> Iterator[tuple[str, PreparedRegistration]]:
     recording, start = prepared.recording, prepared.start
     for axis, side in ((2, "left to right"), (1, "top to bottom")):
         images = np.ascontiguousarray(np.flip(recording.images, axis=axis))
@@ -125,12 +128,13 @@ def _undone(prepared: PreparedRegistration, refused: Rigid) -> Iterator[tuple[st
         "says LPS, or the reverse",
         replace(prepared, start=flipped),
     )
-    offset, calibrations = image_offset_of(recording, prepared.frames, refused), recording.calibrations
+    offset, calibrations = refused.evidence.image_offset, recording.calibrations
+    if offset is None:
+        return
     image_map = replace(calibrations.probe_from_image, rigid=offset.probe_from_image)
     moved = replace(recording, calibrations=replace(calibrations, probe_from_image=image_map))
     yield (
-        f"with its image {offset.text} the registration passes its checks: the probe calibration is of "
-        "another day or probe, or its marker has moved on the probe; calibrate the probe again",
+        f"{offset.sentence} (the registration then passes its checks)",
         replace(prepared, recording=moved, start=offset.pose),
     )
 

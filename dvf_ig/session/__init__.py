@@ -36,7 +36,6 @@ from .setup import beat_source_of as beat_source_of
 from .state import GuidanceState as GuidanceState
 from .ultrasound_registration import RegistrationRecord as RegistrationRecord
 from .ultrasound_registration import RegistrationRequest as RegistrationRequest
-from .ultrasound_registration import image_offset_of as image_offset_of
 from .ultrasound_registration import model_phase_at as model_phase_at
 from .ultrasound_registration import register_frames as register_frames
 from .ultrasound_registration import register_gated_volumes as register_gated_volumes

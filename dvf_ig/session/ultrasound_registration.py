@@ -3,7 +3,6 @@
 import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from math import inf
 
 import numpy as np
@@ -24,18 +23,14 @@ from dvf_ig.registration import (
     SWEEP,
     USUAL_PLACEMENT,
     VOLUME_SMOOTHING_MM,
-    ImageOffset,
     LandmarkPrior,
-    Lc2,
     Level,
     ProbePoses,
     RegistrationResult,
-    SliceThreads,
     TouchedSurface,
     UltrasoundImages,
     boundary_points,
     channels_from_mr,
-    fit_image_offset,
     images_of_volumes,
     register,
 )
@@ -179,35 +174,16 @@ def images_of_frames(
         USUAL_PLACEMENT,
         replace(options, starts=0) if warm else options,
         clock() - began,
+        None if warm else _probe_poses(recording, frames),
     )
 
 
-def image_offset_of(recording: UltrasoundRecording, frames: GatedFrames, pose: Rigid) -> ImageOffset:
-    """Find the probe calibration at which the used frames fit the model best.
-
-    Args:
-        pose: near that of the heart, such as that of a refused registration.
-    """
+def _probe_poses(recording: UltrasoundRecording, frames: GatedFrames) -> ProbePoses:
     used, calibrated = frames.used, recording.calibrations.probe_from_image
-    mask = ultrasound_mask(recording, frames)
-    slices = slices_of(recording, frames, mask, pitch_mm=COARSE_PITCH_MM)
-    middle = calibrated.apply_pixels(0.5 * np.array([mask.shape[::-1]]))
-    probe = ProbePoses(
+    middle = calibrated.apply_pixels(0.5 * np.array([recording.images.shape[:0:-1]]))
+    return ProbePoses(
         frames.rotations[used], frames.translations_mm[used], calibrated.rigid, middle.xyz_mm[0]
     )
-    heart = recording.heart
-    if heart.covered is not None:
-        slices = heart.covered.compared(slices, pose)
-    with SliceThreads() as threads:
-        metric = partial(
-            Lc2,
-            model=heart.channels,
-            patch_mm=SWEEP.patch_mm,
-            pitch_mm=COARSE_PITCH_MM,
-            density_width_mm=SWEEP.density_width_mm,
-            threads=threads,
-        )
-        return fit_image_offset(slices, probe, metric, pose, heart.center_mm)
 
 
 def _usual_rr_s(recording: UltrasoundRecording, frames: GatedFrames) -> float:

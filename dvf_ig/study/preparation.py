@@ -186,8 +186,8 @@ WAYS: dict[str, Way] = {
     "poses inverted": Way(_inverse, "probe_from_tracker"),
     "images mirrored": Way(_mirrored, "mirrored left to right"),
     "the latency's sign reversed": Way(_lag_sign, "sign"),
-    "another day's probe calibration": Way(_other_day, "of another day"),
-    "the same without landmarks": Way(_other_day_alone, "of another day"),
+    "another day's probe calibration": Way(_other_day, "of another day or probe"),
+    "the same without landmarks": Way(_other_day_alone, "of another day or probe"),
     "a start in RAS": Way(_ras, "RAS"),
     "a cine from another phase on": Way(_late_cine, "cine|phase"),
 }
@@ -256,7 +256,7 @@ def _sentences(scenario: Scenario, model: DvfModel) -> Iterator[str]:
         prepared = prepare_registration(scenario, model=model)
         result = prepared.register()
         if not result.stop.usable:
-            yield explain_refusal(prepared, result.target_from_source) or result.sentence
+            yield explain_refusal(prepared, result) or result.sentence
             yield result.sentence
     except DvfIgError as error:
         yield str(error)

@@ -9,10 +9,11 @@ import SimpleITK
 from typer.testing import CliRunner
 
 from dvf_ig.cli.main import app
-from dvf_ig.core import Mesh, PoseStream, Rigid, TrackedSequence, UnreadableFileError
+from dvf_ig.core import DvfIgError, Mesh, PoseStream, Rigid, TrackedSequence, UnreadableFileError
 from dvf_ig.intake import describe
 from dvf_ig.intake.describe.sequence import clock_facts, frame_tree
 from dvf_ig.io import (
+    read_ecg,
     read_image_map,
     write_coordinate_definitions,
     write_json,
@@ -252,3 +253,23 @@ def test_what_cannot_be_in_mm_or_s_has_a_row_that_says_so(tmp_path: Path) -> Non
     done = CliRunner().invoke(app, ["inspect", str(tmp_path / "s.igs.mha")])
     assert "every position of tracker_from_tool lies within 2.1 mm of the origin" in done.stdout
     assert "are in ms (then 20 a second)" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        ("holter.ecg", b"ISHNE1.0...", "an ISHNE Holter recording; export it as EDF"),
+        ("lab.acq", b"...", "an AcqKnowledge recording \\(BIOPAC\\); save it as EDF"),
+        ("lab.adicht", b"...", "a LabChart recording; export it as text"),
+        ("table.csv", b"0,1.5,2\n1,2.5,3\n5,6,7\n", "3 columns without names: points .* name the lead"),
+    ],
+)
+def test_what_is_not_read_is_named_with_what_to_do(
+    tmp_path: Path, name: str, content: bytes, words: str
+) -> None:
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(UnreadableFileError, match=words):
+        describe(str(tmp_path / name))
+    if name != "table.csv":
+        with pytest.raises(DvfIgError, match=words):
+            read_ecg(str(tmp_path / name))

@@ -208,6 +208,8 @@ def test_tag_of_one_volume_without_names(tmp_path: Path) -> None:
         ("a.mrk.json", markups("LPS", position=[1, "x"]), "not three numbers"),
         ("a.mrk.json", markups("LPS", position=[1, 2]), "a.mrk.json"),
         ("a.fcsv", "# CoordinateSystem = LPS\nid,a,b,c\n", "not a 3D Slicer fiducial list"),
+        ("a.fcsv", "# CoordinateSystem = LPS\n# CoordinateSystem = RAS\n", "states CoordinateSystem twice"),
+        ("a.fcsv", "# CoordinateSystem = LPS\n# coordinateUnits = m\n", "its units are m; needed mm"),
         ("a.tag", "MNI", "not an MNI tag file"),
         ("a.tag", 'MNI Tag Point File\nVolumes = 1;\nPoints =\n 1 2 "x";\n', "3 coordinates each"),
         ("a.tag", "MNI Tag Point File\nVolumes = 1;\nPoints =\n one;\n", "'one' is not a row"),

@@ -8,8 +8,7 @@ import pytest
 from toy_lab import sweep
 
 from dvf_ig.core import ImageMap, Rigid
-from dvf_ig.registration import ImageOffset
-from dvf_ig.replay import registration
+from dvf_ig.registration import Evidence, ImageOffset
 from dvf_ig.replay.registration import PreparedRegistration, explain_refusal
 from dvf_ig.session import UltrasoundCalibration, UltrasoundRecording
 
@@ -39,7 +38,6 @@ def test_the_mistake_that_is_undone_is_named(
     recorded = prepared()
     moved = Rigid("probe", "image", np.eye(3), np.array([4.0, 0.0, 0.0]))
     offset = ImageOffset(moved, Rigid("mr", "tracker", np.eye(3), np.zeros(3)), 4.0, 2.0, 30.0)
-    monkeypatch.setattr(registration, "image_offset_of", lambda *_: offset)
 
     def register(self: PreparedRegistration, **_: Any) -> Any:
         images, before = self.recording.images, recorded.recording.images
@@ -54,5 +52,5 @@ def test_the_mistake_that_is_undone_is_named(
         return SimpleNamespace(stop=SimpleNamespace(usable=usable[mistake]))
 
     monkeypatch.setattr(PreparedRegistration, "register", register)
-    cause = explain_refusal(recorded, START)
+    cause = explain_refusal(recorded, SimpleNamespace(evidence=Evidence(9.0, 0.5, image_offset=offset)))
     assert (cause is None) if words is None else (cause is not None and words in cause)

@@ -61,6 +61,7 @@ def test_what_does_not_exist_for_the_input_is_not_checked() -> None:
         "Half-volumes",
         "Boundary and grey levels",
         "ECG and images",
+        "Probe calibration",
         "Touched landmarks",
         "Touched surface",
     }

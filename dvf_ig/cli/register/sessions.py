@@ -42,7 +42,7 @@ def _register_frames(
         result = prepared.register(seed=seed, progress=lambda share: report(0.6 + 0.4 * share))
     if not result.stop.usable:
         with progress("look for the cause"):
-            cause = explain_refusal(prepared, result.target_from_source, seed=seed)
+            cause = explain_refusal(prepared, result, seed=seed)
         if cause is not None:
             warn(cause)
     return result, frames_shown(result, prepared.frames, prepared.recording, recorded)

@@ -19,7 +19,7 @@ from dvf_ig.intake.session import read_scenario
 from dvf_ig.io.dicom.cine import is_dicom_folder
 from dvf_ig.io.dicom.examination import is_examination
 from dvf_ig.io.ecg.beat_annotations import read_annotations
-from dvf_ig.io.ecg.recording import names_ecg, read_ecg
+from dvf_ig.io.ecg.recording import foreign_recording, names_ecg, read_ecg
 from dvf_ig.io.itk_transform import is_itk_text
 from dvf_ig.io.landmarks import is_markups
 from dvf_ig.io.mesh.file import DECODERS
@@ -84,7 +84,7 @@ def describe(
         InvalidInputError: a rate for anything but an ECG table, or names that are not in a tracked sequence.
     """
     path = Path(spec)
-    tabled = path.is_file() and spec.lower().endswith(TABLES) and _table_kind(path) is not None
+    tabled = path.is_file() and spec.lower().endswith(TABLES) and _table_kind(path, lead) is not None
     if names_ecg(spec) and not tabled:
         if names is not None:
             raise InvalidInputError(
@@ -99,6 +99,8 @@ def describe(
         raise InvalidInputError(f"a {what} belongs to an ECG; '{spec}' is not one")
     if not path.exists():
         raise UnreadableFileError(f"{path} does not exist; check the name")
+    if other := foreign_recording(path):
+        raise UnreadableFileError(f"{path} is {other}")
     kind, facts = _folder_kind(path) if path.is_dir() else _file_kind(path)
     if names is None:
         return Description(kind, facts(path))
@@ -170,7 +172,7 @@ def _file_kind(path: Path) -> tuple[str, Reader]:
     )
 
 
-def _table_kind(path: Path) -> tuple[str, Reader] | None:
+def _table_kind(path: Path, lead: str | None = None) -> tuple[str, Reader] | None:
     """Identify a text file as an ITK transform, poses, points or segmented points; None for another table."""
     if is_itk_text(path):
         return "transform", transform_facts
@@ -185,6 +187,11 @@ def _table_kind(path: Path) -> tuple[str, Reader] | None:
         return "tool poses, one row each", _pose_facts
     if names in ({"x", "y", "z"}, {"r", "a", "s"}, {"l", "p", "s"}):
         return "points", _point_facts
+    if not names and columns == 3 and lead is None:
+        raise UnreadableFileError(
+            f"{path} is a table of 3 columns without names: points (then name them x,y,z), or a time "
+            "and two channels (then name the lead, --lead 'column 2'); write the names in the first row"
+        )
     if "frame" in names and "column1" in names:
         return "segmented points, one row an image", lambda file: {"images": len(read_feature_points(file))}
     return None

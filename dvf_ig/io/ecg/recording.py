@@ -39,6 +39,17 @@ _KIND_OF_ENDING = {
     ".tsv.gz": "csv",
     ".ecg": "csv",
 }
+_FOREIGN = {
+    "acq": "an AcqKnowledge recording (BIOPAC); save it as EDF, or as text with the time and channel names",
+    "adicht": "a LabChart recording; export it as text with the time, or as EDF",
+    "adidat": "a LabChart recording; export it as text with the time, or as EDF",
+    "scp": "an SCP-ECG recording; export it as EDF, or as CSV with times in s and leads in mV",
+    "smr": "a Spike2 recording; export it as EDF, or as text with times",
+    "smrx": "a Spike2 recording; export it as EDF, or as text with times",
+    "vhdr": "a BrainVision recording; export it as EDF",
+}
+"""What files of other programs are, by their endings, and what to export instead."""
+_ISHNE = (b"ISHNE1.0", b"ANN  1.0")
 _SEQUENCE_ENDINGS = (".mha", ".mhd", ".nrrd", ".nhdr")
 
 
@@ -61,6 +72,8 @@ def read_ecg(spec: str, rate_hz: float | None = None, lead: str | None = None) -
         MissingDependencyError: WFDB without `pip install '.[ecg]'`.
     """
     kind, path = split_spec(spec)
+    if what := foreign_recording(path):
+        raise UnreadableFileError(f"{path} is {what}")
     with reading(path, f"an ECG ({kind})"):
         if kind == "wfdb":
             signal = read_wfdb(path, lead, rate_hz)
@@ -137,6 +150,8 @@ def split_spec(spec: str) -> tuple[str, Path]:
     `plus:PATH#FIELD` → ("plus", PATH).
     """
     kind, colon, path = str(spec).partition(":")
+    if what := foreign_recording(Path(spec)):
+        raise UnreadableFileError(f"{spec} is {what}")
     if kind == "plus" and path:
         return kind, Path(_without_field(path))
     if colon and kind in KINDS and path:
@@ -150,6 +165,20 @@ def split_spec(spec: str) -> tuple[str, Path]:
             "with the ending .hea, .dat, .edf, .bdf, .csv, .tsv or .igs.mha)"
         )
     return by_ending, Path(spec)
+
+
+def foreign_recording(path: Path) -> str | None:
+    """Say what a recording of another program is, and what to export instead; None for any other file."""
+    if not path.is_file():
+        return None
+    if path.stat().st_size >= len(_ISHNE[0]):
+        with path.open("rb") as stream:
+            if stream.read(len(_ISHNE[0])) in _ISHNE:
+                return (
+                    "an ISHNE Holter recording; export it as EDF, or as CSV with times in s and leads in mV "
+                    "(its beat annotations are not needed)"
+                )
+    return _FOREIGN.get(path.suffix.lower().removeprefix("."))
 
 
 def _without_field(path: str) -> str:

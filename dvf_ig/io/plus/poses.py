@@ -149,7 +149,14 @@ def _read_table(path: Path) -> tuple[FloatArray, FloatArray]:
     else:
         times = scaled(path, table, at[:1], _IN_S)[:, 0]
     pose = np.column_stack([position, quaternion])
-    lost = np.isnan(pose).any(axis=1) | ~pose.any(axis=1)
+    unseen = ~position.any(axis=1) & position.any()
+    if unseen.any():
+        log.warning(
+            "%s: %d poses lie exactly at the origin, as programs write poses that were lost, and count so",
+            path,
+            np.count_nonzero(unseen),
+        )
+    lost = np.isnan(pose).any(axis=1) | unseen | ~pose.any(axis=1)
     norm = np.where(lost, 1.0, np.linalg.norm(quaternion, axis=1))
     if (np.abs(norm - 1) > 1e-2).any():
         row = int(np.abs(norm - 1).argmax())
@@ -184,6 +191,11 @@ def _columns(path: Path, table: NumberTable) -> list[int]:
                 f"{path} has {count} columns; needed x y z qx qy qz qw (7), or a time first (8), or "
                 "a row with their names"
             )
+        log.warning(
+            "%s names no columns: they are taken as %sx y z qx qy qz qw, the scalar last",
+            path,
+            "" if count == 7 else "t ",
+        )
         return [*([-1] if count == 7 else []), *range(count)]
     if quantities.count("t") > 1:
         raise UnreadableFileError(f"{path} has two columns of times ({', '.join(names)[:70]}); delete one")

@@ -34,6 +34,9 @@ REORDERING_S = 0.1
 neighbours, 0.08 s apart in the slowest streams (12 frames/s); a restarted clock goes back further."""
 
 
+_B_MODE = "BRIGHTNESS"
+
+
 def read_sequence(path: Path | str) -> TrackedSequence:
     """Read a tracked sequence.
 
@@ -77,6 +80,10 @@ def indexed_sequence(path: Path, raw: RawSequence) -> tuple[TrackedSequence, Int
         order = _usable_order(path, t_s)
         t_s = t_s[order]
         stored = require_orientation(path, raw.orientation)
+        if raw.columns and raw.fields.get("UltrasoundImageType", _B_MODE) not in (_B_MODE, "XX", ""):
+            raise UnreadableFileError(
+                f"{path}: its images are {raw.fields['UltrasoundImageType']}; needed {_B_MODE}: record B-mode"
+            )
         turned = turned_orientation(stored) if raw.columns else None
         sequence = TrackedSequence(
             t_s=t_s,
@@ -211,9 +218,10 @@ def _transform_fields(raw: RawSequence) -> Iterator[tuple[str, tuple[str, str]]]
 
 
 def _statuses(raw: RawSequence, name: str) -> BoolArray:
-    """Return (frames,) True if the status field is OK or absent."""
-    texts = raw.frame_fields.get(name, {})
-    return np.array([texts.get(i, "OK").upper() == "OK" for i in range(raw.frames)])
+    """Return (frames,) True if the status is OK; one that is absent is OK unless other frames state that."""
+    texts = {i: text.upper() for i, text in raw.frame_fields.get(name, {}).items()}
+    absent = "" if "OK" in texts.values() else "OK"
+    return np.array([texts.get(i, absent) == "OK" for i in range(raw.frames)])
 
 
 def _image_status_field(raw: RawSequence) -> str:

@@ -72,6 +72,17 @@ def numbers(path: Path, element: ElementTree.Element, attribute: str, count: int
     return values
 
 
+def _matrix(path: Path, element: ElementTree.Element) -> FloatArray:
+    """Parse a (4, 4) matrix, row by row."""
+    matrix = numbers(path, element, "Matrix", 16).reshape(4, 4)
+    if (np.abs(matrix[3] - (0, 0, 0, 1)) > 1e-9).any():
+        raise UnreadableFileError(
+            f"{path}: Matrix of <{element.tag}> has the last row {matrix[3].tolist()}; needed 0 0 0 1: write "
+            "it row by row"
+        )
+    return matrix
+
+
 def read_calibrations(path: Path | str) -> dict[str, CoordinateDefinition]:
     """Read every transform of `<CoordinateDefinitions>` by its name, such as "reference_from_phantom".
 
@@ -179,7 +190,7 @@ def _definition(path: Path, element: ElementTree.Element) -> CoordinateDefinitio
     return CoordinateDefinition(
         frame_from_plus(names[0]),
         frame_from_plus(names[1]),
-        numbers(path, element, "Matrix", 16).reshape(4, 4),
+        _matrix(path, element),
         error,
         element.attrib.get("Date"),
     )

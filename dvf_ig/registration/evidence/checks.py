@@ -22,6 +22,7 @@ from dvf_ig.registration.lc2.optimise import GaussianPrior, OptimiserOptions, op
 from dvf_ig.registration.lc2.slices import SliceSet
 from dvf_ig.registration.pose_chart import PoseChart, random_displacements
 
+from .image_offset import ImageOffset
 from .pair_evidence import PairEvidence
 from .phase_offset import PhaseOffset
 
@@ -66,6 +67,7 @@ class Evidence:
         boundary_mm: mean distance over the heart between the poses of LC2 and of the boundary; None if the
             model's surface was not given, inf if the slices show no boundary.
         phase_offset: how much later in the cycle the slices fit than the ECG says; None if nothing beats.
+        image_offset: how the image lies to its probe by the views; None if that was not looked at.
         pair: tests of a pair of images of an organ that does not beat; None for a heart.
     """
 
@@ -75,6 +77,7 @@ class Evidence:
     half_volume_mm: float | None = None
     boundary_mm: float | None = None
     phase_offset: PhaseOffset | None = None
+    image_offset: ImageOffset | None = None
     pair: PairEvidence | None = None
 
     def worst_test_ratio(self, limits: Limits) -> float:

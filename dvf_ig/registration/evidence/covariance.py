@@ -35,7 +35,7 @@ PHASE_STEP = 0.05
 """Step of the difference over the phase: as a rule one phase of the model."""
 UNSEEN_MM = 0.22
 """Standard deviation per coordinate of what every block shares: the bias of LC2."""
-AXES = ("left–right", "front–back", "head–foot")
+AXES = ("left–right (L–R)", "anterior–posterior (A–P)", "superior–inferior (S–I)")
 """The axes of LPS."""
 NEAR = 0.9
 """Cosine from which a direction is called after an axis."""

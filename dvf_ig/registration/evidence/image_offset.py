@@ -22,6 +22,8 @@ from dvf_ig.registration.pose_chart import PoseChart
 
 PRIOR_SIGMA_MM = 8.0
 """Standard deviation of each coordinate of the step: of a marker put on the probe again."""
+SUSPICIOUS_LOG_RATIO = 5.0
+"""Right calibrations reach 2.7, those that are 6 mm and 4° off 6.2 to 18 (docs/theory/trust.md)."""
 ROUNDS, STEPS = 3, 12
 """Searches one after the other, each about the end of the last and with steps at most."""
 
@@ -62,9 +64,18 @@ class ImageOffset:
     log_likelihood_ratio: float
 
     @property
-    def text(self) -> str:
-        """Size of the step."""
-        return f"moved by {self.moved_mm:.1f} mm and turned by {self.turned_deg:.1f}° on its probe"
+    def suspicious(self) -> bool:
+        """Whether the views contradict the calibration."""
+        return self.log_likelihood_ratio > SUSPICIOUS_LOG_RATIO
+
+    @property
+    def sentence(self) -> str:
+        """The sentence a user reads if it is suspicious."""
+        return (
+            f"the views fit the model much better with the image moved by {self.moved_mm:.1f} mm and turned "
+            f"by {self.turned_deg:.1f}° on its probe: the calibration is of another day or probe, or the "
+            "probe's marker has moved; calibrate the probe again"
+        )
 
 
 def fit_image_offset(

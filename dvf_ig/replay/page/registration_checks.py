@@ -7,6 +7,7 @@ import numpy as np
 from dvf_ig.core import HEART_RADIUS_MM, Stop
 from dvf_ig.registration import LANDMARKS_MM, PairEvidence, RegistrationResult
 from dvf_ig.registration.evidence.checks import WRONG_MM
+from dvf_ig.registration.evidence.image_offset import SUSPICIOUS_LOG_RATIO as CALIBRATION_LOG_RATIO
 from dvf_ig.registration.evidence.phase_offset import SUSPICIOUS_LOG_RATIO, SUSPICIOUS_S
 from dvf_ig.report.registration import Check, Outcome
 
@@ -25,6 +26,7 @@ def checks_of(result: RegistrationResult) -> list[Check]:
         _z_score(result),
         *_disagreements(result),
         _phase_offset(result),
+        _image_offset(result),
         _at_most(
             "Touched landmarks",
             "mean distance over the heart from the pose that touched landmarks give",
@@ -110,6 +112,21 @@ def _phase_offset(result: RegistrationResult) -> Check:
         measures,
         f"{1e3 * offset.offset_s:.0f} ms (log-likelihood ratio {offset.log_likelihood_ratio:.1f})",
         f"at most {1e3 * SUSPICIOUS_S:.0f} ms, or a ratio of at most {SUSPICIOUS_LOG_RATIO:g}",
+        _outcome(not offset.suspicious),
+    )
+
+
+def _image_offset(result: RegistrationResult) -> Check:
+    offset = result.evidence.image_offset
+    name, measures = "Probe calibration", "how the image lies to its probe by the views of the heart"
+    if offset is None:
+        return Check(name, measures, "", "", Outcome.NOT_CHECKED)
+    return Check(
+        name,
+        measures,
+        f"{offset.moved_mm:.1f} mm and {offset.turned_deg:.1f}° elsewhere (log-likelihood ratio "
+        f"{offset.log_likelihood_ratio:.1f})",
+        f"a ratio of at most {CALIBRATION_LOG_RATIO:g}",
         _outcome(not offset.suspicious),
     )
 

@@ -146,7 +146,7 @@ def _findings(result: RegistrationResult) -> list[tuple[str, str, str]]:
         (
             "standard deviation",
             _deviations(result),
-            "left–right, front–back, head–foot; by the similarity's curvature",
+            "L–R, A–P, S–I; by the similarity's curvature",
         ),
         (
             "least constrained",

@@ -90,6 +90,7 @@ TABLES = {
     "TUM comment": "# timestamp tx ty tz qx qy qz qw\n1 100 200 300 0 0 0 1\n2 nan nan nan nan nan nan nan\n"
     "3 400 500 600 0 0 0 1\n",
     "zeros where it was lost": "100 200 300 0 0 0 1\n0 0 0 0 0 0 0\n400 500 600 0 0 0 1\n",
+    "origin and no turn where it was lost": "100 200 300 0 0 0 1\n0 0 0 0 0 0 1\n400 500 600 0 0 0 1\n",
     "one cell dropped": "100,200,300,0,0,0,1\n,200,300,0,0,0,1\n400,500,600,0,0,0,1\n",
 }
 
@@ -103,6 +104,7 @@ def test_tables_as_trackers_write_them(tmp_path: Path, text: str, caplog: pytest
     np.testing.assert_allclose(poses.translations_mm[[0, 2]], [[100, 200, 300], [400, 500, 600]], rtol=1e-12)
     np.testing.assert_array_equal(poses.rotations[[0, 2]], np.tile(np.eye(3), (2, 1, 1)))
     assert "1 of 3 poses were lost" in caplog.text
+    assert ("names no columns" in caplog.text) == text.startswith("100")
     assert ("columns error are not part of a pose" in caplog.text) == ("Error" in text)
     if "t_ms" in text:
         assert poses.t_s.tolist() == [0.5, 0.52, 0.54]

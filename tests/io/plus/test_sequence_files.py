@@ -173,6 +173,15 @@ def test_nrrd_sequence(tmp_path: Path, encoding: str) -> None:
     assert sequence.orientation == "MF"
 
 
+def test_a_frame_without_the_status_that_others_state_is_lost(tmp_path: Path) -> None:
+    lines = "".join(f"Seq_Frame000{k}_ToolToTrackerTransform = {MATRIX}\n" for k in range(2))
+    lines += "".join(f"Seq_Frame000{k}_Timestamp = {k}\n" for k in range(2))
+    (tmp_path / "a.mha").write_text(metafile(lines))
+    assert read_sequence(tmp_path / "a.mha").poses["tracker_from_tool"].valid.tolist() == [True, True]
+    (tmp_path / "a.mha").write_text(metafile(lines + "Seq_Frame0001_ToolToTrackerTransformStatus = OK\n"))
+    assert read_sequence(tmp_path / "a.mha").poses["tracker_from_tool"].valid.tolist() == [False, True]
+
+
 @pytest.mark.parametrize("keep", [0.999, 0.9, 0.5])
 def test_truncated_compressed_file(tmp_path: Path, keep: float) -> None:
     rng = np.random.default_rng(0)
@@ -205,6 +214,10 @@ BAD = [
     (metafile("", size="4 3 2 7"), "4 axes"),
     (metafile("", size="4 3 2"), "truncated: its image data have 0 bytes, its header needs 24"),
     (metafile("", size="4 3 2", extra="ElementNumberOfChannels = 3\n"), "3 channel"),
+    (
+        metafile("", size="4 3 2", extra="UltrasoundImageType = RF_REAL\n") + 24 * "x",
+        "images are RF_REAL; needed BRIGHTNESS",
+    ),
     (metafile("", size="4 3 2", extra="Kinds = list domain domain\n"), "axes are list domain domain"),
     (metafile(FRAME0 + "Seq_Frame0000_Timestamp = 1\n"), "1 of 2 frames have no Timestamp"),
     (

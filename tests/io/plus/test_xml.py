@@ -81,9 +81,10 @@ def test_real_device_set(data_dir: Path) -> None:
 
 def test_definitions_round_trip(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
+    first, second = (np.vstack([rng.normal(size=(3, 4)), [0.0, 0.0, 0.0, 1.0]]) for _ in range(2))
     definitions = [
-        CoordinateDefinition("probe", "image", rng.normal(size=(4, 4)), 0.3, "2026.01.02 03:04:05"),
-        CoordinateDefinition("stylus", "stylus_tip", rng.normal(size=(4, 4)) * 1e-9),
+        CoordinateDefinition("probe", "image", first, 0.3, "2026.01.02 03:04:05"),
+        CoordinateDefinition("stylus", "stylus_tip", np.diag([1e-9, 1e-9, 1e-9, 1.0]) @ second),
     ]
     write_coordinate_definitions(tmp_path / "a.xml", definitions)
     back = read_calibrations(tmp_path / "a.xml")
@@ -203,6 +204,11 @@ BAD = [
     (
         f"<CoordinateDefinitions><Transform From='A' To='B' Matrix='{'nan ' * 16}'/></CoordinateDefinitions>",
         "16 finite numbers",
+    ),
+    (
+        f"<CoordinateDefinitions><Transform From='A' To='B' Matrix='{'1 0 0 0 ' * 3} 5 6 7 1'/>"
+        "</CoordinateDefinitions>",
+        "last row .*needed 0 0 0 1: write it row by row",
     ),
 ]
 

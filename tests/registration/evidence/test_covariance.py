@@ -108,7 +108,7 @@ def test_a_translation_is_named_after_its_axis() -> None:
     assert not found.turning
     assert found.turn_share == pytest.approx(0.0, abs=1e-9)
     np.testing.assert_allclose(found.axis, [0, 0, 1], atol=1e-9)
-    assert found.sentence().startswith("weakest: 2.2 mm along (0.0, 0.0, 1.0), head–foot; add views")
+    assert found.sentence().startswith("weakest: 2.2 mm along (0.0, 0.0, 1.0), superior–inferior (S–I); add")
 
 
 @given(st.lists(st.floats(-1, 1), min_size=36, max_size=36), st.floats(0.1, 10))

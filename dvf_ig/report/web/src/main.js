@@ -216,7 +216,7 @@ class Viewer {
   play(on) {
     if (on && this.t >= this.series.end) this.t = this.series.begin;
     this.playing = on;
-    this.$("play").textContent = on ? "⏸" : "▶";
+    this.$("play").textContent = on ? "❚❚" : "▶";
   }
 
   beat(direction) {

@@ -8,6 +8,8 @@ import { themeColor } from "./colors.js";
 import { ForceArrow, planeEdge, surfaceMeshes, TargetPath, targetMark, Tool } from "./shapes.js";
 import { UltrasoundSheet } from "./sheet.js";
 
+/** CSS pixels from the top at which a letter is clear of the buttons. */
+const BELOW_BUTTONS = 56;
 const SIDES = [
   ["L", [1, 0, 0]], ["R", [-1, 0, 0]], ["P", [0, 1, 0]], ["A", [0, -1, 0]], ["S", [0, 0, 1]], ["I", [0, 0, -1]],
 ];
@@ -155,7 +157,7 @@ export class Space {
     return [((p.x + 1) / 2) * this.host.clientWidth, ((1 - p.y) / 2) * this.host.clientHeight];
   }
 
-  /** Letters around the scene; one towards or away from the eye would name no side of what is seen. */
+  /** Letters around the scene, below the row of buttons; one towards or away from the eye would name no side of what is seen. */
   placeLetters() {
     const { clientWidth: width, clientHeight: height } = this.host;
     const [across, upwards] = [0, 1].map((a) => new Vector3().setFromMatrixColumn(this.camera.matrixWorld, a));
@@ -165,7 +167,7 @@ export class Space {
       const size = Math.hypot(x, y);
       mark.hidden = size < 0.7;
       mark.style.left = `${width / 2 + (room[0] * x) / size}px`;
-      mark.style.top = `${height / 2 + (room[1] * y) / size}px`;
+      mark.style.top = `${Math.max(BELOW_BUTTONS, height / 2 + (room[1] * y) / size)}px`;
     }
   }
 

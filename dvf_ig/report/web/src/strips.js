@@ -12,7 +12,8 @@ const GAP = 6;
 /** A number with so many digits and its unit; a dash where it is not known. */
 export function united(value, digits, unit = "") {
   if (value === null || value === undefined) return "–";
-  return `${value.toFixed(digits).replace("-", "−")} ${unit}`.trim();
+  const text = value.toFixed(digits).replace(/^-(?=[0.]*$)/, ""); // no "−0.00"
+  return `${text.replace("-", "−")} ${unit}`.trim();
 }
 
 export class Strips {
