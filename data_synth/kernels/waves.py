@@ -39,7 +39,9 @@ def wave_sum(relative: AnyArray, waves: AnyArray, cosine: AnyArray, sine: AnyArr
     places, sums = np.empty((3, BLOCK)), np.empty((3, BLOCK))
     for begin in range(0, len(relative), BLOCK):
         count = min(BLOCK, len(relative) - begin)
-        places[:, :count] = relative[begin : begin + count].T
+        for i in range(count):  # for an array into an array numba compiles its error message, 2 s
+            for axis in range(3):
+                places[axis, i] = relative[begin + i, axis]
         sums[:] = 0.0
         for m in range(len(waves)):
             kx, ky, kz = waves[m, 0], waves[m, 1], waves[m, 2]
@@ -48,4 +50,6 @@ def wave_sum(relative: AnyArray, waves: AnyArray, cosine: AnyArray, sine: AnyArr
                 sums[0, i] += cosine[m, 0] * c + sine[m, 0] * s
                 sums[1, i] += cosine[m, 1] * c + sine[m, 1] * s
                 sums[2, i] += cosine[m, 2] * c + sine[m, 2] * s
-        out[begin : begin + count] = sums[:, :count].T
+        for i in range(count):
+            for axis in range(3):
+                out[begin + i, axis] = sums[axis, i]

@@ -65,7 +65,7 @@ def median_tre_mm(replay: Replay, ticks: BoolArray) -> float:
 def test_force_stops_when_the_patient_moves_and_returns_when_the_pose_is_found_again(
     studied: ImagedHeart, coarse_model: DvfModel
 ) -> None:
-    replay = run_replay(disturbed(studied, "patient-shift", 23.0), model=coarse_model, seed=0)
+    replay = run_replay(disturbed(studied, "patient-shift", 27.0), model=coarse_model, seed=0)
     end_s = float(replay.ticks.t_s[-1])
     moved_s = truth_of(replay).mr_from_tracker[1][0]
     ((stopped_s, resumed_s),) = suspensions(tuple(replay.history.updates), end_s)
@@ -83,7 +83,7 @@ def test_force_stops_when_the_patient_moves_and_returns_when_the_pose_is_found_a
 def test_after_the_marker_slips_on_the_probe_no_force_is_given_again(
     studied: ImagedHeart, coarse_model: DvfModel
 ) -> None:
-    replay = run_replay(disturbed(studied, "probe-slip", 21.0), model=coarse_model, seed=0)
+    replay = run_replay(disturbed(studied, "probe-slip", 24.0), model=coarse_model, seed=0)
     end_s = float(replay.ticks.t_s[-1])
     slipped_s = truth_of(replay).later_probe_from_image[0][0]
     assert replay.ticks.valid[between(replay, 0.0, slipped_s)].any()
