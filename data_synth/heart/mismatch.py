@@ -35,8 +35,8 @@ class SurgicalChange:
     def __post_init__(self) -> None:
         if not 0.0 <= self.retraction_mm <= 12.0 or not -5.0 <= self.load_mm <= 5.0:
             raise InvalidInputError(
-                f"retraction is {self.retraction_mm:g} mm and volume load {self.load_mm:g} mm; needed 0 to 12 "
-                "mm and -5 to 5 mm (more would fold space)"
+                f"retraction is {self.retraction_mm:g} mm and volume load {self.load_mm:g} mm; needed 0 to "
+                "12 mm and -5 to 5 mm (more would fold space)"
             )
 
 

@@ -143,8 +143,8 @@ PRESETS: dict[str, Preset] = {
         other_probe_mm=6.0,
         other_probe_deg=4.0,
     ),
-    "deformed": Preset(mismatch_mm=5.0, surgery=SurgicalChange(retraction_mm=8.0, load_mm=2.5)),
     "tool-unseen": Preset(looks=LookSpec(for_s=3.0)),
+    "deformed": Preset(mismatch_mm=5.0, surgery=SurgicalChange(retraction_mm=8.0, load_mm=2.5)),
     "ventilated": Preset(respiration=BreathSpec("ventilated", excursion_mm=10.0)),
     "breathing": Preset(
         respiration=BreathSpec(
@@ -170,9 +170,9 @@ tool-clock-restart: half-way the clock of the tool's tracker restarts 10 s back.
 late-ecg: the ECG is stamped 0.3 s late from the beginning.
 tool-in-view: images show the tool, and the operator turns them to it for 3 s every 8 s.
 tool-elsewhere: the same with the calibrations of wrong-calibration.
+tool-unseen: the same looks, at a tool that images do not show.
 deformed: a retractor presses the free wall in by 8 mm, the heart is fuller (2.5 mm), and its shape differs by
     5 mm RMS from that in the MR.
-tool-unseen: the same looks, at a tool that images do not show.
 ventilated: a ventilator moves the heart by 10 mm, 14 times a minute; its channels and a marker on the chest
     are recorded.
 breathing: the patient breathes, 6 mm, 14 times a minute and unevenly; a chest marker is recorded.

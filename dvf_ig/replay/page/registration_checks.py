@@ -8,6 +8,7 @@ from dvf_ig.core import HEART_RADIUS_MM, Stop
 from dvf_ig.registration import LANDMARKS_MM, PairEvidence, RegistrationResult
 from dvf_ig.registration.evidence.checks import WRONG_MM
 from dvf_ig.registration.evidence.phase_offset import SUSPICIOUS_LOG_RATIO, SUSPICIOUS_S
+from dvf_ig.registration.shape.change import LARGEST_RIGID_MM
 from dvf_ig.report.registration import Check, Outcome
 
 BOUNDARY_UNSEEN = "no boundary seen"
@@ -25,6 +26,7 @@ def checks_of(result: RegistrationResult) -> list[Check]:
         _z_score(result),
         *_disagreements(result),
         _phase_offset(result),
+        *_shape(result),
         _at_most(
             "Touched landmarks",
             "mean distance over the heart from the pose that touched landmarks give",
@@ -112,6 +114,21 @@ def _phase_offset(result: RegistrationResult) -> Check:
         f"at most {1e3 * SUSPICIOUS_S:.0f} ms, or a ratio of at most {SUSPICIOUS_LOG_RATIO:g}",
         _outcome(not offset.suspicious),
     )
+
+
+def _shape(result: RegistrationResult) -> list[Check]:
+    """The shift of the seen walls, where the boundary shows that the heart has changed its shape."""
+    if result.shape is None:
+        return []
+    return [
+        _at_most(
+            "Shape of the heart",
+            "RMS shift of the seen walls along their normals; most has moved the "
+            f"{result.shape.wall} wall, by {abs(result.shape.shift_mm):.1f} mm",
+            result.shape.seen_mm,
+            LARGEST_RIGID_MM,
+        )
+    ]
 
 
 def _pair(pair: PairEvidence) -> Check:

@@ -79,8 +79,8 @@ CHANGED = {
     "ventilated": {"ecg", "contact", "tool"},
     "breathing": {"ecg", "contact", "tool"},
 }
-"""The ball's images are black and all alike: in themselves, repeated or gone they are the same. Nor does its shape
-change."""
+"""The ball's images are black and all alike: in themselves, repeated or gone they are the same. Its shape is
+the same in every preset."""
 
 
 @pytest.mark.usefixtures("on_a_ball")
