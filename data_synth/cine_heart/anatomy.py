@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
+from data_synth.heart.mismatch import UNTOUCHED, SurgicalChange
 from data_synth.surfaces.anatomy import EPICARDIAL, LV, RV, SurfaceAnatomy, surface_anatomy
 from data_synth.surfaces.atria import AtrialStub
 from dvf_ig.core import (
@@ -76,14 +77,16 @@ class CineHeart:
         )
 
 
-def cine_anatomy(heart: CineHeart, *, mismatch_mm: float, seed: int) -> SurfaceAnatomy:
+def cine_anatomy(
+    heart: CineHeart, *, mismatch_mm: float, seed: int, surgery: SurgicalChange = UNTOUCHED
+) -> SurfaceAnatomy:
     """Build the beating anatomy from which the ultrasound of `heart` is simulated.
 
     Surfaces of end-diastole are moved to those of end-systole at the pace that the cine shows. Motion along
     the surfaces, twist above all, is in neither labels nor anatomy.
 
     Args:
-        mismatch_mm, seed: as for `surface_anatomy`.
+        mismatch_mm, seed, surgery: as for `surface_anatomy`.
     Raises:
         InvalidInputError: labels of fewer than three slices.
     """
@@ -98,7 +101,7 @@ def cine_anatomy(heart: CineHeart, *, mismatch_mm: float, seed: int) -> SurfaceA
         surfaces[name] = SurfaceSeries(
             name, "mr", vertices + pace[:, None, None] * moved, triangles, heart.cine.timing, heart.patient_id
         )
-    anatomy = surface_anatomy(surfaces, mismatch_mm=mismatch_mm, seed=seed)
+    anatomy = surface_anatomy(surfaces, mismatch_mm=mismatch_mm, seed=seed, surgery=surgery)
     return replace(anatomy, atria=_atria(heart, ed, base_first))
 
 

@@ -8,13 +8,22 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from data_synth.kernels.lv import BASE
+from data_synth.seeds import child_rng
 from dvf_ig.core import FloatArray, IntArray, Landmarks, Points, Rigid, read_only_arrays
 
 from .anatomical_points import TOUCHABLE, heart_landmarks, with_box_grid
 from .beating_anatomy import MARGIN_MM, REFERENCE_SPACING_MM
 from .heart_spec import HeartKind, HeartSeeds, HeartSpec
 from .mismatch import TABLE_MM as MISMATCH_TABLE_MM
-from .mismatch import SmoothField, TabulatedMap, random_mismatch, tabulated
+from .mismatch import (
+    UNTOUCHED,
+    SmoothField,
+    SurgicalChange,
+    TabulatedMap,
+    random_mismatch,
+    surgical_field,
+    tabulated,
+)
 from .motion import ES_FRACTION, MotionPreset, preset_scale
 from .outline import outline, project_to_outline
 from .phantom_motion import PhantomMotion
@@ -171,13 +180,15 @@ class PhantomAnatomy:
         """Vertices (v, 3) of the outline in the standard heart."""
         return self.ed_vertices_mm if self.warp is None else self.warp.inverse(self.ed_vertices_mm)
 
-    def with_mismatch(self, mismatch_mm: float, seed: int) -> "PhantomAnatomy":
+    def with_mismatch(
+        self, mismatch_mm: float, seed: int, surgery: SurgicalChange = UNTOUCHED
+    ) -> "PhantomAnatomy":
         """Apply another mismatch to this heart, drawn as by `phantom_anatomy`.
 
         Both share the results computed for the heart at rest.
         """
         seeds = replace(self.seeds, mismatch=seed)
-        return _under_mismatch(self if self.resting is None else self.resting, mismatch_mm, seeds)
+        return _under_mismatch(self if self.resting is None else self.resting, mismatch_mm, seeds, surgery)
 
     def placed(self, points: FloatArray) -> FloatArray:
         """Map points of the standard heart's frame to (n, 3) positions."""
@@ -202,7 +213,12 @@ class PhantomAnatomy:
 
 
 def phantom_anatomy(
-    *, motion: MotionPreset, mismatch_mm: float, seed: int, heart: HeartSpec | None = None
+    *,
+    motion: MotionPreset,
+    mismatch_mm: float,
+    seed: int,
+    heart: HeartSpec | None = None,
+    surgery: SurgicalChange = UNTOUCHED,
 ) -> PhantomAnatomy:
     """Draw a four-chamber phantom.
 
@@ -213,17 +229,22 @@ def phantom_anatomy(
         seed: seed of everything that `heart` leaves open; the same seed gives the same heart for either
             motion.
         heart: kind of heart and separate seeds; None is the standard heart.
+        surgery: change of shape by surgery, drawn with the mismatch.
     Raises:
         InvalidInputError: unknown motion, or a mismatch outside 0 … 8 mm.
     """
     spec = heart or HeartSpec()
     seeds = spec.seeds(seed)
-    return _under_mismatch(_at_rest(spec.kind, motion, seeds.anatomy, seeds.motion), mismatch_mm, seeds)
+    resting = _at_rest(spec.kind, motion, seeds.anatomy, seeds.motion)
+    return _under_mismatch(resting, mismatch_mm, seeds, surgery)
 
 
-def _under_mismatch(resting: PhantomAnatomy, mismatch_mm: float, seeds: HeartSeeds) -> PhantomAnatomy:
+def _under_mismatch(
+    resting: PhantomAnatomy, mismatch_mm: float, seeds: HeartSeeds, surgery: SurgicalChange
+) -> PhantomAnatomy:
     rng = np.random.default_rng(_seed_sequences(seeds.mismatch)[2])
-    field = random_mismatch(resting.box_mm, mismatch_mm, rng)
+    drawn = surgical_field(resting.ed_vertices_mm, surgery, child_rng(seeds.mismatch, "surgery"))
+    field = random_mismatch(resting.box_mm, mismatch_mm, rng, surgery=drawn)
     return replace(resting, mismatch=field, seeds=seeds, resting=resting)
 
 

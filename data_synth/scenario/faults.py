@@ -34,6 +34,8 @@ def describe_faults(preset: Preset) -> tuple[str, ...]:
         (image.dynamic_range_db < 50, "The ultrasound images have little dynamic range."),
         (preset.probe_tracker.position_mm > 0.5, "The probe's poses are noisy."),
         (preset.mismatch_mm > 1.5, "The heart's shape differs much from the pre-operative images."),
+        (preset.surgery.retraction_mm > 0, "A retractor presses on the heart."),
+        (preset.surgery.load_mm != 0, "The heart is filled otherwise than in the pre-operative images."),
     )
     return tuple(sentence for present, sentence in (*disturbances, *_failures(preset)) if present)
 

@@ -5,6 +5,7 @@ from typing import get_args
 
 from data_synth.breathing.breaths import BreathSpec
 from data_synth.heart.heart_spec import STANDARD_HEART, HeartSeeds, HeartSpec
+from data_synth.heart.mismatch import UNTOUCHED, SurgicalChange
 from data_synth.heart.motion import MotionPreset
 from data_synth.mr.examination import EXAMS, ExamName
 from data_synth.operator.probe_path import SweepSpec
@@ -47,6 +48,7 @@ class Preset:
         other_probe_mm, other_probe_deg: distance of the image of the probe in the calibration recordings
             from that of the probe used live (exact at its middle; directions are random).
         mismatch_mm: RMS non-rigid difference between pre-operative and intra-operative anatomy.
+        surgery: change of the heart's shape by surgery, in addition to that.
         video_jitter_s: SD of the instants at which images are taken, about the regular grid.
         video_drift_ppm: drift by which the video clock is slower than the tracker's.
         start_mm, start_deg: error of the coarse start.
@@ -87,6 +89,7 @@ class Preset:
     other_probe_mm: float = 0.0
     other_probe_deg: float = 0.0
     mismatch_mm: float = 1.2
+    surgery: SurgicalChange = UNTOUCHED
     video_jitter_s: float = 0.001
     video_drift_ppm: float = 0.0
     start_mm: float = 10.0
@@ -141,6 +144,7 @@ PRESETS: dict[str, Preset] = {
         other_probe_deg=4.0,
     ),
     "tool-unseen": Preset(looks=LookSpec(for_s=3.0)),
+    "deformed": Preset(mismatch_mm=5.0, surgery=SurgicalChange(retraction_mm=8.0, load_mm=2.5)),
     "ventilated": Preset(respiration=BreathSpec("ventilated", excursion_mm=10.0)),
     "breathing": Preset(
         respiration=BreathSpec(
@@ -167,6 +171,8 @@ late-ecg: the ECG is stamped 0.3 s late from the beginning.
 tool-in-view: images show the tool, and the operator turns them to it for 3 s every 8 s.
 tool-elsewhere: the same with the calibrations of wrong-calibration.
 tool-unseen: the same looks, at a tool that images do not show.
+deformed: a retractor presses the free wall in by 8 mm, the heart is fuller (2.5 mm), and its shape differs by
+    5 mm RMS from that in the MR.
 ventilated: a ventilator moves the heart by 10 mm, 14 times a minute; its channels and a marker on the chest
     are recorded.
 breathing: the patient breathes, 6 mm, 14 times a minute and unevenly; a chest marker is recorded.

@@ -72,7 +72,8 @@ class ImagedHeart:
             raise InvalidInputError(
                 "the recording specifies another heart than the imaged one; use its kind, motion and seeds"
             )
-        return self.anatomy.with_mismatch(spec.mismatch, child_seed(spec.seeds.mismatch, "anatomy"))
+        seed = child_seed(spec.seeds.mismatch, "anatomy")
+        return self.anatomy.with_mismatch(spec.mismatch, seed, spec.options.surgery)
 
 
 def imaged_heart(spec: ScenarioSpec, *, phases: int | None = None) -> ImagedHeart:
@@ -150,7 +151,11 @@ def scenario_heart(spec: ScenarioSpec) -> PhantomAnatomy:
     children = (child_seed(seed, "anatomy") for seed in seeds)
     heart = HeartSpec(spec.heart.kind, *children)
     return phantom_anatomy(
-        motion=spec.motion, mismatch_mm=spec.mismatch, seed=child_seed(spec.seed, "anatomy"), heart=heart
+        motion=spec.motion,
+        mismatch_mm=spec.mismatch,
+        seed=child_seed(spec.seed, "anatomy"),
+        heart=heart,
+        surgery=spec.options.surgery,
     )
 
 
@@ -181,7 +186,7 @@ def surface_scenario(
             "take a longer record or fewer seconds"
         )
     seed = child_seed(spec.seeds.mismatch, "anatomy")
-    anatomy = surface_anatomy(surfaces, mismatch_mm=spec.mismatch, seed=seed)
+    anatomy = surface_anatomy(surfaces, mismatch_mm=spec.mismatch, seed=seed, surgery=spec.options.surgery)
     world = make_world(spec, anatomy, np.asarray(r_peaks_s, dtype=np.float64), _breaths(spec))
     _report_progress(progress, 0.12)
     view = central_view(world.outline, world.window, world.central_standoff_mm)
@@ -203,7 +208,7 @@ def cine_scenario(spec: ScenarioSpec, heart: CineHeart, progress: Report | None 
         InvalidInputError: labels of fewer than three slices.
     """
     seed = child_seed(spec.seeds.mismatch, "anatomy")
-    anatomy = cine_anatomy(heart, mismatch_mm=spec.mismatch, seed=seed)
+    anatomy = cine_anatomy(heart, mismatch_mm=spec.mismatch, seed=seed, surgery=spec.options.surgery)
     breaths, peaks_s, ecg = _signals(spec)
     world = make_world(spec, anatomy, peaks_s, breaths)
     _report_progress(progress, 0.12)

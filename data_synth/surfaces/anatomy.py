@@ -11,11 +11,19 @@ from scipy.ndimage import map_coordinates
 
 from data_synth.heart.anatomical_points import with_box_grid
 from data_synth.heart.beating_anatomy import MARGIN_MM, REFERENCE_SPACING_MM
-from data_synth.heart.mismatch import SmoothField, random_mismatch, tabulated_inverse
+from data_synth.heart.mismatch import (
+    UNTOUCHED,
+    SmoothField,
+    SurgicalChange,
+    random_mismatch,
+    surgical_field,
+    tabulated_inverse,
+)
 from data_synth.heart.reference import Layers, ReferenceMap, build_reference, tissue_at
 from data_synth.heart.shapes import outside_layers
 from data_synth.heart.tissue import Tissue
 from data_synth.kernels import distance
+from data_synth.seeds import child_rng
 from dvf_ig.core import (
     FloatArray,
     IntArray,
@@ -217,7 +225,11 @@ class SurfaceAnatomy:
 
 
 def surface_anatomy(
-    surfaces: Mapping[str, SurfaceSeries], *, mismatch_mm: float, seed: int
+    surfaces: Mapping[str, SurfaceSeries],
+    *,
+    mismatch_mm: float,
+    seed: int,
+    surgery: SurgicalChange = UNTOUCHED,
 ) -> SurfaceAnatomy:
     """Build a beating anatomy from real surfaces in frame "mr" with corresponding vertices.
 
@@ -225,6 +237,7 @@ def surface_anatomy(
         surfaces: EPICARDIAL (required), LV_ENDOCARDIAL, RV_ENDOCARDIAL (optional); open ones are closed.
         mismatch_mm: RMS over the heart box of the smooth non-rigid difference to these surfaces.
         seed: seed of the mismatch.
+        surgery: change of shape by surgery, drawn with the mismatch.
     Raises:
         InvalidInputError: no epicardium, other frame, differing phase times, or a surface that cannot close.
     """
@@ -248,7 +261,8 @@ def surface_anatomy(
     vertices = splines[EPICARDIAL](0.0)
     box = np.array([vertices.min(axis=0), vertices.max(axis=0)])
     rng = np.random.default_rng(np.random.SeedSequence([seed, 0x5E7F]))
-    field = random_mismatch(box, mismatch_mm, rng)
+    drawn = surgical_field(vertices, surgery, child_rng(seed, "surgery"))
+    field = random_mismatch(box, mismatch_mm, rng, surgery=drawn)
     es_fraction = float(timing.fractions[int(np.argmin(volumes))])
     return SurfaceAnatomy(series, closed, splines, field, es_fraction)
 

@@ -175,3 +175,22 @@ def boundary_residuals(
         inside, d, gx, gy, gz = _at(splines.coefficients, boundary.phases[i], splines.knots_from_mm, x, y, z)
         distance_mm[i] = d if inside else math.nan
         agreement[i] = _agreement(pose, boundary.normals, i, gx, gy, gz) * splines.polarity if inside else 0.0
+
+
+@kernel
+def boundary_distances(
+    splines: DistanceSplines,
+    phases: IntArray,
+    points_mm: FloatArray,
+    distance_mm: FloatArray,
+    gradient: FloatArray,
+) -> None:
+    """Compute distance (n,) and gradient (n, 3) at (n, 3) places of the model, 0 outside the spline.
+
+    Args:
+        phases: (n,) index of the spline of each place.
+    """
+    for i in range(len(points_mm)):
+        x, y, z = points_mm[i, 0], points_mm[i, 1], points_mm[i, 2]
+        _, d, gx, gy, gz = _at(splines.coefficients, phases[i], splines.knots_from_mm, x, y, z)
+        distance_mm[i], gradient[i, 0], gradient[i, 1], gradient[i, 2] = d, gx, gy, gz

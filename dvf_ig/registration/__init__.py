@@ -75,6 +75,7 @@ from .pose_chart import target_errors_mm as target_errors_mm
 from .register import against_touched as against_touched
 from .register import register as register
 from .result import RegistrationResult as RegistrationResult
+from .shape.change import ShapeChange as ShapeChange
 from .start import LANDMARKS_MM as LANDMARKS_MM
 from .start import LandmarkPrior as LandmarkPrior
 from .start import LandmarkStart as LandmarkStart

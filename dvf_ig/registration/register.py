@@ -19,6 +19,7 @@ from dvf_ig.registration.evidence.checks import Evidence, part_disagreements, wr
 from dvf_ig.registration.evidence.image_offset import ImageOffset, fit_image_offset
 from dvf_ig.registration.evidence.phase_offset import phase_offset
 from dvf_ig.registration.lc2.lc2 import Lc2, SliceThreads
+from dvf_ig.registration.shape.change import ShapeChange, change_of_shape
 from dvf_ig.registration.surface_points.touched import TouchedSurface
 
 from .fuse import Fused, fuse
@@ -71,6 +72,7 @@ def register(
             problem, candidates, report_progress=lambda x: report(0.6 + 0.2 * x)
         )
         fused = fuse(problem, refined)  # section 5: with the boundary, pose and change of shape together
+        shape = _change_of_shape(problem, fused)  # section 5b: whether the heart is the one in the model
         report(0.95)
         covered, shown = heart.covered, images.coarse.slices
         if covered is not None:  # the evidence is of the part of the heart that its images cover
@@ -91,6 +93,8 @@ def register(
         stop = _stop(images.options, refined, fused, evidence, moved_mm=moved_mm, overlap=overlap)
         if stop is Stop.CONVERGED and covered is None and _other_calibration(evidence):
             stop = Stop.DISAGREEMENT
+        if shape is not None and shape.large and stop in (Stop.CONVERGED, Stop.DISAGREEMENT):
+            stop = Stop.CHANGED_SHAPE  # also why parts disagree on where a rigid heart is
         stop, assessment = _assessed(  # trust.md: probability, bound and scale of the covariance
             stop,
             table_of(images.options.kind, "" if covered is None else covered.kind),
@@ -122,6 +126,7 @@ def register(
             options=images.options,
             matched=refined.best.pose,
             coverage=coverage,
+            shape=shape,
         )
     report(1.0)
     return against_touched(result, landmarks, touched)
@@ -165,6 +170,14 @@ def _boundary_distance_mm(problem: Problem, pose: Rigid, fused: Fused) -> float 
     if fused.boundary is None:
         return float("inf")
     return mean_displacement_mm(pose, fused.boundary.pose, problem.center_mm)
+
+
+def _change_of_shape(problem: Problem, fused: Fused) -> ShapeChange | None:
+    """The change of shape at the pose; None for a heart covered in part, whose boundary ends with it."""
+    boundary = problem.visible_boundary
+    if boundary is None or fused.boundary is None or problem.heart.covered is not None:
+        return None
+    return change_of_shape(boundary, fused.boundary.offset_mm, fused.pose, problem.center_mm)
 
 
 def _second_best(problem: Problem, refined: Refined, pose: Rigid) -> float:

@@ -6,6 +6,7 @@ from dvf_ig.core import FloatArray, Rigid, Stop, read_only_arrays
 from dvf_ig.core.summary import Rows, summary_html, summary_text
 from dvf_ig.registration.evidence.assessment import ImageStatistics
 from dvf_ig.registration.evidence.checks import Evidence
+from dvf_ig.registration.shape.change import ShapeChange
 from dvf_ig.registration.surface_points.touched import SurfaceDisagreement
 
 from .coverage import Coverage
@@ -49,6 +50,7 @@ class RegistrationResult:
         landmarks_mm: mean distance over the heart from the pose of touched landmarks; None without any.
         touched: how far points touched on the heart's surface lie from it at the pose; None without any.
         coverage: how much of a heart that its images cover in part the slices image; None for a whole one.
+        shape: how the heart has changed its shape; None if no change was found, or nothing shows it.
     """
 
     target_from_source: Rigid
@@ -76,6 +78,7 @@ class RegistrationResult:
     landmarks_mm: float | None = None
     touched: SurfaceDisagreement | None = None
     coverage: Coverage | None = None
+    shape: ShapeChange | None = None
 
     def __repr__(self) -> str:
         return summary_text("RegistrationResult", self._rows)
@@ -118,6 +121,13 @@ class RegistrationResult:
                 f"touched landmarks do (at most {LANDMARKS_MM:g}); do not guide by it. Check in this order: "
                 "probe calibration (of another day or probe, or its marker moved), the tool's tip, landmarks"
             )
+        if self.stop is Stop.CHANGED_SHAPE and self.shape is not None:
+            sentence = f"{self.shape.sentence}; a model of the heart as it was cannot guide"
+            if landmarks_disagree(landmarks_mm):
+                sentence += (
+                    f". Touched landmarks lie {landmarks_mm:.1f} mm off: check the probe calibration first"
+                )
+            return sentence
         if self.stop is Stop.LOW_OVERLAP and self.coverage is not None:
             return self.coverage.advice
         if self.stop is Stop.DOUBTFUL and self.coverage is not None:

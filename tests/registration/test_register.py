@@ -1,5 +1,6 @@
 """Known-transform recovery on the toy heart, its evidence, and what must be refused."""
 
+import importlib
 from dataclasses import replace
 from functools import lru_cache
 from time import perf_counter
@@ -28,6 +29,7 @@ from dvf_ig.registration import (
     Level,
     RegistrationOptions,
     RegistrationResult,
+    ShapeChange,
     UltrasoundImages,
     channels_from_mr,
     pose_difference,
@@ -40,6 +42,7 @@ from dvf_ig.registration import (
 )
 
 QUICK = RegistrationOptions(starts=4)
+register_module = importlib.import_module("dvf_ig.registration.register")
 PITCHES_MM = (3.0, 1.5)
 
 
@@ -261,3 +264,21 @@ def test_landmarks_elsewhere_rule_a_pose_out(off_mm: float, stop: Stop) -> None:
     assert (result.tre_bound_mm, result.touched) == (None, None)
     named = "Check in this order: probe calibration" in result.sentence
     assert named is (stop is Stop.DISAGREEMENT)
+
+
+@pytest.mark.parametrize(("seen_mm", "stop"), [(0.7, Stop.CONVERGED), (2.4, Stop.CHANGED_SHAPE)])
+def test_a_heart_of_another_shape_is_refused_by_name(
+    monkeypatch: pytest.MonkeyPatch, seen_mm: float, stop: Stop
+) -> None:
+    change = ShapeChange(
+        "mr", np.zeros(3), 16.0, np.zeros((4, 4, 4, 4), np.float32), 3.0, 90.0, seen_mm, "left", 4.04, 0.3
+    )
+    monkeypatch.setattr(register_module, "_change_of_shape", lambda problem, fused: change)
+    result = _register(_levels(speckle=0.3), toy_pose(), options=RegistrationOptions(starts=0))
+    assert result.stop is stop
+    assert result.shape is change
+    words = "the left wall lies 4.0 mm further out (± 0.6)"
+    assert (words in result.sentence) is (stop is Stop.CHANGED_SHAPE)
+    assert words in change.sentence
+    off = replace(result, landmarks_mm=12.0).sentence
+    assert ("check the probe calibration first" in off) is (stop is Stop.CHANGED_SHAPE)

@@ -123,6 +123,7 @@ def rows_of(result: "RegistrationResult", name: str) -> list[tuple[str, str]]:
         *_checks(result),
         *_landmarks(result.landmarks_mm),
         *([] if touched is None else [("touched surface", touched.sentence)]),
+        *([] if result.shape is None else [("change of shape", result.shape.sentence)]),
         ("overlap", _overlap(result)),
         ("standard deviation", f"{_triple(rotation)} deg, {_triple(shift)} mm (x, y, z)"),
         ("least constrained", least_constrained_direction(result.covariance).sentence()),

@@ -9,6 +9,7 @@ from dvf_ig.registration import LANDMARKS_MM, PairEvidence, RegistrationResult
 from dvf_ig.registration.evidence.checks import WRONG_MM
 from dvf_ig.registration.evidence.image_offset import SUSPICIOUS_LOG_RATIO as CALIBRATION_LOG_RATIO
 from dvf_ig.registration.evidence.phase_offset import SUSPICIOUS_LOG_RATIO, SUSPICIOUS_S
+from dvf_ig.registration.shape.change import LARGEST_RIGID_MM
 from dvf_ig.report.registration import Check, Outcome
 
 BOUNDARY_UNSEEN = "no boundary seen"
@@ -27,6 +28,7 @@ def checks_of(result: RegistrationResult) -> list[Check]:
         *_disagreements(result),
         _phase_offset(result),
         _image_offset(result),
+        *_shape(result),
         _at_most(
             "Touched landmarks",
             "mean distance over the heart from the pose that touched landmarks give",
@@ -129,6 +131,21 @@ def _image_offset(result: RegistrationResult) -> Check:
         f"a ratio of at most {CALIBRATION_LOG_RATIO:g}",
         _outcome(not offset.suspicious),
     )
+
+
+def _shape(result: RegistrationResult) -> list[Check]:
+    """The shift of the seen walls, where the boundary shows that the heart has changed its shape."""
+    if result.shape is None:
+        return []
+    return [
+        _at_most(
+            "Shape of the heart",
+            "RMS shift of the seen walls along their normals; most has moved the "
+            f"{result.shape.wall} wall, by {abs(result.shape.shift_mm):.1f} mm",
+            result.shape.seen_mm,
+            LARGEST_RIGID_MM,
+        )
+    ]
 
 
 def _pair(pair: PairEvidence) -> Check:

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from dvf_ig.registration import PairEvidence, RegistrationResult, least_constrained_direction
+from dvf_ig.registration import PairEvidence, RegistrationResult, ShapeChange, least_constrained_direction
 from dvf_ig.session import RegistrationRecord
 
 
@@ -46,11 +46,26 @@ def evidence_of(result: RegistrationResult) -> dict[str, Any]:
         "part_disagreement_mm": _finite(result.evidence.half_volume_mm),
         "edge_disagreement_mm": _finite(result.evidence.boundary_mm),
         "phase_offset_s": None if offset is None else offset.offset_s,
+        "shape_change": _shape_change(result.shape),
         **_pair_evidence(result.evidence.pair),
         "moved_mm": result.moved_mm,
         "image_statistics": None if result.statistics is None else result.statistics.values(),
         "slices": result.slices,
         "seconds": round(result.seconds, 3),
+    }
+
+
+def _shape_change(shape: ShapeChange | None) -> dict[str, Any] | None:
+    """Change of the heart's shape; None if none was found."""
+    if shape is None:
+        return None
+    return {
+        "wall": shape.wall,
+        "outward_mm": shape.shift_mm,
+        "sigma_mm": shape.sigma_mm,
+        "seen_walls_mm": shape.seen_mm,
+        "scale_mm": shape.scale_mm,
+        "log_evidence": shape.evidence,
     }
 
 

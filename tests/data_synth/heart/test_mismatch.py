@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from data_synth.heart.mismatch import random_mismatch, tabulated_inverse
+from data_synth.heart.mismatch import SurgicalChange, random_mismatch, surgical_field, tabulated_inverse
 from data_synth.kernels.waves import cosine_and_sine
 from dvf_ig.core import FloatArray, InvalidInputError
 
@@ -76,3 +76,34 @@ def test_zero_mismatch_moves_nothing() -> None:
 def test_impossible_sizes_are_refused(rms: float) -> None:
     with pytest.raises(InvalidInputError, match="needed 0 to 8 mm"):
         random_mismatch(BOX, rms, np.random.default_rng(0))
+
+
+def test_surgery_presses_the_free_wall_in_without_moving_the_heart() -> None:
+    """The planted pose stays the best rigid one; the wall under the retractor goes in, the others out."""
+    rng = np.random.default_rng(4)
+    outward = rng.normal(size=(4000, 3))
+    outward /= np.linalg.norm(outward, axis=1, keepdims=True)
+    center, half = BOX.mean(axis=0), 0.5 * np.ptp(BOX, axis=0)
+    wall = center + half * outward
+    change = SurgicalChange(retraction_mm=8.0, load_mm=2.5)
+    surgery = surgical_field(wall, change, np.random.default_rng(5))
+    assert surgery is not None
+    field = random_mismatch(BOX, 0.0, np.random.default_rng(3), surgery=surgery)
+    nodes = box_nodes()
+    moved = field.at(nodes)
+    assert np.linalg.norm(moved.mean(axis=0)) < 0.03
+    assert np.linalg.norm(np.cross(nodes - center, moved).mean(axis=0)) < 3.0, (
+        "mm²: less than 0.02 of a mm turn"
+    )
+    assert field.rms_mm == pytest.approx(np.sqrt((moved**2).sum(axis=1).mean()), rel=0.01)
+    out_mm = np.einsum("ij,ij->i", field.at(wall), outward)
+    pressed = np.linalg.norm(wall - center - surgery.pressed_mm, axis=1)
+    assert out_mm[pressed < 12.0].mean() < -2.5
+    assert out_mm[pressed > 60.0].mean() > 1.5
+    assert np.abs(field.inverse(field.forward(nodes)) - nodes).max() < 1e-3
+    plain = random_mismatch(BOX, 2.0, np.random.default_rng(3))
+    both = random_mismatch(BOX, 2.0, np.random.default_rng(3), surgery=surgery)
+    np.testing.assert_allclose(both.at(nodes) - plain.at(nodes), moved, atol=1e-9)
+    assert surgical_field(wall, SurgicalChange(), rng) is None
+    with pytest.raises(InvalidInputError, match="fold space"):
+        SurgicalChange(retraction_mm=20.0)

@@ -75,10 +75,12 @@ CHANGED = {
     "tool-in-view": {"probe", "images"},
     "tool-elsewhere": {"probe", "images", "nwire", "latency"},
     "tool-unseen": {"probe"},
+    "deformed": set(),
     "ventilated": {"ecg", "contact", "tool"},
     "breathing": {"ecg", "contact", "tool"},
 }
-"""The ball's images are black and all alike: in themselves, repeated or gone they are the same."""
+"""The ball's images are black and all alike: in themselves, repeated or gone they are the same. Its shape is
+the same in every preset."""
 
 
 @pytest.mark.usefixtures("on_a_ball")

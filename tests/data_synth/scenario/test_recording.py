@@ -217,7 +217,7 @@ def test_images_show_the_heart_where_and_when_the_truth_says(
 def test_a_cines_scenario_has_what_the_laboratory_has(monkeypatch: pytest.MonkeyPatch, ball: Any) -> None:
     given = []
 
-    def anatomy(heart: Any, *, mismatch_mm: float, seed: int) -> Any:
+    def anatomy(heart: Any, *, mismatch_mm: float, seed: int, surgery: Any) -> Any:
         given.append((mismatch_mm, seed))
         return ball
 

@@ -1,0 +1,138 @@
+"""A change of shape is found where the boundary shows one, with size and uncertainty; else none is."""
+
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from dvf_ig.core import CycleTiming, FloatArray, Grid, Rigid, VolumeSeries
+from dvf_ig.registration import BLOOD, WALL, BoundaryPoints, BoundaryTarget, target_from_labels
+from dvf_ig.registration.boundary.fit import Boundary
+from dvf_ig.registration.pose_chart import rigid_motion
+from dvf_ig.registration.shape.change import LARGEST_RIGID_MM, ShapeChange, change_of_shape
+from dvf_ig.registration.shape.modes import shape_modes
+
+CENTER = np.array([5.0, -10.0, 20.0])
+CHAMBERS = (
+    (CENTER + np.array([24.0, 0.0, 0.0]), np.array([20.0, 24.0, 38.0])),
+    (CENTER - np.array([24.0, 0.0, 4.0]), np.array([16.0, 30.0, 30.0])),
+)
+"""Middle and radii of two chambers of blood."""
+TURN = Rotation.from_euler("xyz", [0.3, -0.5, 0.8]).as_matrix()
+POSE = Rigid("mr", "tracker", TURN, np.array([3.0, -40.0, 9.0]))
+PRESSED = CENTER + np.array([24.0, -24.0, 0.0])
+"""Where a retractor presses: the front of the left chamber. The right one is fuller."""
+
+
+@lru_cache(maxsize=1)
+def _target() -> BoundaryTarget:
+    """Two ellipsoids of blood, each within a wall of 8 mm."""
+    grid = Grid.axis_aligned("mr", (72, 56, 64), CENTER - np.array([71.0, 55.0, 63.0]), 2.0)
+    index = np.stack(np.meshgrid(*(np.arange(n) for n in grid.shape), indexing="ij"), axis=-1)
+    places = grid.to_mm(index.reshape(-1, 3).astype(np.float64))
+    labels = np.zeros(len(places), dtype=np.uint8)
+    for label, wall_mm in ((WALL, 8.0), (BLOOD, 0.0)):
+        for middle, radii in CHAMBERS:
+            labels[np.linalg.norm((places - middle) / (radii + wall_mm), axis=1) < 1.0] = label
+    values = np.stack(2 * [labels.reshape(grid.shape)])
+    timing = CycleTiming(np.array([0.0, 0.5]), 0.8)
+    return target_from_labels(VolumeSeries(grid, values, timing), np.zeros(1))
+
+
+def _pressed_mm(places_mm: FloatArray) -> FloatArray:
+    """(n, 3) displacement: a wall pressed in by 8 mm over 25 mm, and 4 mm outwards beside it."""
+    apart = ((places_mm - PRESSED) ** 2).sum(axis=1)
+    pressed = 8.0 * np.exp(-0.5 * apart / 25.0**2)[:, None] * np.array([0.0, 1.0, 0.0])
+    away = places_mm - CHAMBERS[1][0]
+    share = np.exp(-0.5 * (away**2).sum(axis=1) / 35.0**2)[:, None]
+    return np.asarray(pressed + 0.2 * share * away)
+
+
+def _on_wall(count: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+    """(n, 3) points of the seen part of both chambers, all but their backs, and outward normals."""
+    places, normals = [], []
+    for middle, radii in CHAMBERS:
+        unit = rng.normal(size=(count // 2, 3))
+        unit /= np.linalg.norm(unit, axis=1, keepdims=True)
+        unit[unit[:, 1] > 0.6] *= -1.0
+        normal = unit / radii
+        places.append(middle + radii * unit)
+        normals.append(normal / np.linalg.norm(normal, axis=1, keepdims=True))
+    return np.concatenate(places), np.concatenate(normals)
+
+
+def _boundary(seed: int, *, pressed: bool) -> Boundary:
+    """Noisy boundary points of 0.7 mm with 5 % outliers, in the tracker's frame."""
+    rng = np.random.default_rng(seed)
+    wall, normal = _on_wall(1200, rng)
+    seen = wall + _pressed_mm(wall) if pressed else wall
+    off = rng.normal(scale=0.7, size=len(seen))
+    off[rng.random(len(off)) < 0.05] += 5.0
+    back = POSE.inverse()
+    points = BoundaryPoints(
+        "tracker",
+        back.apply_array(seen + off[:, None] * normal),
+        normal @ back.rotation.T,
+        np.zeros(len(seen)),
+        np.ones(len(seen)),
+    )
+    return Boundary(points, _target())
+
+
+def _change(seed: int, *, pressed: bool) -> ShapeChange | None:
+    return change_of_shape(_boundary(seed, pressed=pressed), 0.0, POSE, CENTER)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_an_unchanged_heart_stays_rigid(seed: int) -> None:
+    assert _change(seed, pressed=False) is None
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_pressed_wall_is_found_where_it_is(seed: int) -> None:
+    change = _change(seed, pressed=True)
+    assert change is not None
+    wall, normal = _on_wall(800, np.random.default_rng(100 + seed))
+    now = wall + _pressed_mm(wall)
+    pulled, sigma = change.at(now)
+    without = np.einsum("ni,ni->n", normal, now - wall)
+    left = np.einsum("ni,ni->n", normal, now - pulled - wall)
+    assert np.sqrt(np.mean(left**2)) < 0.5 * np.sqrt(np.mean(without**2))
+    assert 0.4 < np.sqrt(np.mean((left / sigma) ** 2)) < 1.3
+    behind = change.at(CENTER + np.array([[0.0, 45.0, 0.0]]))[1]
+    assert behind[0] > 2.0 * np.median(sigma), "what is not seen is not known"
+
+
+def test_a_change_is_said_in_words() -> None:
+    change = _change(1, pressed=True)
+    assert change is not None
+    assert change.wall == "left anterior"
+    assert change.shift_mm == pytest.approx(-4.8, abs=1.5), (
+        "the mean over a patch of it, less the pose's part"
+    )
+    assert f"the left anterior wall lies {-change.shift_mm:.1f} mm further in" in change.sentence
+    assert change.large
+    assert not replace(change, seen_mm=LARGEST_RIGID_MM).large
+
+
+def test_points_that_fit_another_pose_say_nothing_of_the_shape() -> None:
+    elsewhere = POSE.perturbed_left(np.zeros(3), np.array([0.0, 7.0, 0.0]), CENTER)
+    assert change_of_shape(_boundary(1, pressed=False), 0.0, elsewhere, CENTER) is None
+
+
+def test_modes_have_no_rigid_part_and_are_ordered() -> None:
+    rng = np.random.default_rng(4)
+    walls = CENTER + rng.normal(scale=(19.0, 15.0, 23.0), size=(300, 3))
+    modes = shape_modes(walls, CENTER)
+    moved = modes.at(walls, 60)
+    motion = rigid_motion(walls, CENTER).reshape(-1, 6)
+    assert np.abs(motion.T @ moved.reshape(-1, 60)).max() < 1e-6 * len(walls) * np.abs(motion).max()
+    strength = np.linalg.norm(moved.reshape(-1, 60), axis=0)
+    assert (np.diff(strength) < 1e-9).all()
+    along = rng.normal(size=(300, 3))
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    total = modes.variance_along(walls, along)
+    assert (np.einsum("ni,nik->nk", along, moved) ** 2).sum(axis=1) == pytest.approx(total, abs=0.05)
+    assert np.median(total) < 1.0 / 3.0, "of 1 mm RMS in space, on one axis, less the rigid part"
