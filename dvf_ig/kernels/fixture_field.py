@@ -172,7 +172,7 @@ def seen_share(f: FloatArray, count: int, q: Vector, phi: float, distance: float
         high = (1.0 - alpha) * f[a + 1] + alpha * f[b + 1]
         within = max(within, min(height - low, high - height))
     part = min(max(within / f[SEEN + 4], 0.0), 1.0)
-    return part * part * (3.0 - 2.0 * part)
+    return float(part * part * (3.0 - 2.0 * part))
 
 
 @kernel

@@ -91,7 +91,7 @@ def write_shifts_picture(
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(10.5, 7.0), layout="constrained")
-    upper, lower = figure.subfigures(2, 1, height_ratios=(2.0, 1.0))
+    upper, lower = figure.subfigures(2, 1, squeeze=False, height_ratios=[2.0, 1.0])[:, 0]
     axes = upper.subplots(1, 3)
     own = int(np.argmin(np.abs((view.timing.fractions - sax.timing.fractions[ed_phase] + 0.5) % 1.0 - 0.5)))
     grid, part = _about(view.grid, heart_mm)

@@ -105,7 +105,8 @@ def _sized(
 
 def _beside(request: BuildRequest) -> tuple[Path, Path, Path]:
     """Return the paths of JSON, of the picture, and of that of shifts between slices, next to the model."""
-    return tuple(request.output.with_suffix(end) for end in (".json", ".png", ".shifts.png"))
+    output = request.output
+    return output.with_suffix(".json"), output.with_suffix(".png"), output.with_suffix(".shifts.png")
 
 
 def _write_evidence(

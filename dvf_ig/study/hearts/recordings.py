@@ -182,7 +182,7 @@ GATED = (0.0, 0.35, 0.75)
 """Gated phases: end-diastole, end-systole, diastasis, where the heart moves least."""
 VARIED = HeartSpec("varied")
 """Drawn from a population of healthy, dilated and hypertrophic hearts."""
-MOTION = ("paper5mm", "physiological")
+MOTION: tuple[MotionPreset, MotionPreset] = ("paper5mm", "physiological")
 """Motions of hearts with even and with odd numbers."""
 EXAMS: dict[str, tuple[ExamName, ExamName]] = {
     "sweep-of-sax": ("sax8", "sax10"),

@@ -49,6 +49,7 @@ def test_what_slices_show_ends_where_they_or_their_labels_end(stack, missing, he
     shift[:, 2] = -1.5
     descent = usual_descent(image.grid, organ, np.array([5.0, 5.0, 3.0, 1.0, 3.0, 5.0]))
     found = seen_part(image.grid, organ, shift, descent)
+    assert found is not None
     np.testing.assert_allclose(found.normal, [0.0, 0.0, -1.0])
     # slice k shows the heart at z = 10 k + 1.5 and 2 mm on either side; the base is at z = 0, heights are −z
     np.testing.assert_allclose(found.bounds_mm[0], heights_mm)
@@ -95,7 +96,9 @@ def test_slices_of_other_heart_rates_are_aligned_at_their_end_systole():
     }
     assert spread["index"] > 0.4
     assert spread["end-systole"] < 0.2
-    assert not aligned.deformations[0].coefficients.any()
+    first = aligned.deformations[0]
+    assert isinstance(first, FreeForm)
+    assert not first.coefficients.any()
 
 
 def test_a_surface_slides_along_the_outlines_that_the_slices_show():
