@@ -62,6 +62,10 @@ def read_indexed_sequence(path: Path | str) -> tuple[TrackedSequence, IntArray, 
     path = Path(path)
     with reading(path, "a tracked sequence"):
         raw = read_raw_sequence(path)
+        if raw.columns and raw.fields.get("UltrasoundImageType", _B_MODE) not in (_B_MODE, "XX", ""):
+            raise UnreadableFileError(
+                f"{path}: its images are {raw.fields['UltrasoundImageType']}; needed {_B_MODE}: record B-mode"
+            )
         return *indexed_sequence(path, raw), raw.frames
 
 
@@ -80,10 +84,6 @@ def indexed_sequence(path: Path, raw: RawSequence) -> tuple[TrackedSequence, Int
         order = _usable_order(path, t_s)
         t_s = t_s[order]
         stored = require_orientation(path, raw.orientation)
-        if raw.columns and raw.fields.get("UltrasoundImageType", _B_MODE) not in (_B_MODE, "XX", ""):
-            raise UnreadableFileError(
-                f"{path}: its images are {raw.fields['UltrasoundImageType']}; needed {_B_MODE}: record B-mode"
-            )
         turned = turned_orientation(stored) if raw.columns else None
         sequence = TrackedSequence(
             t_s=t_s,
