@@ -15,6 +15,7 @@ from hypothesis import settings
 
 if TYPE_CHECKING:
     import numpy as np
+    from typer.testing import Result
 
     from data_synth.scenario.recording import ImagedHeart
     from dvf_ig.core import DvfModel, Scenario, SurfaceSeries
@@ -130,6 +131,29 @@ def replay(scenario: "Scenario", shared_hearts: None) -> "Replay":
     from dvf_ig.replay import run_replay
 
     return run_replay(scenario, model=cached_model(scenario.preop).model, seed=0)
+
+
+@pytest.fixture(scope="session")
+def commanded(
+    replay: "Replay", written: Path, tmp_path_factory: pytest.TempPathFactory
+) -> "tuple[Path, Result]":
+    """The folder of the shared replay as the command writes it, only to be read, and what it said."""
+    from typer.testing import CliRunner
+
+    from dvf_ig.cli.main import app
+
+    folder = tmp_path_factory.mktemp("replayed") / "run"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("dvf_ig.replay.run_replay", lambda *_, **__: replay)
+        done = CliRunner().invoke(app, ["replay", str(written), "-o", str(folder), "--json"])
+    assert done.exit_code == 0, done.output
+    return folder, done
+
+
+@pytest.fixture(scope="session")
+def run(commanded: "tuple[Path, Result]") -> Path:
+    """The folder of `commanded`."""
+    return commanded[0]
 
 
 @pytest.fixture(scope="session")

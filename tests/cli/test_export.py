@@ -13,19 +13,7 @@ from typer.testing import CliRunner
 from dvf_ig.cli.main import app
 from dvf_ig.core import Scenario
 from dvf_ig.intake import read_scenario
-from dvf_ig.replay import Replay
 from dvf_ig.replay.events import events_of
-
-
-@pytest.fixture(scope="module")
-def run(replay: Replay, written: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder of the shared replay, as the command writes it."""
-    out = tmp_path_factory.mktemp("export") / "run"
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("dvf_ig.replay.run_replay", lambda *_, **__: replay)
-        done = CliRunner().invoke(app, ["replay", str(written), "-o", str(out)])
-    assert done.exit_code == 0, done.output
-    return out
 
 
 def test_a_scene_shows_tracked_targets_on_those_of_the_mr(

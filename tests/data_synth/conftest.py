@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from toy_sphere import sphere
 
 import data_synth.scenario.live as live_module
 import data_synth.scenario.recording as scenario_module
@@ -19,21 +20,7 @@ class Ball:
     es_fraction = 0.36
 
     def __init__(self) -> None:
-        steps = np.arange(1, 24) * np.pi / 24
-        theta, azimuth = np.meshgrid(steps, np.arange(48) * np.pi / 24, indexing="ij")
-        rings = np.stack(
-            [np.sin(theta) * np.cos(azimuth), np.sin(theta) * np.sin(azimuth), np.cos(theta)], axis=-1
-        )
-        self.unit = np.vstack([[0, 0, 1], rings.reshape(-1, 3), [0, 0, -1]])
-        last, k = len(self.unit) - 1, np.arange(48)
-        following = (k + 1) % 48
-        faces = [np.column_stack([0 * k, 1 + k, 1 + following])]
-        for ring in range(22):
-            a, b = 1 + 48 * ring, 49 + 48 * ring
-            faces += [np.column_stack([a + k, b + k, b + following])]
-            faces += [np.column_stack([a + k, b + following, a + following])]
-        faces += [np.column_stack([1 + 48 * 22 + k, 0 * k + last, 1 + 48 * 22 + following])]
-        self.surface_triangles = np.concatenate(faces)
+        self.unit, self.surface_triangles = sphere(1.0, 3)
 
     @property
     def box_mm(self) -> FloatArray:

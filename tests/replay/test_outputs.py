@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import SimpleITK
-from typer.testing import CliRunner
+from typer.testing import CliRunner, Result
 
 from dvf_ig.cli.main import app
 from dvf_ig.core import OutputError, PhaseTrack, Rigid
@@ -122,11 +122,9 @@ def replayed(replay: Replay, monkeypatch: pytest.MonkeyPatch) -> Replay:
 
 
 def test_the_command_writes_all_files_and_says_what_it_read(
-    replayed: Replay, written: Path, tmp_path: Path
+    replay: Replay, written: Path, commanded: tuple[Path, Result]
 ) -> None:
-    out = tmp_path / "run"
-    done = CliRunner().invoke(app, ["replay", str(written), "-o", str(out), "--json"])
-    assert done.exit_code == 0, done.output
+    out, done = commanded
     assert {path.name for path in out.iterdir()} - {LISTING} == {
         "result.json",
         "report.html",
@@ -146,13 +144,13 @@ def test_the_command_writes_all_files_and_says_what_it_read(
         data = files[name].read_bytes()
         assert (one["sha256"], one["bytes"]) == (hashlib.sha256(data).hexdigest(), len(data))
     np.testing.assert_array_equal(
-        np.array(result["estimates"]["mr_from_tracker"]), replayed.poses[-1][1].matrix
+        np.array(result["estimates"]["mr_from_tracker"]), replay.poses[-1][1].matrix
     )
     transform = SimpleITK.ReadTransform(str(out / "mr_from_tracker.tfm"))
     np.testing.assert_allclose(
-        transform.TransformPoint((0.0, 0.0, 0.0)), replayed.poses[-1][1].translation_mm, atol=1e-9
+        transform.TransformPoint((0.0, 0.0, 0.0)), replay.poses[-1][1].translation_mm, atol=1e-9
     )
-    assert len((out / "ticks.csv").read_text().splitlines()) == len(replayed.ticks) + 1
+    assert len((out / "ticks.csv").read_text().splitlines()) == len(replay.ticks) + 1
 
 
 def test_nothing_is_left_half_written(

@@ -31,20 +31,9 @@ NEEDS_BROWSER = pytest.mark.skipif(chromium() is None, reason=MISSING)
 
 
 @pytest.fixture(scope="module")
-def run(replay: Replay, written: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A replay's folder; the replay itself is the shared one."""
-    folder = tmp_path_factory.mktemp("replayed") / "run"
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("dvf_ig.replay.run_replay", lambda *_, **__: replay)
-        done = CliRunner().invoke(app, ["replay", str(written), "-o", str(folder)])
-    assert done.exit_code == 0, done.output
-    return folder
-
-
-@pytest.fixture(scope="module")
-def page_file(run: Path, written: Path) -> Path:
+def page_file(run: Path, written: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The page of a folder that was moved away from its recording."""
-    moved = run.parent / "elsewhere" / "run"
+    moved = tmp_path_factory.mktemp("elsewhere") / "run"
     shutil.copytree(run, moved)
     out = moved.parent / "page.html"
     done = CliRunner().invoke(
