@@ -1,10 +1,10 @@
 """Spatial and temporal calibration: tool tip, image, video lag, landmarks, hand–eye."""
 
+from .hand_eye.calibration import HAND_EYE_METHODS as HAND_EYE_METHODS
+from .hand_eye.calibration import HandEyeMethod as HandEyeMethod
 from .hand_eye.calibration import HandEyeOptions as HandEyeOptions
 from .hand_eye.calibration import HandEyeResult as HandEyeResult
 from .hand_eye.calibration import calibrate_hand_eye as calibrate_hand_eye
-from .hand_eye.closed_form import HAND_EYE_METHODS as HAND_EYE_METHODS
-from .hand_eye.closed_form import HandEyeMethod as HandEyeMethod
 from .landmarks.dwells import DwellOptions as DwellOptions
 from .landmarks.dwells import Dwells as Dwells
 from .landmarks.dwells import TipCheck as TipCheck
@@ -30,9 +30,9 @@ from .probe.nwire import NWireOptions as NWireOptions
 from .probe.nwire import NWireResult as NWireResult
 from .probe.nwire import calibrate_nwire as calibrate_nwire
 from .probe.nwire import validate_nwire as validate_nwire
-from .probe.nwire_geometry import diagonal_crossings as diagonal_crossings
 from .probe.nwire_methods import NWireVariants as NWireVariants
 from .probe.nwire_methods import compare_nwire_methods as compare_nwire_methods
+from .probe.nwire_residuals import diagonal_crossings as diagonal_crossings
 from .probe.nwire_solve import NWIRE_METHODS as NWIRE_METHODS
 from .probe.nwire_solve import NWireMethod as NWireMethod
 from .probe.target_fit import TargetOptions as TargetOptions
@@ -42,9 +42,9 @@ from .probe.wall import calibrate_wall as calibrate_wall
 from .probe.wall import validate_wall as validate_wall
 from .refusal import Gate as Gate
 from .refusal import Refusal as Refusal
+from .refusal import RejectedFrame as RejectedFrame
+from .refusal import Rejection as Rejection
 from .refusal import accepted as accepted
-from .rejection import RejectedFrame as RejectedFrame
-from .rejection import Rejection as Rejection
 from .temporal.latency import LatencyOptions as LatencyOptions
 from .temporal.latency import LatencyResult as LatencyResult
 from .temporal.latency import estimate_latency as estimate_latency

@@ -1,10 +1,32 @@
-"""Why a calibration that gave an estimate must not be used: the quality gates that it failed."""
+"""Why a frame took no part in a calibration, and why an estimate must not be used: its failed gates."""
 
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Protocol, TypeVar
 
 from dvf_ig.core import QualityGateError
+
+
+class Rejection(StrEnum):
+    """Kinds of reasons; the value is the message. Those of the search for wires are in its order."""
+
+    IMAGE_INVALID = "image marked invalid"
+    TOO_FEW_DOTS = "too few dots"
+    NO_LINE = "no line of three dots"
+    LINES_APART = "lines do not lie as in the phantom"
+    MISFIT = "dots miss the phantom's shape"
+    STEEP = "image too far from across the wires"
+    NOT_FOUND = "phantom not found in the image"
+    POSE_INVALID = "pose not valid"
+    OUTLIER = "residual of an outlier"
+
+
+@dataclass(frozen=True, slots=True)
+class RejectedFrame:
+    """The kind of reason, and in one sentence what was seen."""
+
+    reason: Rejection
+    detail: str
 
 
 class Gate(StrEnum):

@@ -7,10 +7,22 @@ from typing import Annotated
 import typer
 
 import dvf_ig
-from dvf_ig.cli import bench, cache, config, device, doctor, evaluate, force, gate, replay, study, view
+from dvf_ig.cli import (
+    bench,
+    cache,
+    config,
+    device,
+    doctor,
+    evaluate,
+    export,
+    force,
+    gate,
+    replay,
+    study,
+    view,
+)
 from dvf_ig.cli.calibrate import commands as calibrate
 from dvf_ig.cli.examples import show_examples
-from dvf_ig.cli.export import commands as export
 from dvf_ig.cli.inspect import command as inspect
 from dvf_ig.cli.model import commands as model
 from dvf_ig.cli.register import command as register

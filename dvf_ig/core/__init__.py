@@ -41,8 +41,6 @@ from .recordings.stream import PoseStream as PoseStream
 from .recordings.tracked_volume import TrackedVolume as TrackedVolume
 from .seen_part import RAMP_MM as RAMP_MM
 from .seen_part import SeenPart as SeenPart
-from .space.displacement import HEART_RADIUS_MM as HEART_RADIUS_MM
-from .space.displacement import mean_displacement_mm as mean_displacement_mm
 from .space.frames import RAS_FROM_LPS as RAS_FROM_LPS
 from .space.frames import require_same_frame as require_same_frame
 from .space.image_map import ImageMap as ImageMap
@@ -52,8 +50,10 @@ from .space.mesh import SurfaceSeries as SurfaceSeries
 from .space.points import Landmarks as Landmarks
 from .space.points import Points as Points
 from .space.points import Seeds as Seeds
+from .space.pose_motion import HEART_RADIUS_MM as HEART_RADIUS_MM
 from .space.pose_motion import UPDATE_MM_PER_S as UPDATE_MM_PER_S
 from .space.pose_motion import PoseMotion as PoseMotion
+from .space.pose_motion import mean_displacement_mm as mean_displacement_mm
 from .space.rigid import Rigid as Rigid
 from .space.volume import Grid as Grid
 from .space.volume import Volume as Volume

@@ -4,7 +4,7 @@ from .engine import Replay as Replay
 from .engine import run_replay as run_replay
 from .events import events_of as events_of
 from .registration import register_scenario as register_scenario
-from .result.evidence import evidence_of as evidence_of
+from .result.result import evidence_of as evidence_of
 from .result.result import result_of as result_of
 from .result.schema import schema as schema
 from .result.schema import validate as validate

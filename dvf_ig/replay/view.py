@@ -35,8 +35,8 @@ from dvf_ig.report.viewer import (
     series_payload,
     shaft_in_tool,
 )
-from dvf_ig.report.viewer.columns import FORCE_MR, SHAFT
 from dvf_ig.report.viewer.frames import SENT_COLUMNS
+from dvf_ig.report.viewer.series import FORCE_MR, SHAFT
 from dvf_ig.session.gated_frames import smoothed_poses
 from dvf_ig.session.pose_states import MAX_AGE_S
 

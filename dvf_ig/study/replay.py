@@ -21,8 +21,8 @@ from data_synth.scenario.presets import PRESETS, ScenarioSpec, preset_name
 from data_synth.scenario.recording import phantom_scenario
 from dvf_ig.intake.model_cache import cached_model
 from dvf_ig.replay import Replay, result_of, run_replay
+from dvf_ig.replay.result.errors import true_contact
 from dvf_ig.replay.result.score import CONTACT_MM, pose_errors_mm
-from dvf_ig.replay.result.truth_at_ticks import true_contact
 from dvf_ig.session.pose_states import ELSEWHERE_BEATS
 from dvf_ig.study.driver import (
     Driver,

@@ -21,7 +21,7 @@ from dvf_ig.guidance import (
 from dvf_ig.guidance.margins import MarginOptions
 from dvf_ig.replay import Replay, result_of, run_replay
 from dvf_ig.replay.page.replay_page import report_html
-from dvf_ig.replay.result.truth_at_ticks import true_contact
+from dvf_ig.replay.result.errors import true_contact
 from dvf_ig.session import UltrasoundRecording, gate_recording
 
 

@@ -11,7 +11,7 @@ from toy_session import toy_heart
 from dvf_ig.core import CycleTiming, FloatArray, Grid, Rigid, TrackedVolume, Volume, VolumeSeries
 from dvf_ig.registration import BoundaryTarget, ModelChannels
 from dvf_ig.replay.page.planes import anatomy_of_heart, anatomy_of_image, plane_overlay
-from dvf_ig.replay.page.volume_planes import image_overlays, shown_grey, tracked_overlays
+from dvf_ig.replay.page.registration_inputs import image_overlays, shown_grey, tracked_overlays
 from dvf_ig.report.plane_marks import edge_letters, plane_name, viewed_upright
 
 X, Y, Z = np.eye(3)

@@ -17,8 +17,15 @@ from dvf_ig.core import (
 
 from .errors import CalibrationErrors, calibration_errors
 from .map_parameters import MapParameters
-from .target_fit import TargetOptions, TargetRecording, TargetResult, best_start, calibrate_target
-from .target_start import centred_pixels, map_from_solution
+from .target_fit import (
+    TargetOptions,
+    TargetRecording,
+    TargetResult,
+    best_start,
+    calibrate_target,
+    centred_pixels,
+    map_from_solution,
+)
 from .tracked_points import TrackedPoints, require_same_probe, usable_points
 
 _MOVE = "let the crossing wander over the whole image, left and right, near and far"

@@ -6,8 +6,7 @@ import numpy as np
 from numpy.random import Generator
 
 from dvf_ig.calibration.inliers import InlierRule, fit_inliers
-from dvf_ig.calibration.refusal import Gate, Refusal
-from dvf_ig.calibration.rejection import RejectedFrame
+from dvf_ig.calibration.refusal import Gate, Refusal, RejectedFrame
 from dvf_ig.core import (
     BoolArray,
     FloatArray,

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dvf_ig.calibration.rejection import RejectedFrame, Rejection
+from dvf_ig.calibration.refusal import RejectedFrame, Rejection
 from dvf_ig.core import BoolArray, FloatArray, ImageMap, InvalidInputError, PoseStream, read_only_arrays
 
 from .map_parameters import MapParameters

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from dvf_ig.calibration.rejection import RejectedFrame, Rejection
+from dvf_ig.calibration.refusal import RejectedFrame, Rejection
 from dvf_ig.core import (
     FloatArray,
     IntArray,

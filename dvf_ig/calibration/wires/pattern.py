@@ -5,7 +5,7 @@ from itertools import product
 
 import numpy as np
 
-from dvf_ig.calibration.rejection import RejectedFrame, Rejection
+from dvf_ig.calibration.refusal import RejectedFrame, Rejection
 from dvf_ig.core import FloatArray, IntArray, read_only_arrays
 
 from .dots import Dots

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dvf_ig.calibration.probe.nwire_geometry import diagonal_crossings
+from dvf_ig.calibration.probe.nwire_residuals import diagonal_crossings
 from dvf_ig.core import FloatArray, InvalidInputError, NWirePhantom, Wire, read_only_arrays
 
 SAME_MM = 1.0

@@ -4,12 +4,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import typer
 
 from dvf_ig.cli.shell import emit, progress, warn, wrote
 from dvf_ig.core import DvfModel, InvalidInputError, Preop, Volume, VolumeSeries
 
-from .blood import describe_labels, warn_of_no_blood
 from .labels import anatomical_error_mm
 from .request import BuildRequest
 
@@ -353,3 +353,24 @@ def _summary_rows(result: "CineModel") -> list[tuple[str, ...]]:
             f"compensated to {budget.residual_offset_mm:+.3f}; on a ball of radius {budget.radius_mm:.0f} mm",
         ),
     ]
+
+
+def warn_of_no_blood(what_to_do: str) -> None:
+    """Warn that a model has no chambers of blood, with advice."""
+    warn(
+        "nothing states where the blood is, so the model holds no boundary of it, which registration to "
+        f"ultrasound uses, and end-systole is the phase with the smallest whole volume: {what_to_do}"
+    )
+
+
+def describe_labels(image: VolumeSeries, labels: Volume, ed_phase: int) -> str:
+    """Describe volume and mean grey level of each label at end-diastole: blood is bright in most cines."""
+    voxel_ml = float(np.prod(labels.grid.spacing_mm)) / 1000.0
+    grey = image.values[ed_phase]
+    labels_text = []
+    for value in np.unique(labels.values[labels.values != 0]).tolist():
+        inside = labels.values == value
+        labels_text.append(
+            f"{value}: {inside.sum() * voxel_ml:.0f} ml of mean grey level {grey[inside].mean():.0f}"
+        )
+    return "; ".join(labels_text)

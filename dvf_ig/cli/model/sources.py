@@ -9,8 +9,7 @@ import typer
 from dvf_ig.cli.shell import progress
 from dvf_ig.core import DvfModel, Preop
 
-from .blood import warn_of_no_blood
-from .from_image import model_from_image
+from .from_image import model_from_image, warn_of_no_blood
 from .request import BuildRequest
 
 

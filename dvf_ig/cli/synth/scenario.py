@@ -7,10 +7,24 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from dvf_ig.cli.shell import JsonFlag, ThreadsOption, command, output_dir
-from dvf_ig.cli.worlds import ImageQuality, World
 
 if TYPE_CHECKING:
-    from .spec import SpecFile
+    from dvf_ig.cli.synth.spec import SpecFile
+
+
+class World(StrEnum):
+    """Which synthetic world; the second shares no table with the first and serves to report alone."""
+
+    first = "first"
+    second = "second"
+
+
+class ImageQuality(StrEnum):
+    """Presets of a scenario by the quality of its ultrasound images."""
+
+    calm = "calm"
+    poor_image = "poor-image"
+
 
 PRESET_NAMES = (
     "calm, tachycardia, ectopy, line-of-sight-loss, probe-slip, patient-shift, poor-image, "

@@ -17,9 +17,19 @@ from scipy.spatial.transform import Rotation
 from dvf_ig.core.arrays import BoolArray, FloatArray, check_shape, frozen_floats, read_only_arrays
 from dvf_ig.core.errors import InvalidInputError
 
-from .displacement import mean_displacement_mm
 from .frames import require_same_frame
 from .rigid import Rigid
+
+HEART_RADIUS_MM = 40.0
+"""Radius that converts rad to mm, so that rotation and translation steps move the heart equally."""
+
+
+def mean_displacement_mm(first: Rigid, second: Rigid, center_mm: FloatArray) -> float:
+    """Compute the mean distance in mm between two poses over six points at the heart's radius."""
+    corners = np.vstack([np.eye(3), -np.eye(3)]) * HEART_RADIUS_MM + center_mm
+    source = first.inverse().apply_array(corners)
+    return float(np.linalg.norm(second.apply_array(source) - corners, axis=1).mean())
+
 
 UPDATE_MM_PER_S = 10.0
 """Largest speed of the model by a new pose, mean over the heart (docs/theory/safety.md)."""

@@ -9,8 +9,8 @@ from dvf_ig.core import FloatArray, PhaseState, Signal
 from dvf_ig.guidance import Hazard, SupervisorState
 from dvf_ig.registration import target_errors_mm
 from dvf_ig.replay.engine import Replay
+from dvf_ig.replay.result.errors import true_contact, true_phases
 from dvf_ig.replay.result.pose import suspensions
-from dvf_ig.replay.result.truth_at_ticks import true_contact, true_phases
 from dvf_ig.replay.table import table
 from dvf_ig.report.plane_overlay import PlaneOverlay
 from dvf_ig.report.replay import (

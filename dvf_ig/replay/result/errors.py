@@ -4,8 +4,8 @@ from typing import Any
 
 import numpy as np
 
-from dvf_ig.core import ScenarioTruth, summarise_errors
-from dvf_ig.guidance import Confinement, Gaussian
+from dvf_ig.core import FloatArray, InvalidInputError, ScenarioTruth, summarise_errors
+from dvf_ig.guidance import Confinement, Gaussian, force_at_distance
 from dvf_ig.registration import target_errors_mm
 from dvf_ig.replay.engine import Replay
 from dvf_ig.replay.preconditions import RATE_HZ
@@ -21,7 +21,6 @@ from .score import (
     score_phase,
     score_violation,
 )
-from .truth_at_ticks import true_contact, true_phases
 
 ERROR_FIELDS = (
     "tre_mm",
@@ -115,3 +114,35 @@ def margin_fields(replay: Replay) -> dict[str, Any]:
         believed_mm = outward * ticks.distance_mm[seen] + ticks.margin_mm[seen]
         out["violation_mm"] = score_violation(true_mm[seen], believed_mm)
     return out
+
+
+def true_phases(replay: Replay) -> tuple[FloatArray, FloatArray]:
+    """Look up (n,) true fraction of RR and true model phase at each tick (nearest truth sample)."""
+    truth = replay.scenario.truth
+    if truth is None:
+        raise InvalidInputError("the scenario carries no truth")
+    nearest = _nearest(truth.tool.t_s, replay.ticks.t_s)
+    return truth.tool.phi[nearest], truth.tool.model_phase[nearest]
+
+
+def true_contact(replay: Replay) -> tuple[FloatArray, FloatArray | None]:
+    """Look up (n,) true distance and (n, 3) true force (tracker frame) at each tick; None for a path."""
+    truth = replay.scenario.truth
+    if truth is None:
+        raise InvalidInputError("the scenario carries no truth")
+    t_s = replay.ticks.t_s
+    nearest = _nearest(truth.tool.t_s, t_s)
+    distance, normal = truth.tool.distance_mm[nearest], truth.tool.normal[nearest]
+    force_mr = force_at_distance(replay.setup.fixtures, distance, normal)
+    if force_mr is None:
+        return distance, None
+    force = np.empty_like(force_mr)
+    for start_s, pose in truth.mr_from_tracker:
+        later = t_s >= start_s
+        force[later] = force_mr[later] @ pose.rotation
+    return distance, force
+
+
+def _nearest(times: FloatArray, at: FloatArray) -> np.ndarray[Any, np.dtype[np.intp]]:
+    right = np.clip(np.searchsorted(times, at), 1, len(times) - 1)
+    return right - (at - times[right - 1] < times[right] - at)

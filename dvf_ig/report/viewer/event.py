@@ -11,7 +11,7 @@ from dvf_ig.guidance import Hazard
 from dvf_ig.guidance.servo import SentForce
 from dvf_ig.session import GuidanceState
 
-from .columns import FORCE_MR, FORCE_TRACKER, SHAFT, STEPS, TIP
+from .series import FORCE_MR, FORCE_TRACKER, SHAFT, STEPS, TIP
 
 _DECIMALS = {name: max(0, round(-np.log10(step))) for name, step in STEPS.items()}
 

@@ -8,9 +8,8 @@ import numpy as np
 
 from dvf_ig.core import DvfModel
 
-from .columns import STEPS
 from .scene import SceneInput, scene_payload
-from .series import SeriesInput, series_payload
+from .series import STEPS, SeriesInput, series_payload
 
 MODEL_BEATS, MODEL_STEP_S = 20, 0.01
 

@@ -22,7 +22,7 @@ from dvf_ig.calibration import (
     segment_wires,
     validate_nwire,
 )
-from dvf_ig.cli.calibrate.wires import wire_image_options
+from dvf_ig.cli.calibrate.nwire import wire_image_options
 from dvf_ig.cli.main import app
 from dvf_ig.core import (
     FloatArray,

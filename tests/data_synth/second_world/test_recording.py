@@ -31,7 +31,7 @@ from data_synth.second_world.recording import (
 from data_synth.second_world.rigid_fit import best_rigid
 from data_synth.second_world.sweeps import sweep
 from data_synth.ultrasound.volume import MatrixProbe
-from dvf_ig.cli.register.sessions import register_session
+from dvf_ig.cli.register.command import register_session
 from dvf_ig.cli.synth.commands import app
 from dvf_ig.core import InvalidInputError, Rigid, Stop
 from dvf_ig.intake import read_scenario

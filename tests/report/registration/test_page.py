@@ -9,12 +9,7 @@ from html_outline import outline_of
 from dvf_ig.report.plane_marks import scale_bar_mm
 from dvf_ig.report.plane_overlay import AnatomyPlane, PlaneOverlay
 from dvf_ig.report.registration import Check, Outcome, RegistrationPage, Transform, registration_html
-from dvf_ig.report.registration.planes import (
-    checkerboard,
-    checkerboard_figure,
-    fused_figure,
-    fused_rgb,
-)
+from dvf_ig.report.registration.page import checkerboard, checkerboard_figure, fused_figure, fused_rgb
 
 TURN = np.array([[0.0, -1, 0, 5], [1, 0, 0, -7], [0, 0, 1, 9], [0, 0, 0, 1]])
 

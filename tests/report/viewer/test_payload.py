@@ -43,10 +43,10 @@ from dvf_ig.report.viewer import (
     state_event,
     viewer_html,
 )
-from dvf_ig.report.viewer.columns import STEPS
 from dvf_ig.report.viewer.model import MODEL_STEP_S
 from dvf_ig.report.viewer.page import SLOT
 from dvf_ig.report.viewer.scene import words
+from dvf_ig.report.viewer.series import STEPS
 from dvf_ig.report.viewer.surfaces import cycle_surface, fixture_surface, shown_level_mm
 from dvf_ig.session import Session
 

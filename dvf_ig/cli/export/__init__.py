@@ -1,1 +1,0 @@
-"""`dvf-ig export …`."""
