@@ -7,7 +7,7 @@ from typing import Generic, TypeVar
 
 import numpy as np
 import pytest
-from known_patient import DETECTION_S, KnownBeat, Patient, registration, still
+from known_patient import DETECTION_S, Patient, known_beat, registration, still
 
 from dvf_ig.cardiac import RPeak
 from dvf_ig.core import FloatArray, PoseMotion, Rigid, Stop, mean_displacement_mm
@@ -94,7 +94,7 @@ class Ultrasound:
         begin_s, end_s = peaks[-2].t_s, peaks[-1].t_s
         compared = ComparedBeat(None, None, irregular=False)
         if begin_s < self.blind_from_s:
-            beat = KnownBeat(begin_s, end_s, pose_at(self.patient, (begin_s + end_s) / 2))
+            beat = known_beat(begin_s, end_s, pose_at(self.patient, (begin_s + end_s) / 2))
             evaluation = None if pose is None else beat.evaluate_beat(pose, CENTER, in_use=in_use)
             compared = ComparedBeat(beat, evaluation, irregular=False)
         return Simulated(lambda: self.now_s, known_s + self.beat_seconds, compared)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from known_patient import KnownBeat
+from known_patient import known_beat
 
 from dvf_ig.core import Rigid, Scenario, mean_displacement_mm
 from dvf_ig.registration import PoseEstimate
@@ -29,7 +29,7 @@ def recording(beats: int, alarms: tuple[str, ...] = ()) -> WatchedRecording:
     held = PoseEstimate(HOME, 0.3**2 * np.eye(6), CENTER, 0.3**2 * np.eye(6))
     watched = []
     for k in range(beats):
-        slices = KnownBeat(RR_S * k, RR_S * (k + 1), HOME)
+        slices = known_beat(RR_S * k, RR_S * (k + 1), HOME)
         watched.append(WatchedBeat(slices, slices.evaluate_beat(HOME, CENTER, in_use=True), held))
     return WatchedRecording(CENTER, HOME, tuple(watched), alarms, beats * RR_S, 0.0)
 
@@ -37,8 +37,8 @@ def recording(beats: int, alarms: tuple[str, ...] = ()) -> WatchedRecording:
 def test_a_displaced_beat_says_what_a_beat_of_the_displaced_heart_says() -> None:
     shift = np.array([3.0, -2.0, 1.5])
     there, tested = moved(HOME, shift), HOME.perturbed_left([0.02, 0.01, -0.03], [1.0, 0.5, -0.7], CENTER)
-    found = DisplacedBeat(KnownBeat(0.0, RR_S, HOME), shift).evaluate_beat(tested, CENTER, in_use=True)
-    real = KnownBeat(0.0, RR_S, there).evaluate_beat(tested, CENTER, in_use=True)
+    found = DisplacedBeat(known_beat(0.0, RR_S, HOME), shift).evaluate_beat(tested, CENTER, in_use=True)
+    real = known_beat(0.0, RR_S, there).evaluate_beat(tested, CENTER, in_use=True)
     assert found is not None
     assert mean_displacement_mm(found.measurement.best, there, CENTER) < 1e-9
     assert found.measurement.pose is tested

@@ -11,7 +11,7 @@ from heapq import merge
 from typing import Any
 
 import numpy as np
-from known_patient import KnownBeat, Patient, registration, still
+from known_patient import Patient, known_beat, registration, still
 from numpy.typing import NDArray
 from toy_ball import CENTERS, ball_model
 
@@ -32,6 +32,7 @@ from dvf_ig.session import (
     UltrasoundRecording,
 )
 from dvf_ig.session.beat_evaluation import BreathEvaluation, ComparedBeat
+from dvf_ig.study.faults.streams import KnownBeat
 
 RR_S, ECG_HZ, FRAME_HZ, TOOL_HZ, TICK_S = 0.8, 250.0, 20.0, 100.0, 0.01
 LAG_S = -0.06
@@ -225,7 +226,7 @@ def compare_known(
     here &= recording.ultrasound.stream("tracker", "probe").valid & (recording.images[:, 0, 0] > 0)
     if here.sum() < FEWEST:
         return ComparedBeat(None, None, irregular=False)
-    beat = KnownBeat(begin.t_s, end.t_s, _pose_at(recording.images[here, 0, 0].astype(np.float64)))
+    beat = known_beat(begin.t_s, end.t_s, _pose_at(recording.images[here, 0, 0].astype(np.float64)))
     compared = None if pose is None else beat.evaluate_beat(pose, CENTER, in_use=in_use)
     return ComparedBeat(beat, compared, irregular=False)
 
@@ -243,7 +244,7 @@ def compare_breathing(
 
     def beat(chosen: BoolArray) -> KnownBeat | None:
         shown = recording.images[chosen, 0, 0].astype(np.float64) - 10.0 * breath.xi_mm[chosen, 3]
-        return KnownBeat(begin.t_s, end.t_s, _pose_at(shown)) if len(shown) >= FEWEST else None
+        return known_beat(begin.t_s, end.t_s, _pose_at(shown)) if len(shown) >= FEWEST else None
 
     usable, every = beat(here & breath.usable), here & np.isfinite(breath.features).all(axis=1)
     evaluation = None if usable is None else usable.evaluate_beat(pose, CENTER, in_use=in_use)

@@ -180,7 +180,7 @@ class KnownUltrasound:
             return answered(request.record(frames))
         mean = np.mean([self._patient(t_s) for t_s in event_s.tolist()], axis=0)
         there = mean + self._registered(request.until_s) + self._noise()
-        return answered(request.record(frames, _registration(pose_at(there))))
+        return answered(request.record(frames, known_registration(pose_at(there), CENTER)))
 
     def beat(
         self, peaks: tuple[RPeak, ...], known_s: float, pose: Rigid | None, *, in_use: bool
@@ -208,7 +208,7 @@ class KnownUltrasound:
         return np.asarray(event_s[shown & (event_s >= from_s) & (event_s < until_s)])
 
 
-def _registration(pose: Rigid) -> RegistrationResult:
+def known_registration(pose: Rigid, center_mm: FloatArray) -> RegistrationResult:
     """A registration that ended at `pose` and found nothing against itself."""
     covariance = np.diag([(0.4 / 40) ** 2] * 3 + [0.4**2] * 3)
     return RegistrationResult(
@@ -219,7 +219,7 @@ def _registration(pose: Rigid) -> RegistrationResult:
         tre_bound_mm=2.0,
         covariance=covariance,
         noise_covariance=covariance,
-        center_mm=CENTER,
+        center_mm=center_mm,
         similarity=0.6,
         start_similarity=0.5,
         overlap=1.0,
