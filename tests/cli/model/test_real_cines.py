@@ -160,4 +160,5 @@ def test_a_real_cine_with_distant_slices_gives_a_model_and_says_what_is_missing(
     assert 0.2 < model.es_fraction < 0.5
     assert "uncertain there by that of adults, 12 ± 3 mm" in " ".join(done.stderr.split())
     assert model.seen is not None
-    assert 0.2 < model.unseen_share < 0.5
+    # 7 mm beyond the slices at either end of 106 mm, and the flat ends
+    assert 0.12 < model.unseen_share < 0.25
