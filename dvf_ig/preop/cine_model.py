@@ -22,7 +22,7 @@ from dvf_ig.core import (
     untold,
 )
 from dvf_ig.preop.components import largest_component
-from dvf_ig.preop.motion.base_descent import BaseDescent, base_descent, propagate_through, usual_descent
+from dvf_ig.preop.motion.base_descent import BaseDescent, base_descent, propagate_through, unknown_descent
 from dvf_ig.preop.motion.cavity import cavity_volumes_mm3
 from dvf_ig.preop.motion.cycle import CycleMotion, MotionOptions, propagate_surface, track_cycle
 from dvf_ig.preop.motion.open_ends import OpenEnd, open_ends, seen_part
@@ -80,8 +80,8 @@ class CineModel:
         volume_mm3: (n,) of the left ventricle's cavity, or enclosed by the surface if none is labelled.
         open_ends: borders of the image within the organ; beyond them the surface is closed, not measured.
         shifts: of the slices of a stack, which its surfaces are corrected for; None without long-axis views.
-        base: how the base moves through the slices of a stack, or is assumed to; None for an image without
-            distant slices.
+        base: how the base moves through the slices of a stack, or that it is not known; None for an image
+            without distant slices.
         phases: end-systole of every slice, None likewise; the surfaces are in the phases of their mean.
     """
 
@@ -160,7 +160,7 @@ def model_from_cine(
         )
     volumes = cavity_volumes_mm3(motion, cavities[0] if cavities else organ)
     if base is None and not observable_axes(image.grid.spacing_mm)[2]:
-        base = usual_descent(image.grid, organ, volumes)
+        base = unknown_descent(image.grid, organ, volumes)
     moving = _Moving(motion, image, shifts, base)
     surfaces = replace(moving.surface(surface, organ, options.surface), patient_id=patient_id)
     if not cavities:

@@ -4,7 +4,7 @@ The base comes down by 8 to 16 mm in systole, through slices that stay where the
 see it. A long-axis view shows it in its plane. Its motion is tracked as a stack's is (`track_cycle`); that of
 what is labelled next to the basal slice, along the stack's normal, is the base's. It is taken to fall
 linearly to zero at the apex, which stays: between them the wall slides along its own outline, which shows no
-motion. Without such a view the usual descent of adults is assumed, in the course of the volume.
+motion. Without such a view the surface stays where the slices show it, uncertain by the descent of adults.
 """
 
 from collections.abc import Sequence
@@ -56,13 +56,13 @@ class BaseDescent:
     Attributes:
         base_mm: (n,) towards the apex, at every phase of the stack.
         ends_mm: (2,) heights along the normal of the apical slice, which stays, and of the basal one.
-        sigma_mm: standard deviation of the largest descent.
-        views: number of long-axis views that it was seen in; 0 if it is assumed.
+        sigma_by_phase_mm: (n,) standard deviation of the base's place along the normal.
+        views: number of long-axis views that it was seen in; 0 if it is not known.
     """
 
     base_mm: FloatArray
     ends_mm: FloatArray
-    sigma_mm: float
+    sigma_by_phase_mm: FloatArray
     views: int
 
     @property
@@ -73,18 +73,19 @@ class BaseDescent:
     @property
     def sentence(self) -> str:
         """The descent and where it is known from, as a user reads it."""
-        size = f"{self.largest_mm:.1f} ± {self.sigma_mm:.1f} mm through the slices"
         if self.views:
-            return f"the base descends by {size}, as {self.views} long-axis views show"
+            size = f"{self.largest_mm:.1f} ± {self.sigma_mm:.1f} mm"
+            return f"the base descends by {size} through the slices, as {self.views} long-axis views show"
         return (
-            f"no long-axis view shows the base: it is assumed to descend by {size}, as in adults; give "
-            "long-axis cines (--lax, --dicom)"
+            "no long-axis view shows the base: its descent through the slices is not known, and the surface "
+            f"is uncertain there by that of adults, {USUAL_MM:.0f} ± {USUAL_SIGMA_MM:.0f} mm; give long-axis "
+            "cines (--lax, --dicom)"
         )
 
     @property
-    def sigma_by_phase_mm(self) -> FloatArray:
-        """(n,) standard deviation of the base's place along the normal."""
-        return np.asarray(self.sigma_mm * np.abs(self.base_mm) / max(self.largest_mm, 1e-9))
+    def sigma_mm(self) -> float:
+        """The largest standard deviation in the cycle."""
+        return float(self.sigma_by_phase_mm.max())
 
     def shift_mm(self, height_mm: FloatArray, phase: int) -> FloatArray:
         """Motion towards the base of tissue that is at a height at end-diastole."""
@@ -132,11 +133,12 @@ def base_descent(
     largest = np.array([curve.max() for curve in curves])
     spread = float(largest.std(ddof=1)) if len(curves) > 1 else 1.5
     sigma_mm = max(spread, 0.5) / np.sqrt(len(curves))
-    return BaseDescent(mean, np.array(heights), sigma_mm, len(curves))
+    course = np.abs(mean) / max(float(np.abs(mean).max()), 1e-9)
+    return BaseDescent(mean, np.array(heights), sigma_mm * course, len(curves))
 
 
-def usual_descent(grid: Grid, organ: BoolArray, volume_mm3: FloatArray) -> BaseDescent:
-    """Assume the descent of adults.
+def unknown_descent(grid: Grid, organ: BoolArray, volume_mm3: FloatArray) -> BaseDescent:
+    """A base whose descent is not known: still, and uncertain by the descent of adults.
 
     Args:
         grid, organ: of the stack at end-diastole.
@@ -145,7 +147,8 @@ def usual_descent(grid: Grid, organ: BoolArray, volume_mm3: FloatArray) -> BaseD
     most, least = float(volume_mm3.max()), float(volume_mm3.min())
     share = (most - volume_mm3) / max(most - least, 1e-9)
     ends = np.array(_heights(grid, organ, towards_base(grid, organ)))
-    return BaseDescent(USUAL_MM * share, ends, USUAL_SIGMA_MM, 0)
+    size_mm = float(np.hypot(USUAL_MM, USUAL_SIGMA_MM))
+    return BaseDescent(np.zeros(len(share)), ends, size_mm * share, 0)
 
 
 def propagate_through(

@@ -9,7 +9,7 @@ from short_axis_toy import CAVITY, WALL, contracting_stack
 from dvf_ig.core import CycleTiming, Grid, InvalidInputError, Mesh, Volume, VolumeSeries
 from dvf_ig.preop import DisplacementField, assess_motion, dice, propagate_labels, track_cycle
 from dvf_ig.preop.cine_model import _chamber, _Moving
-from dvf_ig.preop.motion.base_descent import BaseDescent, propagate_through, usual_descent
+from dvf_ig.preop.motion.base_descent import BaseDescent, propagate_through, unknown_descent
 from dvf_ig.preop.motion.cycle import CycleMotion
 from dvf_ig.preop.motion.free_form import FreeForm, Lattice
 from dvf_ig.preop.motion.open_ends import FAR_MM, seen_part
@@ -47,16 +47,15 @@ def test_what_slices_show_ends_where_they_or_their_labels_end(stack, missing, he
     organ[:, :, missing] = False
     shift = np.zeros((5, 3))
     shift[:, 2] = -1.5
-    descent = usual_descent(image.grid, organ, np.array([5.0, 5.0, 3.0, 1.0, 3.0, 5.0]))
+    descent = unknown_descent(image.grid, organ, np.array([5.0, 5.0, 3.0, 1.0, 3.0, 5.0]))
     found = seen_part(image.grid, organ, shift, descent)
     assert found is not None
     np.testing.assert_allclose(found.normal, [0.0, 0.0, -1.0])
     # slice k shows the heart at z = 10 k + 1.5 and 2 mm on either side; the base is at z = 0, heights are −z
     np.testing.assert_allclose(found.bounds_mm[0], heights_mm)
-    # at end-systole the base has come down by the 12 mm of adults, the apex stays
-    assert found.bounds_mm[3, -1, 1] == pytest.approx(heights_mm[-1][1] - 12.0)
-    assert found.bounds_mm[3, 0, 0] == pytest.approx(heights_mm[0][0])
-    np.testing.assert_allclose(found.sigma_mm, [0.0, 0.0, 1.5, 3.0, 1.5, 0.0])
+    np.testing.assert_allclose(found.bounds_mm[3], heights_mm)
+    # without a view the base is uncertain by the descent of adults, in the course of the volume
+    np.testing.assert_allclose(found.sigma_mm, np.hypot(12.0, 3.0) * np.array([0.0, 0.0, 0.5, 1.0, 0.5, 0.0]))
     assert seen_part(image.grid, organ, shift, None) is None
 
 
@@ -110,7 +109,7 @@ def test_a_surface_slides_along_the_outlines_that_the_slices_show():
     whole, still = np.ones(grid.shape, dtype=np.bool_), np.array([True, True, False])
     motion = CycleMotion(0, (identity, identity), 1, identity, (0, 0, 0), whole, still)
     image = VolumeSeries(grid, np.zeros((2, *grid.shape)), CycleTiming.uniform(2, 0.9))
-    descent = BaseDescent(np.array([0.0, 12.0]), np.array([0.0, 50.0]), 1.0, 1)
+    descent = BaseDescent(np.array([0.0, 12.0]), np.array([0.0, 50.0]), np.zeros(2), 1)
     angle = np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False)
     z = np.array([12.0, 30.0, 45.0])[:, None] + 0.0 * angle
     radius = 14.0 + 0.3 * z
