@@ -101,6 +101,20 @@ def test_only_pixels_near_the_covered_heart_are_compared() -> None:
     assert not kept.images[~kept.masks].any()
 
 
+def test_points_beyond_the_images_or_far_from_the_heart_are_not_in_the_covered_part() -> None:
+    points = CENTER_MM + np.array([[0.0, 0.0, -20.0], [0.0, 0.0, 20.0], [0.0, 43.0, -4.0], [0.0, 60.0, -4.0]])
+    assert covered().holds(points).tolist() == [True, False, True, False]
+
+
+def test_voxels_that_are_not_shown_at_every_phase_are_not_compared() -> None:
+    _, labels = lower_half()
+    shown = np.ones(labels.values.shape, dtype=np.bool_)
+    shown[1, :, :, 20:] = False
+    part = covered_part(labels, SHELL, shown)
+    assert not part.compared_voxels[:, :, 20:].any()
+    np.testing.assert_array_equal(part.compared_voxels[:, :, :20], covered().compared_voxels[:, :, :20])
+
+
 def test_a_half_covered_heart_is_registered_by_its_half_and_refused_without_a_bound() -> None:
     start = toy_pose().perturbed_left([0.08, -0.06, 0.05], [5.0, -4.0, 6.0], CENTER_MM)
     result = registered(levels(), start)
