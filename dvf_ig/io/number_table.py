@@ -47,7 +47,7 @@ def read_number_table(path: Path, what: str) -> NumberTable:
         UnreadableFileError: absent, not a table of numbers, rows of different lengths, or commas that may be
             decimal marks or separators.
     """
-    table = parse_table(path, read_text(path, what), least=1)
+    table = parse_table(path, read_text(path, what), least=1, what=what)
     if len(table.preamble) > (table.columns is not None) or table.clocks:
         line = table.preamble[0] if table.preamble else "a time of day"
         raise UnreadableFileError(f"{path}: '{line[:40]}' is not a number; needed {what}")

@@ -105,8 +105,11 @@ class Table:
     preamble: tuple[str, ...]
 
 
-def parse_table(path: Path, text: str, *, least: int = 2) -> Table:
+def parse_table(path: Path, text: str, *, least: int = 2, what: str = "numbers only") -> Table:
     """Parse a text table of at least `least` rows.
+
+    Args:
+        what: was needed, for messages.
 
     Raises:
         UnreadableFileError: a line that is not understood, commas that may be decimal marks or separators, or
@@ -129,10 +132,11 @@ def parse_table(path: Path, text: str, *, least: int = 2) -> Table:
         for n, line in numbered
         if line.lstrip()[0] in _COMMENT and (not rows or n < rows[0][0])
     ]
-    headings, units = _headings(path, preamble, comments, mark, width)
+    headings, units = _headings(path, preamble, comments, mark, width, what)
     if len(rows) < least:
-        raise UnreadableFileError(f"{path} has {len(rows)} rows of numbers; needed at least {least}")
-    values, clocks = _numbers(path, rows, mark)
+        count = len(rows) or "no"
+        raise UnreadableFileError(f"{path} has {count} rows of numbers; needed at least {least}, {what}")
+    values, clocks = _numbers(path, rows, mark, what)
     if len(headings) in (0, values.shape[1] - 1) and all(line.endswith(mark) for _, line in rows):
         values = values[:, :-1]  # a separator ends each row
     if headings and values.shape[1] != len(headings):
@@ -217,7 +221,7 @@ def _require_clear_commas(path: Path, lines: list[tuple[int, str]]) -> None:
 
 
 def _headings(
-    path: Path, preamble: list[tuple[int, str]], comments: list[str], mark: str, width: int
+    path: Path, preamble: list[tuple[int, str]], comments: list[str], mark: str, width: int, what: str
 ) -> tuple[list[str], list[str]]:
     """Return the names of the columns and their units, each empty if the text has none."""
     headings, units = list[str](), list[str]()
@@ -240,13 +244,13 @@ def _headings(
         elif len(cells) == 1 and width > 1 and not headings:
             continue  # a title
         elif any(_is_plain_number(cell) for cell in cells) or units:
-            raise _not_numbers(path, number, line)
+            raise _not_numbers(path, number, line, what)
         elif not headings:
             headings = cells
         elif len(cells) == len(headings):
             units = [cell if is_unit(cell) else "" for cell in cells]
         else:
-            raise _not_numbers(path, number, line)
+            raise _not_numbers(path, number, line, what)
     if not headings and comments and width:
         last = comments[-1].split() if mark == " " else _cells(comments[-1], mark)
         last = last if len(last) == width else comments[-1].split()
@@ -280,11 +284,13 @@ def _is_plain_number(cell: str) -> bool:
     return True
 
 
-def _not_numbers(path: Path, number: int, line: str) -> UnreadableFileError:
-    return UnreadableFileError(f"{path}, line {number}: '{line.strip()[:60]}'; needed numbers only")
+def _not_numbers(path: Path, number: int, line: str, what: str = "numbers only") -> UnreadableFileError:
+    return UnreadableFileError(f"{path}, line {number}: '{line.strip()[:60]}'; needed {what}")
 
 
-def _numbers(path: Path, rows: list[tuple[int, str]], mark: str) -> tuple[FloatArray, tuple[int, ...]]:
+def _numbers(
+    path: Path, rows: list[tuple[int, str]], mark: str, what: str
+) -> tuple[FloatArray, tuple[int, ...]]:
     """Parse the rows, and return (n, columns) values and the columns of times of day."""
     texts = (
         [re.sub(r"\s*\t#.*", "", line) for _, line in rows] if mark == "\t" else [line for _, line in rows]
@@ -312,8 +318,8 @@ def _numbers(path: Path, rows: list[tuple[int, str]], mark: str) -> tuple[FloatA
                     f"{path}, line {number}: {text.count(mark) + 1} cells, but {width + 1} in the first row"
                 ) from exc
             if not all(_is_plain_number(cell) for cell in text.split(mark)):
-                raise _not_numbers(path, number, line) from exc
-        raise UnreadableFileError(f"{path}: {str(exc).split(';')[0]}; needed numbers only") from exc
+                raise _not_numbers(path, number, line, what) from exc
+        raise UnreadableFileError(f"{path}: {str(exc).split(';')[0]}; needed {what}") from exc
 
 
 def _is_clock(cell: str) -> bool:

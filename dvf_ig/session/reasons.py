@@ -110,8 +110,8 @@ class NoForce(Enum):
         "tip are in mm, relative to the same frame as the probe's, and of this intervention"
     )
     UNSEEN = (
-        "the tool was at a part of the heart that no MR slice shows in {share:.0%} of the ticks: work where "
-        "slices lie (dvf-ig view MODEL), or build the model from MR of the whole heart"
+        "the tool was at a part of the heart that no MR slice shows in {share:.0%} of the ticks: check "
+        "where slices lie (dvf-ig view MODEL) and work there, or build the model from MR of the whole heart"
     )
     FAULT = (
         "numbers were not finite in {share:.0%} of the ticks: check poses, tip and model for damaged values"

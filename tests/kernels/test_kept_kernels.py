@@ -30,7 +30,7 @@ from dvf_ig.kernels.laws import SIGMOID
 from dvf_ig.kernels.path import path_force
 
 law, times = np.array([SIGMOID, 1.0, 1.0, 0.4, 0.0]), np.zeros(1)
-f = packed_fixture(np.zeros(3), 1.0, times, np.empty((0, 4, 4)), law, BLEND_PATH, np.eye(3, 4))
+f = packed_fixture(np.zeros(3), 1.0, times, np.empty((0, 4, 4)), law, BLEND_PATH, None, np.eye(3, 4))
 points = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 9.0]])
 status, force, *_ = path_force(points, times, 0, 2, 0, 1, f, (0.3, 0.0, 4.0), 0.0)
 print(status, *force)

@@ -22,8 +22,9 @@ from dvf_ig.registration.pose_chart import PoseChart
 
 PRIOR_SIGMA_MM = 8.0
 """Standard deviation of each coordinate of the step: of a marker put on the probe again."""
-SUSPICIOUS_LOG_RATIO = 5.0
-"""Right calibrations reach 2.7, those that are 6 mm and 4° off 6.2 to 18 (docs/theory/trust.md)."""
+SUSPICIOUS_LOG_RATIO = 8.4
+"""Half the 99 % quantile of χ² of 6 degrees of freedom: a right calibration exceeds it once in a hundred
+registrations. Those of ten threshold hearts reach 5.3, calibrations that are 6 mm and 4° off 6.2 to 18."""
 ROUNDS, STEPS = 3, 12
 """Searches one after the other, each about the end of the last and with steps at most."""
 

@@ -90,9 +90,9 @@ def test_uneven_sampling_is_refused(tmp_path: Path, steps: list[float]) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "has 0 rows"),
+        ("", "has no rows"),
         ("time,II\n0,1\n", "has 1 rows"),
-        ("t_s,II\n", "has 0 rows"),
+        ("t_s,II\n", "has no rows"),
         ("t_s,II\n0,1\n", "has 1 rows"),
         ("t_s,II\n0,one\n0.1,2\n", "needed numbers only"),
         ("t_s,II\n0,1,2\n0.1,2,3\n", "3 cells under 2 names"),

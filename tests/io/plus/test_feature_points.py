@@ -26,7 +26,7 @@ def test_rows_find_their_frames_and_gaps_are_nan(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("", "has 0 rows of numbers"),
+        ("", "has no rows of numbers"),
         ("x,y\n1,2\n", "columns x, y"),
         (HEAD + "0,1\n", "line 2: 2 cells under 3 names"),
         (HEAD + "0,1,2\n1,one,2\n", "line 3"),

@@ -127,10 +127,10 @@ def test_a_sequence_in_metres_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "has 0 rows of numbers"),
+        ("", "has no rows of numbers"),
         ("1 2 3\n", "has 3 columns"),
         ("1 2 3 0 0 0 9\n", "quaternion of row 1 has length 9"),
-        ("1 2 3 0 0 0 one\n", "line 1: '1 2 3 0 0 0 one'; needed numbers"),
+        ("1 2 3 0 0 0 one\n", "line 1: '1 2 3 0 0 0 one'; needed poses"),
         ("1 2 3 0 0 0 1\n1 2\n", "line 2: 2 cells, but 7 in the first row"),
         ("inf 2 3 0 0 0 1\n", "line 1: a number is beyond"),
         ("date = 3\n1 2 3 0 0 0 1\n", "'date = 3' is not a number"),
