@@ -190,6 +190,8 @@ def _most_moved(
     places, from_center = problem.places_mm, problem.places_mm - center_mm
     facing = np.einsum("ni,ni->n", problem.outward, from_center)
     outer = np.flatnonzero(facing > 0.5 * np.linalg.norm(from_center, axis=1))
+    if not len(outer):  # inner walls alone are seen
+        outer = np.arange(len(places))
     _, patch = np.unique(np.floor(places[outer] / PATCH_MM), axis=0, return_inverse=True)
     patch = patch.ravel()
     count = np.bincount(patch)

@@ -52,7 +52,7 @@ class ShapeModes:
         """(n,) variance of all modes together at (n, 3) places along (n, 3) directions."""
         scalar = _correlation(places_mm, self.nodes_mm) @ self.whitened
         moved = np.einsum("ni,nip->np", directions, rigid_motion(places_mm, self.center_mm))
-        fields = (scalar[:, :, None] * directions[:, None, :]).reshape(len(places_mm), -1)
+        fields = (scalar[:, :, None] * directions[:, None, :]).reshape(len(places_mm), 3 * scalar.shape[1])
         return np.asarray(((fields - moved @ self.rigid_part.reshape(6, -1)) ** 2).sum(axis=1))
 
 

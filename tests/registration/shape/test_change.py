@@ -117,8 +117,10 @@ def test_a_change_is_said_in_words() -> None:
     assert not replace(change, seen_mm=LARGEST_RIGID_MM).large
 
 
-def test_points_that_fit_another_pose_say_nothing_of_the_shape() -> None:
-    elsewhere = POSE.perturbed_left(np.zeros(3), np.array([0.0, 7.0, 0.0]), CENTER)
+@pytest.mark.parametrize("away_mm", [7.0, 45.0, 300.0])
+def test_points_that_fit_another_pose_say_nothing_of_the_shape(away_mm: float) -> None:
+    """Nor do few, or none, near the model, as of a probe and a tool that were exchanged."""
+    elsewhere = POSE.perturbed_left(np.zeros(3), np.array([0.0, away_mm, 0.0]), CENTER)
     assert change_of_shape(_boundary(1, pressed=False), 0.0, elsewhere, CENTER) is None
 
 
