@@ -17,6 +17,7 @@ live:
   # respiration.channel: pressure     # of a field or stream with several
 """
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -57,16 +58,21 @@ class EcgTailConfig(Section):
     lead: Leads | None = None
 
 
-def _ecg_kind(value: Any) -> str | None:
-    keys = set(value) if isinstance(value, dict) else set(getattr(value, "model_fields_set", ()))
-    return next((KIND + key for key in ("lsl", "tail") if key in keys), f"{KIND}field")
+def _kind_of(*names: str) -> Callable[[Any], str]:
+    """Kind of a section: the first of these keys that it states, else "field"."""
+
+    def kind(value: Any) -> str:
+        keys = set(value) if isinstance(value, dict) else set(getattr(value, "model_fields_set", ()))
+        return KIND + next((name for name in names if name in keys), "field")
+
+    return kind
 
 
 EcgLive = Annotated[
     Annotated[EcgFieldConfig, Tag(f"{KIND}field")]
     | Annotated[EcgStreamConfig, Tag(f"{KIND}lsl")]
     | Annotated[EcgTailConfig, Tag(f"{KIND}tail")],
-    Discriminator(_ecg_kind),
+    Discriminator(_kind_of("lsl", "tail")),
 ]
 
 
@@ -100,16 +106,11 @@ class BreathStreamConfig(Section):
     channel: Channel | None = None
 
 
-def _breath_kind(value: Any) -> str | None:
-    keys = set(value) if isinstance(value, dict) else set(getattr(value, "model_fields_set", ()))
-    return next((KIND + key for key in ("lsl", "marker") if key in keys), f"{KIND}field")
-
-
 BreathLive = Annotated[
     Annotated[BreathFieldConfig, Tag(f"{KIND}field")]
     | Annotated[BreathStreamConfig, Tag(f"{KIND}lsl")]
     | Annotated[BreathMarkerConfig, Tag(f"{KIND}marker")],
-    Discriminator(_breath_kind),
+    Discriminator(_kind_of("lsl", "marker")),
 ]
 
 

@@ -170,19 +170,25 @@ class _Table:
         return float(np.einsum("ni,nij,nj->", apart, self.information, apart, optimize=True))
 
 
+def normal_matrix(features: FloatArray, information: FloatArray) -> FloatArray:
+    """(6 p, 6 p) normal equations of ξ = Bᵀ f by (n, p) features and (n, 6, 6) information."""
+    beats, count = features.shape
+    products = (features[:, :, None] * features[:, None, :]).reshape(beats, -1)
+    normal = (products.T @ information.reshape(beats, 36)).reshape(count, count, 6, 6)
+    return np.asarray(normal.transpose(0, 2, 1, 3).reshape(6 * count, 6 * count))
+
+
 def _ridge(beats: _Table, own_mm2: float) -> tuple[FloatArray, FloatArray]:
     """Solve for B (4, 6) and its covariance (4, 6, 4, 6); ξ of a beat varies by `own_mm2` beyond noise."""
-    features, size = beats.features, FEATURES * 6
+    features = beats.features
     scale = np.concatenate([[1.0], np.maximum(features[:, 1:].std(axis=0), 1e-6)])
     scaled = features / scale
     widened = np.linalg.inv(np.eye(6) + own_mm2 * beats.information)
     information = widened @ beats.information
     information = 0.5 * (information + information.transpose(0, 2, 1))
-    products = (scaled[:, :, None] * scaled[:, None, :]).reshape(len(scaled), -1)
-    normal = (products.T @ information.reshape(len(scaled), 36)).reshape(FEATURES, FEATURES, 6, 6)
     right = scaled.T @ np.einsum("nij,nj->ni", widened, beats.offsets)
     prior = np.concatenate([[CONSTANT_MM], np.full(FEATURES - 1, MOTION_MM)])
-    matrix = normal.transpose(0, 2, 1, 3).reshape(size, size) + np.diag(np.repeat(prior**-2.0, 6))
+    matrix = normal_matrix(scaled, information) + np.diag(np.repeat(prior**-2.0, 6))
     covariance = np.linalg.inv(matrix).reshape(FEATURES, 6, FEATURES, 6)
     b_mm = np.einsum("ikjl,jl->ik", covariance, right)
     covariance = covariance / scale[:, None, None, None] / scale[None, None, :, None]

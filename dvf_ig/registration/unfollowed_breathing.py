@@ -15,7 +15,7 @@ import numpy as np
 
 from dvf_ig.core import FloatArray, read_only_arrays
 
-from .breathing import CONSTANT_MM
+from .breathing import CONSTANT_MM, normal_matrix
 from .pose_chart import PoseChart
 from .tracking.pose_estimate import BeatMeasurement
 
@@ -69,9 +69,8 @@ class Oscillation:
 
     def is_breathing(self, *, before: bool) -> bool:
         """Whether it is taken for breathing, `before`: also by the beats until the last."""
-        return self.fall >= (GONE if before else FOUND) and self.amplitude_mm >= LEAST_MM * (
-            0.7 if before else 1
-        )
+        least, least_mm = (GONE, GONE_MM) if before else (FOUND, LEAST_MM)
+        return self.fall >= least and self.amplitude_mm >= least_mm
 
 
 class OscillationWatch:
@@ -143,10 +142,8 @@ def _fit(
 ) -> tuple[float, FloatArray]:
     """Fit B (p, 6) of ξ = Bᵀ f by ridge, the first features `constants`; also return the χ² it explains."""
     count = features.shape[1]
-    products = (features[:, :, None] * features[:, None, :]).reshape(len(features), -1)
-    normal = (products.T @ information.reshape(len(features), 36)).reshape(count, count, 6, 6)
     prior = np.repeat([*[CONSTANT_MM**-2.0] * constants, *[OSCILLATION_MM**-2.0] * (count - constants)], 6)
-    matrix = normal.transpose(0, 2, 1, 3).reshape(6 * count, 6 * count) + np.diag(prior)
+    matrix = normal_matrix(features, information) + np.diag(prior)
     right = (features.T @ offsets).ravel()
     solved = np.linalg.solve(matrix, right)
     return float(right @ solved), np.asarray(solved.reshape(count, 6), dtype=np.float64)
