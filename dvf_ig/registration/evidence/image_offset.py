@@ -136,9 +136,10 @@ def _cost(
         motion: (s, 6, 6) A of each slice; step: (6,) η from the given calibration.
     """
     each, n = metric.cost_gradient(pose, center_mm), metric.information
-    share = 0.5 * n / max(float(each.cost.sum()), 1e-12)
-    similarity = metric.score(pose).similarity
-    cost = 0.5 * n * math.log(max(1.0 - similarity, 1e-12)) + 0.5 * float(step @ step) / PRIOR_SIGMA_MM**2
+    total = float(each.cost.sum())
+    share = 0.5 * n / max(total, 1e-12)
+    unexplained = total / max(float(each.weight.sum()), 1e-300)
+    cost = 0.5 * n * math.log(max(unexplained, 1e-12)) + 0.5 * float(step @ step) / PRIOR_SIGMA_MM**2
     along = share * np.einsum("si,sij->j", each.gradient, motion) + step / PRIOR_SIGMA_MM**2
     return cost, np.concatenate([share * each.gradient.sum(axis=0), along])
 

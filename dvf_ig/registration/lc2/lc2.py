@@ -172,11 +172,12 @@ class CostGradient:
     """LC2's cost of every slice, and its gradient over the pose.
 
     Attributes:
-        cost: (s,) Σ w(1 − S) of each slice.
+        cost: (s,) Σ w(1 − S) of each slice; weight: (s,) Σ w.
         gradient: (s, 6) of the cost in the coordinates of `PoseChart`, exact.
     """
 
     cost: FloatArray
+    weight: FloatArray
     gradient: FloatArray
 
 
@@ -364,4 +365,5 @@ def _slope(sums: FloatArray, motion: SliceMotion) -> Slope:
 
 
 def _cost_gradient(sums: FloatArray, motion: SliceMotion) -> CostGradient:
-    return CostGradient(sums[:, STEP_WEIGHT] - sums[:, STEP_SCORE], -2.0 * motion.gradient(sums))
+    weight = sums[:, STEP_WEIGHT]
+    return CostGradient(weight - sums[:, STEP_SCORE], weight, -2.0 * motion.gradient(sums))
