@@ -29,9 +29,9 @@ from .result import RegistrationResult
 from .search import Refined, find_candidates, refine
 from .start import LandmarkPrior, landmarks_disagree
 
-LARGEST_OF_PART_MM = 6.0
-"""Bound on the largest target error above which the pose of a heart that its images cover in part is refused:
-the largest is 1.7 to 2.2 times the mean error in ten such hearts, which may be 3 mm."""
+LARGEST_OF_PART_MM = 5.0
+"""Bound on the largest error over the covered part of a heart above which its pose is refused: a force on a
+pose further off is a hazard."""
 
 
 def register(
@@ -234,20 +234,21 @@ def _assessed(
 ) -> tuple[Stop, Assessment]:
     """State the error that may be expected, and refuse a pose whose checks together are too bad.
 
-    For a pose that a check refused no bound is stated, and no more than the share of successes among refused
-    ones. For images unlike all that was calibrated neither is stated, and the pose is judged as if they were
-    like those; where nothing was calibrated for their kind, the checks' own limits decide.
+    For a pose that its checks refused no bound is stated, and no more than the share of successes among
+    refused ones. For images unlike all that was calibrated neither is stated, and the pose is judged as if
+    they were like those; where nothing was calibrated for their kind, the checks' own limits decide.
 
     Args:
         partly: the heart's images cover it in part. What they do not hold pulls poses aside by more than any
-            check's limit shows (3.6 and 4.4 mm on tuning hearts 1003 and 1002, whose every check passed):
-            without a bound up to LARGEST_OF_PART_MM its pose is refused.
+            check's limit shows: without a bound up to LARGEST_OF_PART_MM its pose is refused.
     """
     assessment = assess(table, features, statistics)
     bound_mm = assessment.tre_bound_mm
-    bounded = not partly or (bound_mm is not None and bound_mm <= LARGEST_OF_PART_MM)
-    if stop.usable and bounded and not assessment.doubtful:
-        return stop, assessment
+    if stop.usable and not assessment.doubtful:
+        if not partly:
+            return stop, assessment
+        if bound_mm is not None:
+            return (stop if bound_mm <= LARGEST_OF_PART_MM else Stop.DOUBTFUL), assessment
     chance = assessment.success_probability
     if not stop.usable and table is not None and chance is not None:
         chance = min(chance, table.refused_probability)

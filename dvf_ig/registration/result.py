@@ -26,10 +26,12 @@ class RegistrationResult:
         target_from_source: the pose; the frames are in the value.
         start: target_from_source that it began at.
         stop: how it ended.
-        success_probability: chance that the mean error over the heart is below 2 mm (see
-            `evidence.assessment`); None where `outside` says why none can be stated, or it was refused.
-        tre_bound_mm: in 95 of 100 hearts the largest error over the targets of the heart box is below this;
-            None if that cannot be stated, or the pose is not usable.
+        success_probability: chance that the mean error over the heart, or over its covered part, is below
+            2 mm (see `evidence.assessment`); None where `outside` says why none can be
+            stated, or it was refused.
+        tre_bound_mm: in 95 of 100 hearts the largest error over the targets of the heart box, or over the
+            surface of the covered part of a heart that its images cover in part, is below this; None if that
+            cannot be stated, or a check refused the pose.
         covariance: (6, 6) rad², mm²; rotation vector then translation, left perturbation about `center_mm`.
         noise_covariance: (6, 6) likewise, of what independent patches would leave open: the part that
             later heart beats, of the same calibrations and anatomy, can reduce.
@@ -131,13 +133,18 @@ class RegistrationResult:
         if self.stop is Stop.LOW_OVERLAP and self.coverage is not None:
             return self.coverage.advice
         if self.stop is Stop.DOUBTFUL and self.coverage is not None:
-            return (
-                "the MR ends within the heart, and the checks do not bound the pose's error; "
-                f"{self.coverage.advice}, or give {'' if self.coverage.views else LONG_AXIS}MR of the whole "
-                "heart"
-            )
+            instead = f"or give {'' if self.coverage.views else LONG_AXIS}MR of the whole heart"
+            why = f"the MR ends within the heart, and {self._why_doubtful}"
+            return f"{why}; {self.coverage.advice}, {instead}"
         if self.stop is Stop.LOW_OVERLAP and pair is None:
             return f"{self.stop.value}, and check that its poses are the probe's and not the tool's"
         if pair is not None and self.stop in (Stop.DISAGREEMENT, Stop.AMBIGUOUS):
             return pair.sentence
         return str(self.stop.value)
+
+    @property
+    def _why_doubtful(self) -> str:
+        """Why the pose of a heart that its images cover in part is refused though it passed each check."""
+        if self.tre_bound_mm is not None:
+            return f"the checks bound the error over its covered part to {self.tre_bound_mm:.1f} mm only"
+        return self.outside or "the checks together are worse than those of nearly all good poses"

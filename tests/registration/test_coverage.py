@@ -121,7 +121,9 @@ def test_a_half_covered_heart_is_registered_by_its_half_and_refused_without_a_bo
     assert result.stop is Stop.DOUBTFUL, "every check passes, but nothing bounds what the other half does"
     assert result.tre_bound_mm is None
     assert result.outside
-    assert result.sentence.startswith("the MR ends within the heart, and the checks do not bound")
+    assert result.sentence.startswith("the MR ends within the heart, and no probability was calibrated")
+    wide = replace(result, tre_bound_mm=7.3)
+    assert "bound the error over its covered part to 7.3 mm only" in wide.sentence
     assert result.sentence.endswith(
         "or give the long-axis cines of the same examination (preop.views), or MR of the whole heart"
     )
@@ -136,8 +138,8 @@ def test_a_half_covered_heart_is_registered_by_its_half_and_refused_without_a_bo
     assert result.statistics.overlap > 0.8, "of what is compared, chosen half a voxel wider"
 
 
-@pytest.mark.parametrize(("bound_mm", "stop"), [(LARGEST_OF_PART_MM, Stop.CONVERGED), (6.1, Stop.DOUBTFUL)])
-def test_a_bound_decides_of_a_part_alone(
+@pytest.mark.parametrize(("bound_mm", "stop"), [(LARGEST_OF_PART_MM, Stop.CONVERGED), (5.1, Stop.DOUBTFUL)])
+def test_a_bound_decides_of_a_part_alone_and_is_stated(
     bound_mm: float, stop: Stop, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     module = "dvf_ig.registration.register"
@@ -145,7 +147,7 @@ def test_a_bound_decides_of_a_part_alone(
     statistics = ImageStatistics(*([1.0] * 10))
     ended, assessment = _assessed(Stop.CONVERGED, None, {}, statistics, partly=True)
     assert ended is stop
-    assert assessment.tre_bound_mm == (bound_mm if stop.usable else None)
+    assert assessment.tre_bound_mm == bound_mm
     assert _assessed(Stop.CONVERGED, None, {}, statistics, partly=False)[0] is Stop.CONVERGED
 
 

@@ -4,6 +4,9 @@ The unit is the heart: its trials share one weight, and whatever is judged by is
 hearts (cross-fitting in FOLDS). Fitted are, for each kind of images, the tables of
 `registration.evidence.assessment`:
 
+Of a heart that its MR covers in part, errors are those over the surface of the covered part: elsewhere there
+is no force.
+
 1. log(largest error) ≈ w₀ + Σ w_j x_j with w_j >= 0, Huber's weights for the residuals;
 2. isotonic regression (pool adjacent violators) of success on the cross-fitted prediction;
 3. the split-conformal 95 % quantile of its residuals, one trial a heart;
@@ -56,7 +59,8 @@ def fit_tables(lines: Sequence[Line]) -> dict[str, Any]:
 
     Args:
         lines: each with `heart`, `world`, `images`, `quality`, `disturbed`, `stop`, `tre_mm`, `tre_max_mm`,
-            `features` and `statistics` (by name); lines of trials that ended in an error are left out.
+            (`covered_mm`, `covered_max_mm`,) `features` and `statistics` (by name); lines of
+            trials that ended in an error are left out.
     Raises:
         InvalidInputError: no kind has enough hearts, or a line lacks a field.
     """
@@ -78,8 +82,8 @@ def fit_table(lines: Sequence[Line]) -> dict[str, Any]:
     """The table of one kind of images, as JSON holds it."""
     try:
         x = np.stack([logarithms(line["features"]) for line in lines])
-        error = np.array([line["tre_max_mm"] for line in lines], dtype=np.float64)
-        success = np.array([line["tre_mm"] < SUCCESS_MM for line in lines])
+        mean, error = np.array([assessed_errors_mm(line) for line in lines], dtype=np.float64).T
+        success = mean < SUCCESS_MM
         passed = np.array([line["stop"] in JUDGED_LATER for line in lines])
         statistics = [line["statistics"] for line in lines]
     except KeyError as exc:
@@ -116,6 +120,13 @@ def fit_table(lines: Sequence[Line]) -> dict[str, Any]:
         "scale_weights": scale_weights.tolist(),
         **_ranges(statistics, int(hearts.max()) + 1),
     }
+
+
+def assessed_errors_mm(line: Line) -> tuple[float, float]:
+    """Mean and largest error of a trial that probability and bound refer to."""
+    if line.get("covered_mm") is not None:
+        return line["covered_mm"], line["covered_max_mm"]
+    return line["tre_mm"], line["tre_max_mm"]
 
 
 def _heart(line: Line) -> str:

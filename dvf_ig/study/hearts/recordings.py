@@ -267,6 +267,7 @@ class RegisteredHeart:
         floor_mm: mean error at the targets of the pose that fits every point of the heart in the images to
             its own place in the MR: what no rigid registration removes. None in the first world, which does
             not state it.
+        covered: points of the surface of the covered part of a heart that its MR covers in part; else None.
     """
 
     result: RegistrationResult
@@ -274,6 +275,7 @@ class RegisteredHeart:
     known: Truth
     drawn: dict[str, float]
     floor_mm: float | None = None
+    covered: Points | None = None
 
 
 def registered_heart(settings: Settings, number: int) -> RegisteredHeart:
@@ -359,7 +361,8 @@ def _registered_sweep(
     reference = Truth(truth.mr_from_tracker_at(0.0), truth.targets.points, center)
     start = start_with_error(reference, float(rng.uniform(*start_mm)), rng)
     result = register_scenario(scenario, start, heart=heart, seed=seed)
-    return RegisteredHeart(result, start, reference, drawn)
+    covered = None if heart.covered is None else Points(reference.targets.frame, heart.covered.surface_mm)
+    return RegisteredHeart(result, start, reference, drawn, covered=covered)
 
 
 def _disturbed(preset: Preset, rng: np.random.Generator) -> tuple[Preset, dict[str, float]]:

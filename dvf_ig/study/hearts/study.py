@@ -116,7 +116,9 @@ def heart_trial(settings: Settings, number: int) -> Line:
 def _measured(registered: RegisteredHeart) -> Line:
     """Errors at the targets, and what the result states about itself."""
     result = registered.result
-    errors = target_errors_mm(result.target_from_source, registered.known.truth, registered.known.targets)
+    pose, truth = result.target_from_source, registered.known.truth
+    errors = target_errors_mm(pose, truth, registered.known.targets)
+    covered = None if registered.covered is None else target_errors_mm(pose, truth, registered.covered)
     return {
         "start_mm": float(
             target_errors_mm(registered.start, registered.known.truth, registered.known.targets).mean()
@@ -125,6 +127,8 @@ def _measured(registered: RegisteredHeart) -> Line:
         "tre_mm": float(errors.mean()),
         "tre_p95_mm": float(np.percentile(errors, 95)),
         "tre_max_mm": float(errors.max()),
+        "covered_mm": None if covered is None else float(covered.mean()),
+        "covered_max_mm": None if covered is None else float(covered.max()),
         "chi2": _chi2(result, registered.known.truth),
         "covariance_scale": result.covariance_scale,
         "stop": result.stop.name,

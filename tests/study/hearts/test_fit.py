@@ -98,6 +98,17 @@ def test_the_bound_covers_and_the_probability_is_a_frequency_on_other_hearts(fit
         assert abs(chance[here].mean() - success[here].mean()) < 0.12
 
 
+def test_of_a_heart_that_is_covered_in_part_the_errors_are_those_of_the_covered_part() -> None:
+    whole = drawn(1, 30, trials=1)
+    part = [
+        {**line, "covered_mm": 0.5 * line["tre_mm"], "covered_max_mm": 0.5 * line["tre_max_mm"]}
+        for line in whole
+    ]
+    of_whole, of_part = (table_from_json(fit_tables(lines)["kinds"]["sweep"]) for lines in (whole, part))
+    assert of_part.intercept == pytest.approx(of_whole.intercept - np.log(2.0))
+    assert of_part.bound_quantile == pytest.approx(of_whole.bound_quantile)
+
+
 def test_checks_that_tell_nothing_weigh_little_and_none_is_negative(fitted: Table) -> None:
     assert (fitted.weights >= 0.0).all()
     named = dict(

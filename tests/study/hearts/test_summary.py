@@ -45,6 +45,14 @@ def test_refusals_are_counted_of_bad_and_of_good_poses_apart() -> None:
     assert group.auc == 1.0
 
 
+def test_bounds_of_hearts_that_are_covered_in_part_refer_to_that_part() -> None:
+    part = {"covered_mm": 1.0, "covered_max_mm": 2.4}
+    (group,) = summarise_hearts([line(1, 2.2, **part), line(2, 2.3, **part, tre_bound_mm=2.3)])
+    assert (group.bound_covers.count, group.bound_covers.of) == (1, 2)
+    assert (group.covered_success.count, group.success.count) == (2, 0)
+    assert group.covered_median_mm.value == pytest.approx(1.0)
+
+
 def test_a_pose_outside_what_was_calibrated_has_no_probability_and_is_counted() -> None:
     (group,) = summarise_hearts([line(1, 1.0), line(2, 1.0, success_probability=None, tre_bound_mm=None)])
     assert group.outside == 1
