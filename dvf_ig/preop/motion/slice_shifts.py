@@ -80,12 +80,11 @@ class _Slice:
         return np.asarray(self.grid.direction[:, 2])
 
     def at(self, xyz_mm: FloatArray, fractions: FloatArray) -> FloatArray:
-        """(phases, n) grey levels at points of its plane, NaN outside the image."""
-        index = self.grid.to_index(xyz_mm)[:, :2].T
-        numbers = nearest_phase(self.fractions, fractions)
-        return np.stack(
-            [ndimage.map_coordinates(self.values[i], index, order=1, cval=np.nan) for i in numbers]
-        )
+        """(..., phases, n) grey levels at (..., n, 3) points of its plane, NaN outside the image."""
+        index = self.grid.to_index(xyz_mm)[..., None, :, :2]
+        numbers = nearest_phase(self.fractions, fractions)[:, None].astype(np.float64)
+        at = np.broadcast_arrays(numbers, index[..., 0], index[..., 1])
+        return np.asarray(ndimage.map_coordinates(self.values, at, order=1, cval=np.nan))
 
 
 def slice_shifts(
@@ -179,23 +178,14 @@ def _pair(
     offsets = _line(a, b, shifts[list(pair)], box_mm)
     if offsets is None:
         return None, None
-
-    def differences(moved: FloatArray) -> FloatArray | None:
-        profiles = _profiles(a, b, moved, offsets, box_mm)
-        return None if profiles is None else (profiles[0] - profiles[1]).ravel()
-
-    here = differences(shifts[list(pair)])
-    if here is None:
+    moved = shifts[list(pair)] + np.concatenate([np.zeros((1, 6)), DIFFERENCE_MM * np.eye(6)]).reshape(
+        7, 2, 3
+    )
+    profiles = _profiles(a, b, moved, offsets, box_mm)
+    if profiles is None:
         return None, None
-    jacobian = np.empty((len(here), 6))
-    for column in range(6):
-        moved = shifts[list(pair)].copy()
-        moved[column // 3, column % 3] += DIFFERENCE_MM
-        there = differences(moved)
-        if there is None or len(there) != len(here):
-            return None, None
-        jacobian[:, column] = (there - here) / DIFFERENCE_MM
-    return here, jacobian
+    differences = (profiles[0] - profiles[1]).reshape(7, -1)
+    return differences[0], (differences[1:] - differences[0]).T / DIFFERENCE_MM
 
 
 def _line(
@@ -216,28 +206,39 @@ def _line(
 def _intersection(
     a: _Slice, b: _Slice, shifts: FloatArray, box_mm: tuple[FloatArray, FloatArray]
 ) -> tuple[FloatArray, FloatArray]:
-    """A point and the direction of the line of the heart that both slices show."""
+    """(..., 3) point and the direction of the line of the heart that both slices show.
+
+    Args:
+        shifts: (..., 2, 3) of both slices.
+    """
     along = np.cross(a.normal, b.normal)
     along = along / np.linalg.norm(along)
     middle = 0.5 * (box_mm[0] + box_mm[1])
-    heights = [
-        float(a.normal @ (a.grid.origin_mm - shifts[0])),
-        float(b.normal @ (b.grid.origin_mm - shifts[1])),
-        float(along @ middle),
-    ]
-    return np.linalg.solve(np.stack([a.normal, b.normal, along]), np.array(heights)), along
+    heights = np.stack(
+        [
+            (a.grid.origin_mm - shifts[..., 0, :]) @ a.normal,
+            (b.grid.origin_mm - shifts[..., 1, :]) @ b.normal,
+            np.full(shifts.shape[:-2], along @ middle),
+        ],
+        axis=-1,
+    )
+    return heights @ np.linalg.inv(np.stack([a.normal, b.normal, along])).T, along
 
 
 def _profiles(
     a: _Slice, b: _Slice, shifts: FloatArray, offsets: FloatArray, box_mm: tuple[FloatArray, FloatArray]
 ) -> tuple[FloatArray, FloatArray] | None:
-    """(PHASES, n) normalised profiles of both slices along their intersection."""
+    """(..., PHASES, n) normalised profiles of both slices along their intersection.
+
+    Args:
+        shifts: (..., 2, 3) of both slices.
+    """
     start, along = _intersection(a, b, shifts, box_mm)
-    points = start + offsets[:, None] * along
+    points = start[..., None, :] + offsets[:, None] * along
     fractions = np.arange(PHASES) / PHASES
     first, second = (
-        ndimage.gaussian_filter1d(one.at(points + shift, fractions), 1.0, axis=1)
-        for one, shift in zip((a, b), shifts, strict=True)
+        ndimage.gaussian_filter1d(one.at(points + shifts[..., k, None, :], fractions), 1.0, axis=-1)
+        for k, one in enumerate((a, b))
     )
     if not (np.isfinite(first).all() and np.isfinite(second).all()):
         return None
@@ -246,7 +247,8 @@ def _profiles(
 
 def _normalised(profile: FloatArray) -> FloatArray:
     """Zero mean and unit variance over all phases together."""
-    return np.asarray((profile - profile.mean()) / max(float(profile.std()), 1e-9))
+    mean, deviation = (f(profile, axis=(-2, -1), keepdims=True) for f in (np.mean, np.std))
+    return np.asarray((profile - mean) / np.maximum(deviation, 1e-9))
 
 
 def _mean_correlation(
