@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import ndimage
 
-from dvf_ig.core import BoolArray, FloatArray, Grid, Rigid, VolumeSeries, read_only_arrays
+from dvf_ig.core import BoolArray, FloatArray, Grid, Points, Rigid, VolumeSeries, read_only_arrays
 
 from .evidence.assessment import OF_STACK, OF_STACK_AND_VIEWS
 from .lc2.slices import SliceSet
@@ -78,6 +78,11 @@ class CoveredPart:
     def kind(self) -> str:
         """Ending of the kind of images by which the evidence was calibrated."""
         return OF_STACK_AND_VIEWS if self.views else OF_STACK
+
+    @property
+    def surface(self) -> Points:
+        """Points on the covered surface, over which the stated error is."""
+        return Points(self.grid.frame, self.surface_mm)
 
     def compared(self, slices: SliceSet, pose: Rigid) -> SliceSet:
         """The slices without the pixels that lie outside the covered part at a pose."""

@@ -190,7 +190,8 @@ def age_fields(ticks: Ticks) -> dict[str, float] | None:
 def bound_fields(replay: Replay) -> dict[str, float | None] | None:
     """Compute the median of the stated bounds, and the share of them that held at every target.
 
-    None if none was stated; the share is None without a truth.
+    Targets of a heart that its images cover in part are the points of its covered surface. None if none was
+    stated; the share is None without a truth.
     """
     stated = [
         (a.ready_s, a.result.target_from_source, a.result.tre_bound_mm)
@@ -201,7 +202,8 @@ def bound_fields(replay: Replay) -> dict[str, float | None] | None:
         return None
     truth, coverage = replay.scenario.truth, None
     if truth is not None:
-        targets = truth.targets.points
+        covered = replay.heart.covered
+        targets = truth.targets.points if covered is None else covered.surface
         within = [
             target_errors_mm(pose, truth.mr_from_tracker_at(t_s), targets).max() <= bound
             for t_s, pose, bound in stated

@@ -361,7 +361,7 @@ def _registered_sweep(
     reference = Truth(truth.mr_from_tracker_at(0.0), truth.targets.points, center)
     start = start_with_error(reference, float(rng.uniform(*start_mm)), rng)
     result = register_scenario(scenario, start, heart=heart, seed=seed)
-    covered = None if heart.covered is None else Points(reference.targets.frame, heart.covered.surface_mm)
+    covered = None if heart.covered is None else heart.covered.surface
     return RegisteredHeart(result, start, reference, drawn, covered=covered)
 
 
