@@ -15,7 +15,12 @@ from dvf_ig.registration.evidence.assessment import (
     image_statistics,
     table_of,
 )
-from dvf_ig.registration.evidence.checks import Evidence, part_disagreements, wrong_pose_z_score
+from dvf_ig.registration.evidence.checks import (
+    Evidence,
+    limits_of_part,
+    part_disagreements,
+    wrong_pose_z_score,
+)
 from dvf_ig.registration.evidence.image_offset import ImageOffset, fit_image_offset
 from dvf_ig.registration.evidence.phase_offset import phase_offset
 from dvf_ig.registration.lc2.lc2 import Lc2, SliceThreads
@@ -61,6 +66,9 @@ def register(
         the most likely pose, its evidence, and whether it may be used.
     """
     began, report = clock(), progress or untold
+    if heart.covered is not None:
+        options = images.options
+        images = replace(images, options=replace(options, limits=limits_of_part(options.limits)))
     with SliceThreads() as threads:
         problem = Problem(images, heart, prior, threads)
         coarse = problem.coarse_lc2()  # section 4: LC2 as a function of the pose

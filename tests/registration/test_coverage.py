@@ -29,6 +29,7 @@ from dvf_ig.registration.evidence.assessment import (
     ImageStatistics,
     table_of,
 )
+from dvf_ig.registration.evidence.checks import PART_BOUNDARY_MM
 from dvf_ig.registration.register import LARGEST_OF_PART_MM, _assessed
 
 SHELL = CENTER_MM + np.array([48.0, 40.0, 44.0]) * (lambda v: v / np.linalg.norm(v, axis=1, keepdims=True))(
@@ -119,6 +120,7 @@ def test_a_half_covered_heart_is_registered_by_its_half_and_refused_without_a_bo
     start = toy_pose().perturbed_left([0.08, -0.06, 0.05], [5.0, -4.0, 6.0], CENTER_MM)
     result = registered(levels(), start)
     assert result.stop is Stop.DOUBTFUL, "every check passes, but nothing bounds what the other half does"
+    assert result.options.limits.boundary_mm == PART_BOUNDARY_MM
     assert result.tre_bound_mm is None
     assert result.outside
     assert result.sentence.startswith("the MR ends within the heart, and no probability was calibrated")
