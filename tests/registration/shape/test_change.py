@@ -11,7 +11,7 @@ from dvf_ig.core import CycleTiming, FloatArray, Grid, Rigid, VolumeSeries
 from dvf_ig.registration import BLOOD, WALL, BoundaryPoints, BoundaryTarget, target_from_labels
 from dvf_ig.registration.boundary.fit import Boundary
 from dvf_ig.registration.pose_chart import rigid_motion
-from dvf_ig.registration.shape.change import LARGEST_RIGID_MM, ShapeChange, change_of_shape
+from dvf_ig.registration.shape.change import ShapeChange, change_of_shape
 from dvf_ig.registration.shape.modes import shape_modes
 
 CENTER = np.array([5.0, -10.0, 20.0])
@@ -75,7 +75,7 @@ def _boundary(seed: int, *, pressed: bool) -> Boundary:
         "tracker",
         back.apply_array(seen + off[:, None] * normal),
         normal @ back.rotation.T,
-        np.zeros(len(seen)),
+        1e-3 * (np.arange(len(seen)) // 50 % 2),  # frames of 50 points
         np.ones(len(seen)),
     )
     return Boundary(points, _target())
@@ -96,12 +96,13 @@ def test_a_pressed_wall_is_found_where_it_is(seed: int) -> None:
     assert change is not None
     wall, normal = _on_wall(800, np.random.default_rng(100 + seed))
     now = wall + _pressed_mm(wall)
-    pulled, sigma = change.at(now)
+    pulled, variance = change.warp.at(now)
+    sigma = np.sqrt(variance)
     without = np.einsum("ni,ni->n", normal, now - wall)
     left = np.einsum("ni,ni->n", normal, now - pulled - wall)
     assert np.sqrt(np.mean(left**2)) < 0.5 * np.sqrt(np.mean(without**2))
     assert 0.4 < np.sqrt(np.mean((left / sigma) ** 2)) < 1.3
-    behind = change.at(CENTER + np.array([[0.0, 45.0, 0.0]]))[1]
+    behind = np.sqrt(change.warp.at(CENTER + np.array([[0.0, 45.0, 0.0]]))[1])
     assert behind[0] > 2.0 * np.median(sigma), "what is not seen is not known"
 
 
@@ -113,8 +114,37 @@ def test_a_change_is_said_in_words() -> None:
         "the mean over a patch of it, less the pose's part"
     )
     assert f"the left anterior wall lies {-change.shift_mm:.1f} mm further in" in change.sentence
-    assert change.large
-    assert not replace(change, seen_mm=LARGEST_RIGID_MM).large
+    assert change.held_out < 0.9
+    assert replace(change, scale_mm=3.0).refusal is None
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        ({"scale_mm": 5.0}, "more than the model can follow"),
+        ({"shared": 0.8}, "no shape explains"),
+        ({"held_out": 1.01}, "held out"),
+    ],
+)
+def test_what_the_model_cannot_hold_is_refused_by_name(changed: dict[str, float], words: str) -> None:
+    change = _change(1, pressed=True)
+    assert change is not None
+    assert words in str(replace(change, **({"scale_mm": 3.0} | changed)).refusal)
+
+
+def test_fixtures_follow_what_the_margins_of_an_unchanged_heart_do_not_hold() -> None:
+    change = _change(1, pressed=True)
+    assert change is not None
+    assert change.followed is change.warp
+    small = replace(change, seen_mm=0.79, scale_mm=5.0)
+    assert (small.followed, small.refusal) == (None, None)
+
+
+def test_an_abrupt_change_is_refused() -> None:
+    change = _change(1, pressed=True)
+    assert change is not None
+    steep = replace(change.warp, coefficients=4.0 * change.warp.coefficients)
+    assert "abruptly" in str(replace(change, scale_mm=3.0, warp=steep).refusal)
 
 
 @pytest.mark.parametrize("away_mm", [7.0, 45.0, 300.0])
