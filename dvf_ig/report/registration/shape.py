@@ -76,7 +76,7 @@ def shape_figure(shape: ShapeShown) -> Figure:
     largest = max(1.0, float(np.abs(shape.outward_mm[shape.known]).max(initial=0.0)))
     scale = Normalize(-largest, largest)
     shift = colormaps[SHIFTS](scale(shape.outward_mm[shape.triangles].mean(axis=1)))[:, :3]
-    certain = shape.known.take(shape.triangles).all(axis=1)
+    certain = np.asarray(shape.known.take(shape.triangles).all(axis=1))
     color = np.where(certain[:, None], shift, UNKNOWN)
     plain = np.broadcast_to(np.array(MR), color.shape)
     for column, (view, side) in enumerate(VIEWS):
