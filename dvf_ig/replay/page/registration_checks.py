@@ -155,13 +155,21 @@ def _shape(result: RegistrationResult) -> list[Check]:
         ),
         Check(
             "What the change of shape leaves",
-            "mean square of the boundary's shared error, 1 a priori; misfit of frames that were held out, "
-            "over that of an unchanged heart",
-            f"{shape.shared:.2f}; {shape.held_out:.2f}",
-            f"at most {LARGEST_SHARED:g}; below 1",
-            _outcome(shape.shared <= LARGEST_SHARED and shape.held_out < 1.0),
+            "mean square of the boundary's shared error, 1 a priori",
+            f"{shape.shared:.2f}",
+            f"at most {LARGEST_SHARED:g}",
+            _outcome(shape.shared <= LARGEST_SHARED),
         ),
+        _held_out(shape.held_out),
     ]
+
+
+def _held_out(misfit: float | None) -> Check:
+    name = "Frames held out"
+    measures = "misfit of half of the frames by the change of shape that the others show, 1 without a change"
+    if misfit is None:
+        return Check(name, measures, "", "", Outcome.NOT_CHECKED)
+    return Check(name, measures, f"{misfit:.2f}", "below 1", _outcome(misfit < 1.0))
 
 
 def _pair(pair: PairEvidence) -> Check:

@@ -78,7 +78,7 @@ def _shape_change(shape: ShapeChange | None) -> dict[str, Any] | None:
         "log_evidence": shape.evidence,
         "steepest": shape.warp.steepest,
         "shared_error": shape.shared,
-        "held_out": shape.held_out if np.isfinite(shape.held_out) else None,
+        "held_out": _finite(shape.held_out),
     }
 
 
