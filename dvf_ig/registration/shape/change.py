@@ -44,8 +44,8 @@ WALL_PLACES = 700
 PATCH_MM, PATCH_POINTS = 30.0, 8
 """Edge of a patch of wall whose shift is stated, and the points it needs."""
 LARGEST_SCALE_MM = 3.0
-"""Scale of a change from which fixtures do not follow it: errors are then 1.3 to 1.5 times the stated standard
-deviation (hearts 1003, 1005 and 2101), also where that is small enough for a force."""
+"""Scale of a change from which fixtures do not follow it: of the wall that is then known well enough for a
+force, 1 % is more than 3 mm off (threshold hearts 2101 and 2102)."""
 LARGEST_SLOPE = 0.35
 """Largest ‖Dm‖: beyond it the warped distance is none, and folds are near."""
 LARGEST_SHARED = 0.7
