@@ -190,7 +190,7 @@ class Corrupted:
     """
 
     def __init__(self, inputs: ServoInputs, rng: np.random.Generator, places: int) -> None:
-        self.now_s, self._inputs = inputs.now_s, inputs
+        self.now_s, self.transform, self._inputs = inputs.now_s, inputs.transform, inputs
         offset, size = (
             {name: field[1] // 8 for name, field in (INPUTS.fields or {}).items()},
             INPUTS.itemsize // 8,

@@ -58,6 +58,9 @@ from .space.rigid import Rigid as Rigid
 from .space.volume import Grid as Grid
 from .space.volume import Volume as Volume
 from .space.volume import VolumeSeries as VolumeSeries
+from .space.warp import RIGID_SIGMA_MM as RIGID_SIGMA_MM
+from .space.warp import Warp as Warp
+from .space.warp import WarpMotion as WarpMotion
 from .stop import Stop as Stop
 from .timing.cycle import CycleTiming as CycleTiming
 from .timing.cycle import nearest_phase as nearest_phase

@@ -49,12 +49,13 @@ class PlacesInModel:
     it at FAULT.
 
     Attributes:
-        xyz_mm: (n, 3) model frame.
-        velocity_mm_s: (n, 3) of the place by the motion of the pose alone, the tool held still; model frame.
+        xyz_mm: (n, 3) model frame, through the warp of a heart that has changed its shape.
+        velocity_mm_s: (n, 3) of the place by the motion of pose and warp, the tool held still; model frame.
         model_phase: (n,) in [0, 1).
         model_phase_rate_hz: (n,) cycles of the model a second.
         sigma_model_phase: (n,) one standard deviation.
-        covariance_mm2: (n, 3, 3) of the place, by that of the pose; NaN if that is unknown.
+        covariance_mm2: (n, 3, 3) of the place, by that of the pose, before the warp; NaN if that is unknown.
+        wall_variance_mm2: (n,) of a wall there along its normal, by the change of shape.
         mr_from_tool: (n, 3, 3) orientation of the tool; (0, 3, 3) if it was not asked for.
         status: (n,) `Status`: OK, NO_POSE, NO_PHASE or FAULT.
     """
@@ -65,6 +66,7 @@ class PlacesInModel:
     model_phase_rate_hz: FloatArray
     sigma_model_phase: FloatArray
     covariance_mm2: FloatArray
+    wall_variance_mm2: FloatArray
     mr_from_tool: FloatArray
     status: IntArray
 

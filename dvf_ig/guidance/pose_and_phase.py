@@ -15,6 +15,7 @@ import numpy as np
 
 from dvf_ig.core import (
     HEART_RADIUS_MM,
+    RIGID_SIGMA_MM,
     FloatArray,
     IntArray,
     InvalidInputError,
@@ -23,10 +24,12 @@ from dvf_ig.core import (
     PoseMotion,
     RetimingCurve,
     Rigid,
+    WarpMotion,
     read_only_arrays,
+    require_same_frame,
 )
 from dvf_ig.core.arrays import check_shape, frozen_floats
-from dvf_ig.kernels.place import PLACE, packed_pose_and_phase, place_tick
+from dvf_ig.kernels.place import PLACE, packed_pose_and_phase, packed_warps, place_tick
 from dvf_ig.kernels.pose_and_phase import DISTANCE_SIGMA, GUIDED_SIZE, guided_batch, guided_tick
 
 from .evaluator import Evaluator, ForceSamples
@@ -51,6 +54,7 @@ class PoseAndPhase:
             `center_mm`; None if unknown: σ_d is then NaN.
         center_mm: (3,) centre of the heart, model frame.
         pose_until_s: the pose is withheld from then on, unless it was confirmed.
+        warp: change of the heart's shape over time, at the pose; None of a heart that has kept its shape.
     """
 
     pose: PoseMotion | None
@@ -59,6 +63,7 @@ class PoseAndPhase:
     covariance_mm2: FloatArray | None = None
     center_mm: FloatArray = field(default_factory=lambda: np.zeros(3))
     pose_until_s: float = math.inf
+    warp: WarpMotion | None = None
     packed: Any = field(init=False, repr=False)
     """(1,) all of it in one record for `dvf_ig.kernels.place` and `dvf_ig.kernels.pose_and_phase`."""
 
@@ -72,8 +77,16 @@ class PoseAndPhase:
             raise InvalidInputError(
                 "the pose is withheld from NaN s on; needed a time, or infinity for never"
             )
+        if self.warp is not None and self.pose is not None:
+            require_same_frame(self.warp.end.frame, self.pose.end.target, "change of shape")
         packed = packed_pose_and_phase(
-            self.pose, self.pose_until_s, self.phase, self.retiming, self.covariance_mm2, self.center_mm
+            self.pose,
+            self.pose_until_s,
+            self.phase,
+            self.retiming,
+            self.covariance_mm2,
+            self.center_mm,
+            self.warp,
         )
         packed.setflags(write=False)
         object.__setattr__(self, "packed", packed)
@@ -107,13 +120,20 @@ class PoseAndPhase:
             velocity[posed] = self.pose.velocity_mm_s(place[posed], t[posed])
             if tools is not None:
                 turned[posed] = poses[:, :, :3] @ tools[posed]
+        covariance, variance = self._covariance(place), np.where(posed, RIGID_SIGMA_MM**2, np.nan)
+        if self.warp is not None:
+            pull = self.warp.pull(place[posed], t[posed])
+            place[posed] -= pull.m_mm
+            velocity[posed] -= np.einsum("nij,nj->ni", pull.slope, velocity[posed]) + pull.rate_mm_s
+            variance[posed] = pull.variance_mm2
         return PlacesInModel(
             xyz_mm=place,
             velocity_mm_s=velocity,
             model_phase=phase,
             model_phase_rate_hz=rate,
             sigma_model_phase=sigma,
-            covariance_mm2=self._covariance(place),
+            covariance_mm2=covariance,
+            wall_variance_mm2=variance,
             mr_from_tool=turned,
             status=np.where(finite, status, int(Status.FAULT)),
         )
@@ -129,6 +149,10 @@ class PoseAndPhase:
         x, y, z = xyz.tolist()
         _, (u, v, w), (a, b, c), phase, rate, sigma = row[0].tolist()
         velocity = np.array([v * z - w * y + a, w * x - u * z + b, u * y - v * x + c])
+        if self.warp is not None and status in (Status.OK, Status.NO_PHASE):
+            pull = self.warp.pull(xyz[None], np.array([t_s]))
+            xyz = xyz - pull.m_mm[0]
+            velocity = velocity - pull.slope[0] @ velocity - pull.rate_mm_s[0]
         return PlaceInModel(xyz, velocity, phase, rate, sigma, Status(status))
 
     def evaluate(
@@ -183,9 +207,10 @@ class PoseAndPhase:
         """
         return BoundTick(*self._kernel_arguments(evaluator))
 
-    def _kernel_arguments(self, evaluator: Evaluator) -> tuple[Any, FloatArray, Any]:
+    def _kernel_arguments(self, evaluator: Evaluator) -> tuple[Any, FloatArray, Any, Any]:
         """Leading arguments of `guided_tick`; the fixture's array is a new one, which its calls write to."""
-        return *evaluator.kernel_arguments(self._pose_frames(evaluator)), self.packed[0]
+        arguments = evaluator.kernel_arguments(self._pose_frames(evaluator))
+        return *arguments, self.packed[0], packed_warps(self.warp)
 
     def _pose_frames(self, evaluator: Evaluator) -> Rigid:
         """A map between the frames of the pose; the kernel sets its numbers."""
@@ -236,8 +261,8 @@ class BoundTick(partial[int]):
 
     __slots__ = ()
 
-    def __new__(cls, coefficients: Any, fixture: FloatArray, packed: Any) -> "BoundTick":
-        return super().__new__(cls, guided_tick, coefficients, fixture, packed)
+    def __new__(cls, coefficients: Any, fixture: FloatArray, packed: Any, warps: Any) -> "BoundTick":
+        return super().__new__(cls, guided_tick, coefficients, fixture, packed, warps)
 
 
 def _check_covariance(covariance_mm2: FloatArray) -> None:

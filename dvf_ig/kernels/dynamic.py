@@ -38,7 +38,8 @@ from .lanes import Float64x4, fma, pack, scale, unpack
 from .phase import cubic_in_phase, phase_bracket
 from .spline import find_cell
 from .vectors import Vector
-from .worst_phase import wall_without_phase
+from .warp import Slope, warped
+from .worst_phase import force_of_phase, wall_without_phase
 
 
 @inlined
@@ -50,7 +51,9 @@ def _force_per_gradient_of_blend(f: FloatArray, field: Float64x4) -> float:
 
 
 @kernel
-def _periodic_at(coefficients: NDArray[np.float32], f: FloatArray, q: Vector, phi: float) -> Output:
+def _periodic_at(
+    coefficients: NDArray[np.float32], f: FloatArray, q: Vector, phi: float, slope: Slope
+) -> Output:
     """Evaluate a fixture cubic in phase: one law on the blended field of the periodic spline.
 
     Not inlined: it would take registers from its callers (docs/decisions/0006).
@@ -72,7 +75,8 @@ def _periodic_at(coefficients: NDArray[np.float32], f: FloatArray, q: Vector, ph
     b = field_of_phase(coefficients, after, cell, per_knot)
     mixed = fma(fma(mixed, weights[2], a), weights[3], b)
     sloped = fma(fma(sloped, slopes[2], a), slopes[3], b)
-    force = scale(_force_per_gradient_of_blend(f, mixed), mixed)
+    turned = warped(slope, mixed)
+    force = scale(_force_per_gradient_of_blend(f, turned), turned)
     return within_seen(f, count, q, phi, output_of(force, mixed, unpack(sloped)[0] / width))
 
 
@@ -90,10 +94,15 @@ def _two_fields(
 
 
 @inlined
-def _blended_force(f: FloatArray, a: Float64x4, b: Float64x4, mixed: Float64x4, alpha: float) -> Float64x4:
+def _blended_force(
+    f: FloatArray, a: Float64x4, b: Float64x4, mixed: Float64x4, alpha: float, slope: Slope
+) -> Float64x4:
     """Compute (0, force) of a fixture that is linear in phase."""
     if int(f[BLEND]) == BLEND_DISTANCE:
-        return scale(_force_per_gradient_of_blend(f, mixed), mixed)
+        turned = warped(slope, mixed)
+        return scale(_force_per_gradient_of_blend(f, turned), turned)
+    if slope is not None:
+        return fma(scale(1.0 - alpha, force_of_phase(f, a, slope)), alpha, force_of_phase(f, b, slope))
     return fma(
         scale((1.0 - alpha) * force_per_gradient_of_field(f, a), a),
         alpha * force_per_gradient_of_field(f, b),
@@ -102,15 +111,21 @@ def _blended_force(f: FloatArray, a: Float64x4, b: Float64x4, mixed: Float64x4, 
 
 
 @inlined
-def _force_at(coefficients: NDArray[np.float32], f: FloatArray, q: Vector, phi: float) -> Output:
-    """Compute the force at one point of the model's frame; linear in phase, unless the blend is periodic."""
+def force_at(coefficients: NDArray[np.float32], f: FloatArray, q: Vector, phi: float, slope: Slope) -> Output:
+    """Compute the force at one point of the model's frame; linear in phase, unless the blend is periodic.
+
+    Args:
+        q: through the warp, if the heart has changed its shape; slope: of the warp there, or None.
+    Returns:
+        the force is along ∇d', through the warp; the gradient is ∇d at q.
+    """
     if int(f[BLEND]) == BLEND_PERIODIC:
-        return _periodic_at(coefficients, f, q, phi)
+        return _periodic_at(coefficients, f, q, phi, slope)
     status, u, v, w = knot_coordinates(coefficients, f, q, phi)
     if status != code.OK:
         return no_output(status)
     a, b, mixed, alpha, rate = _two_fields(coefficients, f, (u, v, w), phi)
-    output = output_of(_blended_force(f, a, b, mixed, alpha), mixed, rate)
+    output = output_of(_blended_force(f, a, b, mixed, alpha, slope), mixed, rate)
     return within_seen(f, len(coefficients), q, phi, output)
 
 
@@ -121,6 +136,7 @@ def forces_on_surface(
     packed: FloatArray,
     q: Vector,
     phi: float,
+    slope: Slope,
     forces: FloatArray,
 ) -> Output:
     """Compute forces of several fixtures on one surface; those linear in phase share the spline's evaluation.
@@ -128,7 +144,7 @@ def forces_on_surface(
     Args:
         linear, periodic: (n, cx, cy, cz) coefficients of the two kinds of blend; (0, …) of one not used.
         packed: (k, p) fixtures; their poses are not used. A path has no force here.
-        q: point in the model's frame.
+        q, slope: as of `force_at`.
         phi: model phase.
         forces: (k, 3) N, model frame; complete only if the status is OK.
     Returns:
@@ -145,11 +161,11 @@ def forces_on_surface(
     for i in range(len(packed)):
         f = packed[i]
         if int(f[BLEND]) == BLEND_PERIODIC:
-            result = _periodic_at(periodic, f, q, phi)
+            result = _periodic_at(periodic, f, q, phi, slope)
         elif int(f[BLEND]) == BLEND_PATH:
             result = code.OK, (0.0, 0.0, 0.0), math.nan, (math.nan, math.nan, math.nan), math.nan
         else:
-            result = output_of(_blended_force(f, a, b, mixed, alpha), mixed, rate)
+            result = output_of(_blended_force(f, a, b, mixed, alpha, slope), mixed, rate)
             result = within_seen(f, len(linear), q, phi, result)
         if result[0] != code.OK:
             return no_output(result[0])
@@ -160,7 +176,7 @@ def forces_on_surface(
 
 
 @inlined
-def _transformed(f: FloatArray, x: float, y: float, z: float) -> Vector:
+def transformed(f: FloatArray, x: float, y: float, z: float) -> Vector:
     return (
         f[POSE] * x + f[POSE + 1] * y + f[POSE + 2] * z + f[POSE + 3],
         f[POSE + 4] * x + f[POSE + 5] * y + f[POSE + 6] * z + f[POSE + 7],
@@ -169,7 +185,7 @@ def _transformed(f: FloatArray, x: float, y: float, z: float) -> Vector:
 
 
 @inlined
-def _rotated_back(f: FloatArray, v: Vector) -> Vector:
+def rotated_back(f: FloatArray, v: Vector) -> Vector:
     """Rotate a free vector from the model's frame to the query frame: Rᵀ v."""
     return (
         f[POSE] * v[0] + f[POSE + 4] * v[1] + f[POSE + 8] * v[2],
@@ -203,14 +219,14 @@ def force_tick(
     """
     status, force, d, gradient, rate = no_output(input_status)
     if status == code.OK:
-        q = _transformed(packed, xyz_mm[0], xyz_mm[1], xyz_mm[2])
-        status, force, d, gradient, rate = _force_at(coefficients, packed, q, phi)
+        q = transformed(packed, xyz_mm[0], xyz_mm[1], xyz_mm[2])
+        status, force, d, gradient, rate = force_at(coefficients, packed, q, phi, None)
     elif status == code.NO_PHASE:
-        q = _transformed(packed, xyz_mm[0], xyz_mm[1], xyz_mm[2])
-        status, force, d, gradient, rate = wall_without_phase(coefficients, packed, q)
-    out[0], out[1], out[2] = _rotated_back(packed, force)
+        q = transformed(packed, xyz_mm[0], xyz_mm[1], xyz_mm[2])
+        status, force, d, gradient, rate = wall_without_phase(coefficients, packed, q, None)
+    out[0], out[1], out[2] = rotated_back(packed, force)
     out[3] = d
-    out[4], out[5], out[6] = _rotated_back(packed, gradient)
+    out[4], out[5], out[6] = rotated_back(packed, gradient)
     if len(out) > WITHOUT_RATE:
         out[WITHOUT_RATE] = rate
     return status
@@ -232,12 +248,12 @@ def force_batch(
     for n in range(len(xyz_mm)):
         code_n, force, d, g, rate = no_output(status[n])
         if code_n == code.OK:
-            q = _transformed(packed, xyz_mm[n, 0], xyz_mm[n, 1], xyz_mm[n, 2])
-            code_n, force, d, g, rate = _force_at(coefficients, packed, q, phi[n])
+            q = transformed(packed, xyz_mm[n, 0], xyz_mm[n, 1], xyz_mm[n, 2])
+            code_n, force, d, g, rate = force_at(coefficients, packed, q, phi[n], None)
         status[n] = code_n
-        force_n[n, 0], force_n[n, 1], force_n[n, 2] = _rotated_back(packed, force)
+        force_n[n, 0], force_n[n, 1], force_n[n, 2] = rotated_back(packed, force)
         distance_mm[n] = d
-        gradient[n, 0], gradient[n, 1], gradient[n, 2] = _rotated_back(packed, g)
+        gradient[n, 0], gradient[n, 1], gradient[n, 2] = rotated_back(packed, g)
         rate_mm_per_cycle[n] = rate
     _walls_without_phase(
         coefficients, packed, xyz_mm, force_n, distance_mm, gradient, rate_mm_per_cycle, status
@@ -258,9 +274,9 @@ def _walls_without_phase(
     """Fill the entries of `force_batch` at NO_PHASE; a call in the main loop would slow it by 5 %."""
     for n in range(len(xyz_mm)):
         if status[n] == code.NO_PHASE:
-            q = _transformed(packed, xyz_mm[n, 0], xyz_mm[n, 1], xyz_mm[n, 2])
-            status[n], force, d, g, rate = wall_without_phase(coefficients, packed, q)
-            force_n[n, 0], force_n[n, 1], force_n[n, 2] = _rotated_back(packed, force)
+            q = transformed(packed, xyz_mm[n, 0], xyz_mm[n, 1], xyz_mm[n, 2])
+            status[n], force, d, g, rate = wall_without_phase(coefficients, packed, q, None)
+            force_n[n, 0], force_n[n, 1], force_n[n, 2] = rotated_back(packed, force)
             distance_mm[n] = d
-            gradient[n, 0], gradient[n, 1], gradient[n, 2] = _rotated_back(packed, g)
+            gradient[n, 0], gradient[n, 1], gradient[n, 2] = rotated_back(packed, g)
             rate_mm_per_cycle[n] = rate

@@ -9,8 +9,18 @@ import math
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from dvf_ig.core import HEART_RADIUS_MM, FloatArray, PhaseForecast, PhaseState, PoseMotion, RetimingCurve
+from dvf_ig.core import (
+    HEART_RADIUS_MM,
+    FloatArray,
+    PhaseForecast,
+    PhaseState,
+    PoseMotion,
+    RetimingCurve,
+    WarpMotion,
+)
+from dvf_ig.core.space.warp import COEFFICIENTS
 
 from . import status as code
 from .compiled import inlined, kernel
@@ -44,9 +54,15 @@ POSE_AND_PHASE = np.dtype(
         ("covariance_center_mm", _F, (3,)),
         ("covariance", _F, (6, 6)),
         ("turn_per_mm", _F),
+        ("warped", _F),
+        ("warp_start_s", _F),
+        ("warp_end_s", _F),
+        ("warp_origin_mm", _F, (3,)),
+        ("warp_per_mm", _F),
     ]
 )
-"""Pose and phase as functions of time; `turn_per_mm`: radians a mm of the covariance's rotation."""
+"""Pose, phase and change of shape as functions of time; `turn_per_mm`: radians a mm of the covariance's
+rotation; `warped` is 0 if the heart has kept its shape. Coefficients of warps are apart (`packed_warps`)."""
 
 PLACE = np.dtype(
     [
@@ -74,6 +90,7 @@ def packed_pose_and_phase(
     retiming: RetimingCurve | None,
     covariance_mm2: FloatArray | None,
     center_mm: FloatArray,
+    warp: WarpMotion | None = None,
 ) -> Any:
     """(1,) POSE_AND_PHASE for `place_tick` and `guided_tick`; arguments as in `dvf_ig.guidance.PoseAndPhase`.
 
@@ -102,7 +119,19 @@ def packed_pose_and_phase(
     if covariance_mm2 is not None:
         p["covariance"] = covariance_mm2
     p["turn_per_mm"] = 1.0 / HEART_RADIUS_MM
+    p["warped"] = 0.0 if warp is None else 1.0
+    if warp is not None:
+        p["warp_start_s"], p["warp_end_s"] = warp.start_s, warp.end_s
+        p["warp_origin_mm"], p["warp_per_mm"] = warp.end.origin_mm, 1.0 / warp.end.knot_mm
     return packed
+
+
+def packed_warps(warp: WarpMotion | None) -> NDArray[np.float32]:
+    """(2, n, n, 4 n) coefficients before and after a motion, for `dvf_ig.kernels.warp`; None has none."""
+    if warp is None:
+        return np.zeros((2, 1, 1, 4), dtype=np.float32)
+    rows = (COEFFICIENTS, COEFFICIENTS, 4 * COEFFICIENTS)
+    return np.stack([one.coefficients.reshape(rows) for one in (warp.start, warp.end)])
 
 
 @inlined

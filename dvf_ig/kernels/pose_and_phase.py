@@ -13,11 +13,12 @@ from dvf_ig.core import FloatArray, IntArray
 
 from . import status as code
 from .compiled import inlined, kernel
-from .dynamic import force_tick
-from .fixture_field import POSE, WITHOUT_RATE
+from .dynamic import force_at, force_tick, rotated_back, transformed
+from .fixture_field import POSE, WITHOUT_RATE, no_output
 from .place import Columns, Phase, phase_at, pose_at, status_at
 from .vectors import Vector, cross, dot, vector_at
-from .worst_phase import is_wall
+from .warp import known_share, through_warp, warp_at
+from .worst_phase import is_wall, wall_without_phase
 
 DISTANCE_RATE = 8
 """Offsets in the output of a guided tick: ∂d/∂t at the tool's position, mm/s; then σ_d in mm."""
@@ -82,10 +83,47 @@ def _set_pose(fixture: FloatArray, pose: Columns) -> None:
 
 
 @kernel
+def _warped_tick(
+    coefficients: NDArray[np.float32],
+    fixture: FloatArray,
+    packed: Any,
+    warps: NDArray[np.float32],
+    t_s: float,
+    xyz_mm: FloatArray,
+    phase: Phase,
+    status: int,
+    out: FloatArray,
+) -> int:
+    """Compute `guided_tick` through a warp; `fixture` holds the pose at `t_s`. Not inlined: it is rare."""
+    q = transformed(fixture, xyz_mm[0], xyz_mm[1], xyz_mm[2])
+    at, slope, variance, moving = warp_at(warps, packed, t_s, q)
+    if known_share(variance) == 0.0:
+        output = no_output(code.UNSEEN)
+    elif status == code.OK:
+        output = force_at(coefficients, fixture, at, phase[0], slope)
+    else:
+        output = wall_without_phase(coefficients, fixture, at, slope)
+    status, force, d, gradient, rate = output
+    share = known_share(variance)
+    out[3], turned = through_warp(slope, d, gradient)
+    out[0], out[1], out[2] = rotated_back(fixture, (share * force[0], share * force[1], share * force[2]))
+    out[4], out[5], out[6] = rotated_back(fixture, turned)
+    if len(out) > WITHOUT_RATE:
+        out[WITHOUT_RATE] = rate
+    if len(out) > DISTANCE_SIGMA:
+        pose = pose_at(packed, t_s)
+        by_place, sigma = distance_rate_and_sigma(packed, pose, phase, xyz_mm, vector_at(out, 4), rate)
+        out[DISTANCE_RATE] = by_place - dot(gradient, moving)
+        out[DISTANCE_SIGMA] = math.sqrt(sigma * sigma + variance)
+    return status
+
+
+@kernel
 def guided_tick(
     coefficients: NDArray[np.float32],
     fixture: FloatArray,
     packed: Any,
+    warps: NDArray[np.float32],
     t_s: float,
     xyz_mm: FloatArray,
     input_status: int,
@@ -96,7 +134,7 @@ def guided_tick(
     Args:
         coefficients: as in `force_tick`.
         fixture: the caller's own `packed_fixture`; its pose is overwritten.
-        packed: POSE_AND_PHASE.
+        packed: POSE_AND_PHASE; warps: `packed_warps` of its change of shape.
         t_s: time of the tool's pose.
         xyz_mm: (3,) tool tip, tracker frame.
         input_status: status of the tool's pose; anything but OK is returned with zero force, except that a
@@ -119,6 +157,8 @@ def guided_tick(
     if status == code.OK:
         phase = phase_at(packed, t_s)
     _set_pose(fixture, pose)
+    if packed.warped != 0.0:
+        return _warped_tick(coefficients, fixture, packed, warps, t_s, xyz_mm, phase, status, out)
     status = force_tick(coefficients, fixture, xyz_mm, phase[0], status, out)
     if len(out) > DISTANCE_SIGMA:
         out[DISTANCE_RATE], out[DISTANCE_SIGMA] = distance_rate_and_sigma(
@@ -132,6 +172,7 @@ def guided_batch(
     coefficients: NDArray[np.float32],
     fixture: FloatArray,
     packed: Any,
+    warps: NDArray[np.float32],
     t_s: FloatArray,
     xyz_mm: FloatArray,
     status: IntArray,
@@ -139,4 +180,4 @@ def guided_batch(
 ) -> None:
     """Compute `guided_tick` at (k,) times and (k, 3) points: (k,) status in and out, (k, 10) out."""
     for n in range(len(t_s)):
-        status[n] = guided_tick(coefficients, fixture, packed, t_s[n], xyz_mm[n], status[n], out[n])
+        status[n] = guided_tick(coefficients, fixture, packed, warps, t_s[n], xyz_mm[n], status[n], out[n])

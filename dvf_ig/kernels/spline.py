@@ -46,7 +46,7 @@ def inside_box(u: float, v: float, w: float, cells: tuple[int, int, int]) -> boo
 
 
 @inlined
-def _cell_of(u: float, cells: int) -> Index:
+def knot_cell(u: float, cells: int) -> Index:
     """Compute floor(u) for 0 <= u <= cells; the far border belongs to the last cell."""
     return min(np.uintp(u), np.uintp(cells - 1))
 
@@ -54,7 +54,7 @@ def _cell_of(u: float, cells: int) -> Index:
 @inlined
 def find_cell(u: float, v: float, w: float, cells: tuple[int, int, int]) -> Cell:
     """Find the knot cell of coordinates inside the box, and the basis weights there, shared by all phases."""
-    i, j, k = _cell_of(u, cells[0]), _cell_of(v, cells[1]), _cell_of(w, cells[2])
+    i, j, k = knot_cell(u, cells[0]), knot_cell(v, cells[1]), knot_cell(w, cells[2])
     x, dx = cubic_weights(u - i)
     y, dy = cubic_weights(v - j)
     z, dz = cubic_weights(w - k)

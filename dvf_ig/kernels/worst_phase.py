@@ -24,6 +24,7 @@ from .compiled import inlined, kernel
 from .fixture_field import (
     BLEND,
     BLEND_PERIODIC,
+    DEPTH,
     LAW,
     PER_KNOT,
     POWERS,
@@ -32,6 +33,7 @@ from .fixture_field import (
     Output,
     cells_of,
     field_of_phase,
+    force_per_gradient,
     force_per_gradient_of_field,
     knot_coordinates,
     no_output,
@@ -42,6 +44,7 @@ from .lanes import Float64x4, fma, pack, scale, unpack
 from .laws import SIGMOID
 from .spline import Cell, find_cell
 from .vectors import Vector
+from .warp import Slope, warped
 
 SMOOTHING_MM = 0.25
 """τ, the pitch between frames in Ren 2008: 20 phases that coincide widen a wall by 0.75 mm."""
@@ -68,17 +71,33 @@ def _field_at_phase(
     return fma(sum_, f[weights + 2], field_of_phase(coefficients, after, cell, f[PER_KNOT]))
 
 
+@inlined
+def force_of_phase(f: FloatArray, field: Float64x4, slope: Slope) -> Float64x4:
+    """Compute (0, force) of one phase's field; through a warp the law takes the stretched distance.
+
+    A warp stretches the distance by |∇d|/|∇d'| to first order.
+    """
+    if slope is None:
+        return scale(force_per_gradient_of_field(f, field), field)
+    d, gx, gy, gz = unpack(field)
+    turned = warped(slope, field)
+    _, hx, hy, hz = unpack(turned)
+    norm = math.sqrt(hx * hx + hy * hy + hz * hz)
+    stretch = math.sqrt(gx * gx + gy * gy + gz * gz) / norm
+    return scale(force_per_gradient(f, d * stretch - f[DEPTH], norm), turned)
+
+
 @kernel
-def worst_phase_force(coefficients: NDArray[np.float32], f: FloatArray, q: Vector) -> Output:
+def worst_phase_force(coefficients: NDArray[np.float32], f: FloatArray, q: Vector, slope: Slope) -> Output:
     """Compute force, distance and gradient of a wall at its worst phase; its rate by the phase is zero.
 
     Not inlined: it is called only while the phase is not known, and must cost nothing otherwise.
 
     Args:
         coefficients, f: those of a wall, as in `dvf_ig.kernels.dynamic.force_tick`.
-        q: point in the model's frame.
+        q, slope: as of `dvf_ig.kernels.dynamic.force_at`.
     Returns:
-        status OK, OUT_OF_VOLUME or FAULT; force only at OK.
+        status OK, OUT_OF_VOLUME or FAULT; force only at OK; gradient as of `force_at`.
     """
     status, u, v, w = knot_coordinates(coefficients, f, q, 0.0)
     if status != code.OK:
@@ -97,7 +116,7 @@ def worst_phase_force(coefficients: NDArray[np.float32], f: FloatArray, q: Vecto
             mixed, total = fma(mixed, weight, field), total + weight
     _, gx, gy, gz = unpack(scale(1.0 / total, mixed))
     field = pack(outward * (most + SMOOTHING_MM * math.log(total)), gx, gy, gz)
-    output = output_of(scale(force_per_gradient_of_field(f, field), field), field, 0.0)
+    output = output_of(force_of_phase(f, field, slope), field, 0.0)
     if f[SEEN] == 0.0 or output[0] != code.OK:
         return output
     share = _seen_share(coefficients, f, q, cell, outward * most)
@@ -122,9 +141,9 @@ def _seen_share(
 
 
 @kernel
-def wall_without_phase(coefficients: NDArray[np.float32], f: FloatArray, q: Vector) -> Output:
+def wall_without_phase(coefficients: NDArray[np.float32], f: FloatArray, q: Vector, slope: Slope) -> Output:
     """Compute `worst_phase_force` with NO_PHASE instead of OK; no force if the fixture is not a wall."""
     if not is_wall(f):
         return no_output(code.NO_PHASE)
-    status, force, d, gradient, rate = worst_phase_force(coefficients, f, q)
+    status, force, d, gradient, rate = worst_phase_force(coefficients, f, q, slope)
     return code.NO_PHASE if status == code.OK else status, force, d, gradient, rate

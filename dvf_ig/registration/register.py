@@ -101,7 +101,7 @@ def register(
         stop = _stop(images.options, refined, fused, evidence, moved_mm=moved_mm, overlap=overlap)
         if stop is Stop.CONVERGED and covered is None and _other_calibration(evidence):
             stop = Stop.DISAGREEMENT
-        if shape is not None and shape.large and stop in (Stop.CONVERGED, Stop.DISAGREEMENT):
+        if shape is not None and shape.refusal is not None and stop in (Stop.CONVERGED, Stop.DISAGREEMENT):
             stop = Stop.CHANGED_SHAPE  # also why parts disagree on where a rigid heart is
         stop, assessment = _assessed(  # trust.md: probability, bound and scale of the covariance
             stop,

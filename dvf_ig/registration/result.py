@@ -124,7 +124,7 @@ class RegistrationResult:
                 "probe calibration (of another day or probe, or its marker moved), the tool's tip, landmarks"
             )
         if self.stop is Stop.CHANGED_SHAPE and self.shape is not None:
-            sentence = f"{self.shape.sentence}; a model of the heart as it was cannot guide"
+            sentence = f"{self.shape.sentence}; {self.shape.refusal}"
             if landmarks_disagree(landmarks_mm):
                 sentence += (
                     f". Touched landmarks lie {landmarks_mm:.1f} mm off: check the probe calibration first"

@@ -187,6 +187,10 @@ def _force_rows(result: dict[str, Any]) -> list[tuple[str, str, str]]:
             "",
         ),
     ]
+    wall = result["surface_error_mm"]
+    if wall is not None:
+        text = f"{wall['median']:.2f} mm median, {wall['p95']:.2f} p95 off at the tool"
+        rows.append(("wall", "", f"{text}; force on one 3 mm off for {wall['force_far_off_s']:.1f} s"))
     if contact is not None:
         share, served = 100 * contact["share"], 100 * contact["served_share"]
         rows.append(("contact", "", f"in {share:.0f} % of ticks, force given in {served:.0f} % of those"))

@@ -12,7 +12,7 @@ long is withheld (`Confirmation`; docs/theory/safety.md, trust).
 from dataclasses import dataclass, field, replace
 from math import inf
 
-from dvf_ig.core import PoseMotion
+from dvf_ig.core import PoseMotion, WarpMotion
 from dvf_ig.registration import PoseEstimate, ShiftDetector, SimilarityWatch, TipSighting
 
 from .reasons import Doubt
@@ -136,7 +136,8 @@ class InUse:
 
     Attributes:
         estimate: the pose with its covariance.
-        motion: the pose over time, which moves to `estimate` at a bounded speed.
+        motion: the pose over time, which moves to `estimate` at a bounded speed; warp: likewise the change of
+            the heart's shape, None of one that has kept it.
         confirmation: the last beat that confirmed it.
         shift: the last beats against the pose.
         similarity: of the beats since the pose came into use.
@@ -147,6 +148,7 @@ class InUse:
 
     estimate: PoseEstimate
     motion: PoseMotion
+    warp: WarpMotion | None
     confirmation: Confirmation
     shift: ShiftDetector = field(default_factory=ShiftDetector)
     similarity: SimilarityWatch = field(default_factory=SimilarityWatch.new)

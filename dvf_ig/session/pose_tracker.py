@@ -12,7 +12,7 @@ from dataclasses import replace
 from math import inf
 
 from dvf_ig.cardiac import RPeak
-from dvf_ig.core import PoseMotion, Rigid
+from dvf_ig.core import PoseMotion, Rigid, WarpMotion
 from dvf_ig.registration import PoseEstimate, RegistrationResult, TipSighting
 
 from .beat_evaluation import BeatEvaluation, ComparableBeat, at_pose, evaluation_of
@@ -75,6 +75,11 @@ class PoseTracker:
     def motion(self) -> PoseMotion | None:
         """The pose in use over time; None while no pose may be used."""
         return self.pose.motion if isinstance(self.pose, InUse) else None
+
+    @property
+    def warp(self) -> WarpMotion | None:
+        """Change of the heart's shape over time, at that pose; None of a heart that has kept its shape."""
+        return self.pose.warp if isinstance(self.pose, InUse) else None
 
     @property
     def estimate(self) -> PoseEstimate | None:
@@ -216,4 +221,5 @@ def _estimate_of(result: RegistrationResult) -> PoseEstimate:
         result.noise_covariance,
         result.center_mm,
         result.matched,
+        None if result.shape is None else result.shape.followed,
     )

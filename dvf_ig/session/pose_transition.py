@@ -20,7 +20,14 @@ from math import inf
 
 import numpy as np
 
-from dvf_ig.core import HEART_RADIUS_MM, PoseMotion, Rigid, Stop, mean_displacement_mm
+from dvf_ig.core import (
+    HEART_RADIUS_MM,
+    PoseMotion,
+    Rigid,
+    Stop,
+    WarpMotion,
+    mean_displacement_mm,
+)
 from dvf_ig.registration import (
     TARGET_RADIUS_MM,
     BeatMeasurement,
@@ -298,9 +305,17 @@ def _suspend(
 
 def _moved(pose: InUse, estimate: PoseEstimate, now_s: float) -> tuple[InUse, PoseUpdate]:
     """Use another estimate, towards which the pose moves from its present position."""
-    motion = PoseMotion.towards(pose.motion.at(now_s), estimate.pose, now_s, estimate.center_mm)
+    here, warp = pose.motion.at(now_s), pose.warp
+    motion = PoseMotion.towards(here, estimate.pose, now_s, estimate.center_mm)
+    if estimate.warp is not pose.estimate.warp:
+        warp = WarpMotion.towards(warp, estimate.warp, now_s)
+        if warp is not None:  # walls move by both: together no faster than by one
+            warp = replace(warp, end_s=motion.end_s + warp.end_s - now_s)
+            motion = PoseMotion.between(here, estimate.pose, now_s, warp.end_s, estimate.center_mm)
+    elif estimate.warp is None and warp is not None and warp.end_s <= now_s:
+        warp = None  # the heart has its shape again
     confirmation = pose.confirmation.changed(estimate.pose_bound_mm)
-    moved = replace(pose, estimate=estimate, motion=motion, confirmation=confirmation)
+    moved = replace(pose, estimate=estimate, motion=motion, warp=warp, confirmation=confirmation)
     return moved, PoseUpdate(now_s, estimate.pose)
 
 
@@ -365,7 +380,8 @@ def _drop(pose: Candidate, off_mm: float, now_s: float) -> Transition:
 def _bring_into_use(pose: Candidate | Suspended, estimate: PoseEstimate, now_s: float) -> Transition:
     """Use a pose that beats have confirmed; at once, for no force depends on one before."""
     motion, confirmation = PoseMotion.still(estimate.pose), Confirmation(now_s, estimate.pose_bound_mm)
-    in_use = InUse(estimate, motion, confirmation, pose.trial.shift.restarted())
+    warp = None if estimate.warp is None else WarpMotion.still(estimate.warp)
+    in_use = InUse(estimate, motion, warp, confirmation, pose.trial.shift.restarted())
     update = PoseUpdate(now_s, estimate.pose)
     if isinstance(pose, Suspended):
         return in_use, (update,)

@@ -263,6 +263,7 @@ class Session:
             else estimate.total_mm2 + self._breathing.covariance_mm2(now_s),
             center_mm=heart.center_mm,
             pose_until_s=-inf if confirmation is None or withheld else confirmation.until_s,
+            warp=self._pose.warp,
         )
 
     def _hazards(self, now_s: float, tool: Hazard) -> Hazard:

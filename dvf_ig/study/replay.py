@@ -98,6 +98,8 @@ class PresetSummary:
         guided: replays that gave a force at any time; the numbers below are over these, medians unless said.
         tre_median_mm, tre_worst_mm: median TRE of each replay: their median and their largest.
         force_error_n: median error in contact.
+        wall_rms_mm: RMS error of the wall's place at the tool: median; wall_far_off_s: largest time with a
+            force on one more than 3 mm off.
         valid_share: of the ticks.
         served_share: of the ticks in contact.
         hazard_s: largest time with a force on a pose more than 5 mm off; hazard_longest_s: at a stretch.
@@ -118,6 +120,8 @@ class PresetSummary:
     tre_median_mm: float | None
     tre_worst_mm: float | None
     force_error_n: float | None
+    wall_rms_mm: float | None
+    wall_far_off_s: float | None
     valid_share: float | None
     served_share: float | None
     hazard_s: float | None
@@ -153,6 +157,10 @@ def _summary(preset: str, lines: Sequence[Line]) -> PresetSummary:
         tre_median_mm=median_of(tre),
         tre_worst_mm=max(tre, default=None),
         force_error_n=median_of([x["force_error_n"]["median"] for x in scored if x["force_error_n"]]),
+        wall_rms_mm=median_of([x["surface_error_mm"]["rms"] for x in scored if x["surface_error_mm"]]),
+        wall_far_off_s=max(
+            (x["surface_error_mm"]["force_far_off_s"] for x in scored if x["surface_error_mm"]), default=None
+        ),
         valid_share=median_of([x["valid_ticks"] / x["ticks"] for x in scored]),
         served_share=median_of([x["contact"]["served_share"] for x in scored if x["contact"]]),
         hazard_s=max((x["hazard_s"] for x in scored), default=None),
@@ -213,6 +221,7 @@ KEPT = (
     "phase_error_percent_rr",
     "force_error_n",
     "contact",
+    "surface_error_mm",
     "hazard_s",
     "hazard_longest_s",
     "withheld_s",
@@ -289,7 +298,17 @@ def run(settings: ReplaySettings, driver: Driver) -> Result:
 
 
 def _table(rows: Sequence[PresetSummary]) -> Rows:
-    head = ("preset", "guided", "TRE mm, worst", "force error N", "valid", "in contact", "hazard s")
+    head = (
+        "preset",
+        "guided",
+        "TRE mm, worst",
+        "force error N",
+        "wall mm",
+        "3 mm off s",
+        "valid",
+        "in contact",
+        "hazard s",
+    )
     more = ("at a stretch", "withheld s", "latched s", "tip seen, elsewhere", "pose bound mm", "it covers")
     late = ("settled TRE mm, p95, worst", "in contact", "bound covers", "error/σ")
     return [(*head, *more, *late), *(_cells(row) for row in rows)]
@@ -302,6 +321,8 @@ def _cells(row: PresetSummary) -> tuple[str, ...]:
         f"{row.guided} of {row.seeds}",
         tre,
         number_text(row.force_error_n, "{:.3f}", ""),
+        number_text(row.wall_rms_mm, "{:.2f}", ""),
+        number_text(row.wall_far_off_s, "{:.2f}", ""),
         number_text(row.valid_share, "{:.0%}", ""),
         number_text(row.served_share, "{:.0%}", ""),
         number_text(row.hazard_s, "{:.2f}", ""),

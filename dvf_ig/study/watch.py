@@ -272,6 +272,7 @@ def pose_before(recording: WatchedRecording, first: int) -> Pose:
     return InUse(
         beat.estimate,
         PoseMotion.still(beat.estimate.pose),
+        None,
         Confirmation(beat.evaluation.begin_s, beat.estimate.pose_bound_mm),
         shift=detectors(recording.beats[:first])[-1],
     )

@@ -18,6 +18,7 @@ from dvf_ig.core import (
     Stop,
     Volume,
     VolumeSeries,
+    Warp,
     summarise_errors,
 )
 from dvf_ig.registration import (
@@ -266,13 +267,12 @@ def test_landmarks_elsewhere_rule_a_pose_out(off_mm: float, stop: Stop) -> None:
     assert named is (stop is Stop.DISAGREEMENT)
 
 
-@pytest.mark.parametrize(("seen_mm", "stop"), [(0.7, Stop.CONVERGED), (2.4, Stop.CHANGED_SHAPE)])
+@pytest.mark.parametrize(("scale_mm", "stop"), [(3.0, Stop.CONVERGED), (5.0, Stop.CHANGED_SHAPE)])
 def test_a_heart_of_another_shape_is_refused_by_name(
-    monkeypatch: pytest.MonkeyPatch, seen_mm: float, stop: Stop
+    monkeypatch: pytest.MonkeyPatch, scale_mm: float, stop: Stop
 ) -> None:
-    change = ShapeChange(
-        "mr", np.zeros(3), 16.0, np.zeros((4, 4, 4, 4), np.float32), 3.0, 90.0, seen_mm, "left", 4.04, 0.3
-    )
+    warp = Warp("mr", np.zeros(3), 16.0, np.zeros((15, 15, 15, 4), np.float32))
+    change = ShapeChange(warp, scale_mm, 90.0, 2.4, "left", 4.04, 0.3, 0.2, 0.5)
     monkeypatch.setattr(register_module, "_change_of_shape", lambda problem, fused: change)
     result = _register(_levels(speckle=0.3), toy_pose(), options=RegistrationOptions(starts=0))
     assert result.stop is stop

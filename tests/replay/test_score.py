@@ -8,7 +8,15 @@ from jsonschema import Draft202012Validator
 
 from dvf_ig.core import BreathingTruth, FloatArray, Rigid, Scenario
 from dvf_ig.replay import schema
-from dvf_ig.replay.result.score import HAZARD_FORCE_N, HAZARD_MM, HazardScore, pose_errors_mm, score_hazard
+from dvf_ig.replay.result.score import (
+    HAZARD_FORCE_N,
+    HAZARD_MM,
+    HazardScore,
+    SurfaceScore,
+    pose_errors_mm,
+    score_hazard,
+    score_surface,
+)
 
 TICK_S = 0.25
 
@@ -24,6 +32,17 @@ def test_only_a_force_on_a_far_off_pose_is_a_hazard() -> None:
     given = force(0.5, 0.5, 0.0, 0.0, 0.5)
     error_mm = np.array([4.0, 6.0, 4.0, 6.0, 9.0])
     assert score_hazard(given, error_mm, TICK_S) == HazardScore(total_s=0.5, longest_s=0.25)
+
+
+def test_the_wall_is_scored_where_the_tool_is_near_it() -> None:
+    true = np.array([0.0, -1.0, 2.0, -6.0, 4.0, 1.0])
+    believed = np.array([0.5, -1.5, -2.0, 9.0, np.nan, 4.5])
+    served = np.array([True, True, True, True, True, False])
+    score = score_surface(believed, true, served, TICK_S)
+    assert score == SurfaceScore(
+        pytest.approx(np.sqrt((0.5 + 16.0 + 12.25) / 4)), 2.0, pytest.approx(3.925), 0.25
+    )
+    assert score_surface(np.full(6, np.nan), true, served, TICK_S) is None
 
 
 def test_the_limits_themselves_are_no_hazard() -> None:

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from toy_session import CENTER, GUIDED_S, run, ticks, tool_events, toy_setup, toy_streams
 
-from dvf_ig.core import FloatArray, Rigid, SeenPart
+from dvf_ig.core import RIGID_SIGMA_MM, FloatArray, Rigid, SeenPart
 from dvf_ig.guidance import FixtureOptions, FixtureSet, Gaussian, Hazard, Sigmoid, Status
 from dvf_ig.guidance.margins import LARGEST_MARGIN_MM, MarginOptions
 from dvf_ig.guidance.servo import ServoInputs
 from dvf_ig.session import GuidanceState, Session
-from dvf_ig.session.margins import SHAPE_SIGMA_MM, TIP_SIGMA_MM, TOOL_SIGMA_MM
+from dvf_ig.session.margins import TIP_SIGMA_MM, TOOL_SIGMA_MM
 from dvf_ig.session.pose_states import AGEING_MM_PER_S
 
 pytestmark = pytest.mark.usefixtures("known_ultrasound")
@@ -41,7 +41,7 @@ def test_an_adaptive_margin_is_the_quantile_of_all_that_the_session_states() -> 
     margins = np.array([s.margin_mm for s in states])
     for state in states[100:]:
         ageing = AGEING_MM_PER_S * state.pose_age_s
-        others = SHAPE_SIGMA_MM**2 + TIP_SIGMA_MM**2 + TOOL_SIGMA_MM**2 + ageing**2
+        others = RIGID_SIGMA_MM**2 + TIP_SIGMA_MM**2 + TOOL_SIGMA_MM**2 + ageing**2
         size = float(np.linalg.norm(state.gradient))
         wanted = NormalDist().inv_cdf(0.9) * np.sqrt(state.distance_sigma_mm**2 + others * size**2)
         np.testing.assert_allclose(state.margin_mm, wanted, atol=0.05)

@@ -6,7 +6,7 @@ from math import inf
 import numpy as np
 import pytest
 
-from dvf_ig.core import FloatArray, PoseMotion, Rigid, Stop
+from dvf_ig.core import FloatArray, PoseMotion, Rigid, Stop, Warp
 from dvf_ig.registration import BeatMeasurement, PoseEstimate, TipSighting
 from dvf_ig.registration.tracking.pose_estimate import INFORMATIVE_LOG_RATIO
 from dvf_ig.session import (
@@ -117,7 +117,7 @@ def seen(off_mm: float) -> TipSeen:
 
 CONFIRMED = Confirmation(99.0, 1.5)
 TIP_OFF = TipEvidence(5.0, ELSEWHERE_BEATS)
-IN_USE = InUse(at(0.0), PoseMotion.still(pose_at(0.0)), CONFIRMED)
+IN_USE = InUse(at(0.0), PoseMotion.still(pose_at(0.0)), None, CONFIRMED)
 SUSPENDED = Suspended(at(0.0), Doubt(DoubtCause.REFUSED), CONFIRMED, Trial())
 FIRST = Candidate(at(0.0), RECORD, Trial(), None)
 SECOND = Candidate(at(8.0), RECORD, Trial(), SUSPENDED)
@@ -441,3 +441,61 @@ def test_a_beat_confirms_only_if_it_would_have_contradicted_a_wrong_pose() -> No
     assert confirms(agreeing)
     assert not confirms(replace(agreeing, wrong_pose_log_ratio=0.99 * INFORMATIVE_LOG_RATIO))
     assert not confirms(replace(agreeing, log_likelihood_ratio=1.01 * CONSISTENT_LOG_RATIO))
+
+
+# ------------------------------------------------------------------ a heart that has changed its shape
+
+
+def changed(mm: float, bulge_mm: float) -> PoseEstimate:
+    """A pose with a shift of all walls along y."""
+    coefficients = np.zeros((15, 15, 15, 4), dtype=np.float32)
+    coefficients[..., 1], coefficients[..., 3] = bulge_mm, 0.1
+    return replace(at(mm), warp=Warp("mr", np.full(3, -100.0), 17.0, coefficients))
+
+
+def y_of(pose: Pose, t_s: float) -> float:
+    """Where the wall is that the model has at y = 0."""
+    assert isinstance(pose, InUse)
+    if pose.warp is None:
+        return 0.0
+    return float(pose.warp.at(t_s).at(np.zeros((1, 3)))[0][0, 1])
+
+
+def test_a_pose_comes_into_use_with_its_change_of_shape_at_once() -> None:
+    candidate = Candidate(changed(0.0, 2.0), RECORD, LAST_BEAT, None)
+    pose, _ = next_pose(candidate, beat())
+    assert y_of(pose, NOW_S) == pytest.approx(2.0, abs=1e-6)
+
+
+def test_a_change_of_shape_comes_and_goes_at_a_bounded_speed() -> None:
+    pose, _ = next_pose(IN_USE, Registered(NOW_S, RECORD, changed(0.0, 2.0), 0.0))
+    assert isinstance(pose, InUse)
+    assert pose.warp is not None
+    assert [round(y_of(pose, NOW_S + t), 3) for t in (-1.0, 0.0, 0.1, 0.2, 9.0)] == [0.0, 0.0, 1.0, 2.0, 2.0]
+    assert pose.motion.end_s == pose.warp.end_s
+    later = replace(beat(begin_s=NOW_S + 0.1), now_s=NOW_S + 0.1)
+    on_its_way, _ = next_pose(pose, later)
+    assert y_of(on_its_way, NOW_S + 0.15) == pytest.approx(1.5, abs=1e-3)
+    back, _ = next_pose(pose, replace(registered(0.0), now_s=NOW_S + 4.0))
+    assert [round(y_of(back, NOW_S + 4.0 + t), 3) for t in (0.0, 0.1, 0.3)] == [2.0, 1.0, 0.0]
+    done, _ = next_pose(back, replace(beat(begin_s=NOW_S + 5.0), now_s=NOW_S + 6.0))
+    assert isinstance(done, InUse)
+    assert done.warp is None
+
+
+def test_walls_stay_where_a_registration_saw_them_when_its_pose_is_fused() -> None:
+    """The fused pose lies between both; the warp makes up for it."""
+    pose, _ = next_pose(IN_USE, Registered(NOW_S, RECORD, changed(2.0, 1.0), 0.0))
+    assert isinstance(pose, InUse)
+    fused = pose.estimate.pose.translation_mm[0]
+    assert 0.2 < fused < 1.8
+    assert pose.warp is not None
+    tracker = np.zeros((1, 3))
+    end = pose.warp.at(NOW_S + 9.0)
+    place = pose.estimate.pose.apply_array(tracker)
+    np.testing.assert_allclose((place - end.at(place)[0])[0], [2.0, -1.0, 0.0], atol=1e-4)
+
+
+def test_a_suspended_pose_comes_back_with_its_change_of_shape() -> None:
+    pose, _ = next_pose(replace(SUSPENDED, estimate=changed(0.0, 2.0), trial=LAST_BEAT), beat())
+    assert y_of(pose, NOW_S) == pytest.approx(2.0, abs=1e-6)

@@ -5,12 +5,14 @@ from typing import Any
 
 import numpy as np
 
-from dvf_ig.core import FloatArray, InvalidInputError, Rigid, read_only_arrays
+from dvf_ig.core import FloatArray, InvalidInputError, Rigid, WarpMotion, read_only_arrays
 from dvf_ig.core.arrays import frozen_floats
 from dvf_ig.guidance.places import Status
 from dvf_ig.guidance.pose_and_phase import PoseAndPhase
 from dvf_ig.guidance.supervision.hazards import Hazard
+from dvf_ig.kernels.place import packed_warps
 from dvf_ig.kernels.servo import layout as kernel
+from dvf_ig.kernels.servo.layout import new_published
 
 VALID_FOR_S = 0.1
 """A session publishes 30 times a second or more: three missing publications are silence."""
@@ -52,7 +54,7 @@ class ServoInputs:
             )
 
     def packed(self, clock_s: float) -> Any:
-        """(1,) INPUTS for the kernels.
+        """(1,) INPUTS for the kernels, without the warps, which `Publication` numbers.
 
         Args:
             clock_s: the servo's clock at `now_s`.
@@ -65,3 +67,35 @@ class ServoInputs:
         values["margin_mm"][: len(self.margin_mm)] = self.margin_mm
         values["pose_and_phase"] = self.transform.packed[0]
         return packed
+
+
+class Publication:
+    """Memory that one publication after the other is written to; the warps get a number each."""
+
+    def __init__(self) -> None:
+        self._memory = new_published()
+        self._warp: WarpMotion | None = None
+        self.inputs = self._memory.inputs[0]
+        self.words = self._memory.words
+        self.head = self.words[: kernel.INPUT_WORDS]
+        """All but the warps."""
+
+    def set_transform(self, transform: PoseAndPhase) -> bool:
+        """Take pose, phase and change of shape; returns whether the warps are others than before."""
+        self.inputs["pose_and_phase"] = transform.packed[0]
+        return self._set_warp(transform.warp)
+
+    def set(self, inputs: ServoInputs, clock_s: float) -> bool:
+        """Take a session's inputs; arguments as of `ServoInputs.packed`, returns as `set_transform`."""
+        packed = inputs.packed(clock_s)
+        packed["warps_number"] = self.inputs["warps_number"]
+        self._memory.inputs[:] = packed
+        return self._set_warp(inputs.transform.warp)
+
+    def _set_warp(self, warp: WarpMotion | None) -> bool:
+        if warp is None or warp is self._warp:
+            return False
+        self._warp = warp
+        self._memory.warps[:] = packed_warps(warp)
+        self.inputs["warps_number"] += 1
+        return True

@@ -10,10 +10,10 @@ from dvf_ig.guidance.devices.protocol import HapticDevice
 from dvf_ig.guidance.fixtures import Fixtures
 from dvf_ig.kernels.servo import loop as kernel
 from dvf_ig.kernels.servo import shared
-from dvf_ig.kernels.servo.layout import INPUTS, Bound, Scratch, new_scratch, row_words, words
+from dvf_ig.kernels.servo.layout import Bound, Scratch, new_published, new_scratch, row_words
 
 from .bound import bind_fixtures
-from .inputs import ServoInputs
+from .inputs import Publication, ServoInputs
 from .options import ServoOptions
 from .record import BINS
 
@@ -28,7 +28,8 @@ class LoopArrays:
     Attributes:
         bound: fixtures and settings (`bind_fixtures`).
         functions: (2,) int64 addresses of the device's read and write; `context`: the device's own.
-        counter, published: (1,) INPUTS, what the session published, under a sequence lock.
+        counter, published: words of `Published`, what the session published, under a sequence lock.
+        publication: what is published next.
         numbers: (NUMBERS,) int64 flags and counts; `histogram`: (BINS,) int64 of lateness.
         period_ns: of a tick.
     """
@@ -38,6 +39,7 @@ class LoopArrays:
     context: Any
     counter: Any
     published: Any
+    publication: Publication
     numbers: Any
     histogram: Any
     period_ns: int
@@ -62,8 +64,6 @@ class LoopArrays:
         Raises:
             InvalidInputError: as `bind_fixtures`.
         """
-        inputs = np.zeros(1, INPUTS)
-        inputs["valid_until_s"], inputs["pose_and_phase"]["pose_until_s"] = np.inf, -np.inf
         numbers = np.zeros(kernel.NUMBERS, dtype=np.int64)
         numbers[kernel.LATE_NS], numbers[kernel.SILENT_NS] = late_ns, SILENT_TIMES_LATE * late_ns
         numbers[kernel.WATCHED] = watched
@@ -72,7 +72,8 @@ class LoopArrays:
             np.array(device.functions, dtype=np.int64),
             device.context,
             shared.new_counter(),
-            inputs,
+            _nothing_published(),
+            Publication(),
             numbers,
             np.zeros(BINS, dtype=np.int64),
             options.period_ns,
@@ -93,14 +94,14 @@ class LoopArrays:
 
     def unused(self) -> "LoopArrays":
         """Copy for a loop that has not run, in which nothing has been published."""
-        inputs, numbers = np.zeros(1, INPUTS), np.zeros_like(self.numbers)
-        inputs["valid_until_s"], inputs["pose_and_phase"]["pose_until_s"] = np.inf, -np.inf
+        numbers = np.zeros_like(self.numbers)
         kept = [kernel.LATE_NS, kernel.SILENT_NS, kernel.WATCHED]
         numbers[kept] = self.numbers[kept]
         return replace(
             self,
             counter=shared.new_counter(),
-            published=inputs,
+            published=_nothing_published(),
+            publication=Publication(),
             numbers=numbers,
             histogram=np.zeros_like(self.histogram),
         )
@@ -111,7 +112,9 @@ class LoopArrays:
 
     def publish(self, inputs: ServoInputs, clock_s: float) -> None:
         """Hand the loop what the session knows at `clock_s` of the loop's clock; never waits."""
-        shared.publish(self.counter, words(self.published), words(inputs.packed(clock_s)))
+        new = self.publication
+        changed = new.set(inputs, clock_s)
+        shared.publish(self.counter, self.published, new.words if changed else new.head)
 
     def arguments(
         self, scratch: Scratch, rows: Any, start_ns: int = 0, late_ns: Any = None
@@ -130,7 +133,7 @@ class LoopArrays:
             self.functions,
             self.context,
             self.counter,
-            words(self.published),
+            self.published,
             self.numbers,
             row_words(rows),
             self.histogram,
@@ -138,3 +141,11 @@ class LoopArrays:
             start_ns,
             simulated_late_ns,
         )
+
+
+def _nothing_published() -> Any:
+    """Words of `Published` without a pose."""
+    published = new_published()
+    inputs = published.inputs
+    inputs["valid_until_s"], inputs["pose_and_phase"]["pose_until_s"] = np.inf, -np.inf
+    return published.words

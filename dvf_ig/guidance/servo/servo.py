@@ -22,7 +22,7 @@ from dvf_ig.guidance.supervision.hazards import Hazard
 from dvf_ig.guidance.supervision.supervisor import RearmAnswer, SupervisorState
 from dvf_ig.kernels.servo import loop as kernel
 from dvf_ig.kernels.servo import shared
-from dvf_ig.kernels.servo.layout import ROW, row_words, words
+from dvf_ig.kernels.servo.layout import ROW, row_words
 
 from .bound import REARM_ANSWERS
 from .inputs import ServoInputs
@@ -208,7 +208,7 @@ class Servo:
 
     def _now_s(self) -> float:
         """Time of the session that published last."""
-        return time.monotonic_ns() * 1e-9 - float(self._loop.published["clock_offset_s"][0])
+        return time.monotonic_ns() * 1e-9 - float(self._loop.publication.inputs["clock_offset_s"])
 
     def _begin(self, name: str, function: Callable[..., Any], *arguments: Any) -> None:
         thread, realtime = real_time_thread(name, function, *arguments)
@@ -219,7 +219,7 @@ class Servo:
         """Compile or load every kernel, and touch the coefficients, before the first tick."""
         for coefficients in (self._loop.bound.linear, self._loop.bound.periodic):
             float(np.sum(coefficients))
-        published = words(self._loop.published)
+        published = self._loop.published
         shared.publish(self._loop.counter, published, published.copy())
         nobody = RecordedDevice(np.zeros((WARM_UP_TICKS, 3)), self.options.rate_hz)
         loop, ring = self._loop.on_device(nobody), np.zeros(WARM_UP_TICKS, ROW)

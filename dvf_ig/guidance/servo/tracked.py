@@ -12,13 +12,13 @@ from dvf_ig.guidance.places import Status
 from dvf_ig.guidance.pose_and_phase import PoseAndPhase
 from dvf_ig.guidance.supervision.hazards import Hazard
 from dvf_ig.guidance.supervision.supervisor import RearmAnswer, SupervisorState
-from dvf_ig.kernels.servo.layout import INPUTS, new_scratch, words
+from dvf_ig.kernels.servo.layout import new_scratch
 from dvf_ig.kernels.servo.supervision import rearm
 from dvf_ig.kernels.servo.tick import withhold
 from dvf_ig.kernels.servo.tracked import TRACKED, tick_until
 
 from .bound import REARM_ANSWERS, bind_fixtures
-from .inputs import VALID_FOR_S
+from .inputs import VALID_FOR_S, Publication
 from .options import ServoOptions
 from .record import ServoTick
 
@@ -54,9 +54,8 @@ class TrackedServo:
         self._scratch = new_scratch(self._fixtures)
         self._tool: Any = np.zeros(1, TRACKED)[0]
         self._tip_mm, self._velocity = np.zeros(3), np.zeros(3)
-        published = np.zeros(1, INPUTS)
-        self._published, self._words = published[0], words(published)
-        self._published["tracker_from_device"] = np.eye(3, 4)
+        self._publication = Publication()
+        self._publication.inputs["tracker_from_device"] = np.eye(3, 4)
         self._transform: PoseAndPhase | None = None
         self._margin_mm: FloatArray | None = None
 
@@ -76,11 +75,12 @@ class TrackedServo:
                 changes after it was given.
             tip: (3,) mm and (3,) mm/s of the tool now, frame "tracker"; None if it is not known.
         """
-        published, tip_seen = self._published, tip is not None
+        published, tip_seen = self._publication.inputs, tip is not None
         published["valid_until_s"] = now_s + VALID_FOR_S
         published["hazards"], published["tool_status"] = hazards, tool_status
         if transform is not self._transform:
-            self._transform, published["pose_and_phase"] = transform, transform.packed[0]
+            self._transform = transform
+            self._publication.set_transform(transform)
         if margin_mm is not self._margin_mm:
             self._margin_mm, published["margin_mm"][: len(margin_mm)] = margin_mm, margin_mm
         if tip is not None:
@@ -92,7 +92,7 @@ class TrackedServo:
             self._bound,
             self._scratch,
             self._tool,
-            self._words,
+            self._publication.words,
             self._tip_mm,
             self._velocity,
             tip_seen,

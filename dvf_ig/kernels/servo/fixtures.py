@@ -14,11 +14,12 @@ from dvf_ig.kernels import status as code
 from dvf_ig.kernels.compiled import inlined, kernel
 from dvf_ig.kernels.composition import compose_forces
 from dvf_ig.kernels.dynamic import forces_on_surface
-from dvf_ig.kernels.fixture_field import BLEND, BLEND_PERIODIC, DEPTH, LAW, Output
+from dvf_ig.kernels.fixture_field import BLEND, BLEND_PERIODIC, DEPTH, LAW, Output, no_output
 from dvf_ig.kernels.path import path_force
 from dvf_ig.kernels.place import Columns, phase_at, pose_at, status_at
 from dvf_ig.kernels.pose_and_phase import distance_rate_and_sigma
 from dvf_ig.kernels.vectors import Vector, dot
+from dvf_ig.kernels.warp import Slope, known_share, through_warp, warp_at, warped_vector
 from dvf_ig.kernels.worst_phase import worst_phase_force
 
 NO_RATE = (0.0, 0.0, 0.0)
@@ -61,7 +62,9 @@ def _turn_forces(pose: Columns, forces: FloatArray) -> None:
 
 
 @kernel
-def _add_paths(bound: Any, place: Vector, phi: float, forces: FloatArray, first: Output) -> Output:
+def _add_paths(
+    bound: Any, place: Vector, phi: float, slope: Slope, forces: FloatArray, first: Output
+) -> Output:
     """Put the paths' forces into `forces`; output of the first fixture. Not inlined: paths are rare."""
     of = bound.settings[0].fixtures
     for i in range(len(bound.packed)):
@@ -80,18 +83,58 @@ def _add_paths(bound: Any, place: Vector, phi: float, forces: FloatArray, first:
         )
         if output[0] != code.OK:
             return output
-        forces[i, 0], forces[i, 1], forces[i, 2] = output[1]
+        forces[i, 0], forces[i, 1], forces[i, 2] = warped_vector(slope, output[1])
         first = output if i == 0 else first
     return first
 
 
 @inlined
-def _forces(bound: Any, place: Vector, phi: float, forces: FloatArray) -> Output:
-    """Forces of all fixtures at a known phase, model frame; output of the first, or of what has none."""
-    output = forces_on_surface(bound.linear, bound.periodic, bound.packed, place, phi, forces)
+def _forces(bound: Any, place: Vector, phi: float, slope: Slope, forces: FloatArray) -> Output:
+    """Forces of all fixtures at a known phase, model frame; output of the first, or of what has none.
+
+    Args:
+        place, slope: as of `dvf_ig.kernels.dynamic.force_at`.
+    """
+    output = forces_on_surface(bound.linear, bound.periodic, bound.packed, place, phi, slope, forces)
     if output[0] == code.OK and bound.settings[0].fixtures.paths != 0:
-        output = _add_paths(bound, place, phi, forces, output)
+        output = _add_paths(bound, place, phi, slope, forces, output)
     return output
+
+
+@kernel
+def _warped_forces(
+    bound: Any, inputs: Any, warps: Any, t_s: float, place: Vector, phi: float, forces: FloatArray
+) -> tuple[Output, float, float]:
+    """Forces as of `_forces` through the warp, variance of the wall's place, −∂d/∂t by the warp's motion.
+
+    Not inlined: most hearts have kept their shape. The output's distance and gradient are those through the
+    warp (`through_warp`).
+    """
+    at, slope, variance, moving = warp_at(warps, inputs.pose_and_phase, t_s, place)
+    share = known_share(variance)
+    if share == 0.0:
+        return no_output(code.UNSEEN), variance, 0.0
+    status, force, d, gradient, rate = _forces(bound, at, phi, slope, forces)
+    for i in range(len(forces)):
+        for k in range(3):
+            forces[i, k] *= share
+    d, turned = through_warp(slope, d, gradient)
+    return (status, force, d, turned, rate), variance, dot(gradient, moving)
+
+
+@kernel
+def _warped_wall(
+    of_model: Any, f: FloatArray, inputs: Any, warps: Any, t_s: float, place: Vector
+) -> tuple[Output, float, float]:
+    """`worst_phase_force` through the warp; results as of `_warped_forces`."""
+    at, slope, variance, moving = warp_at(warps, inputs.pose_and_phase, t_s, place)
+    share = known_share(variance)
+    if share == 0.0:
+        return no_output(code.UNSEEN), variance, 0.0
+    status, force, d, gradient, rate = worst_phase_force(of_model, f, at, slope)
+    force = (share * force[0], share * force[1], share * force[2])
+    d, turned = through_warp(slope, d, gradient)
+    return (status, force, d, turned, rate), variance, dot(gradient, moving)
 
 
 @inlined
@@ -127,7 +170,13 @@ def fixtures_force(bound: Any, scratch: Any, inputs: Any, t_s: float, xyz: Float
     pose, phase = pose_at(inputs.pose_and_phase, t_s), phase_at(inputs.pose_and_phase, t_s)
     m.last_phase, m.phase_known = phase[0], 1
     _widen(bound.packed, bound.settings[0].fixtures, inputs.margin_mm)
-    output = _forces(bound, _in_model(pose, xyz), phase[0], scratch.forces)
+    place, variance, by_warp = _in_model(pose, xyz), 0.0, 0.0
+    if inputs.pose_and_phase.warped == 0.0:
+        output = _forces(bound, place, phase[0], None, scratch.forces)
+    else:
+        output, variance, by_warp = _warped_forces(
+            bound, inputs, scratch.warps, t_s, place, phase[0], scratch.forces
+        )
     if output[0] != code.OK:
         return output[0]
     _turn_forces(pose, scratch.forces)
@@ -136,9 +185,12 @@ def fixtures_force(bound: Any, scratch: Any, inputs: Any, t_s: float, xyz: Float
     sample.rate_mm_per_cycle = output[4] if bound.settings[0].fixtures.path_points[0] == 0 else math.nan
     sample.gradient[0], sample.gradient[1], sample.gradient[2] = gradient
     _compose(bound, scratch, composed)
-    sample.distance_rate_mm_s, sample.sigma_mm = distance_rate_and_sigma(
-        inputs.pose_and_phase, pose, phase, xyz, gradient, output[4]
-    )
+    by_place, sigma = distance_rate_and_sigma(inputs.pose_and_phase, pose, phase, xyz, gradient, output[4])
+    sample.distance_rate_mm_s = by_place
+    sample.sigma_mm = sigma
+    if inputs.pose_and_phase.warped != 0.0:
+        sample.distance_rate_mm_s = by_place - by_warp
+        sample.sigma_mm = math.sqrt(sigma * sigma + variance)
     return code.OK
 
 
@@ -184,10 +236,15 @@ def cross_to_walls(
     pose = pose_at(pose_phase, t_s)
     place = _in_model(pose, xyz)
     _widen(bound.packed, of, inputs.margin_mm)
-    crossing = status == code.NO_PHASE and share < 1.0
-    if crossing and _forces(bound, place, m.last_phase, forces)[0] == code.OK:
-        _turn_forces(pose, forces)
-        _compose(bound, scratch, composed)
+    of_warp = pose_phase.warped != 0.0
+    if status == code.NO_PHASE and share < 1.0:
+        if of_warp:
+            held = _warped_forces(bound, inputs, scratch.warps, t_s, place, m.last_phase, forces)[0][0]
+        else:
+            held = _forces(bound, place, m.last_phase, None, forces)[0]
+        if held == code.OK:
+            _turn_forces(pose, forces)
+            _compose(bound, scratch, composed)
     if status == code.OK and share <= 0.0:
         return status
     begun = False
@@ -196,7 +253,13 @@ def cross_to_walls(
         if of.forbidden[i] == 0.0:
             continue
         of_model = bound.periodic if int(bound.packed[i, BLEND]) == BLEND_PERIODIC else bound.linear
-        worst = worst_phase_force(of_model, bound.packed[i], place)
+        variance, by_warp = 0.0, 0.0
+        if of_warp:
+            worst, variance, by_warp = _warped_wall(
+                of_model, bound.packed[i], inputs, scratch.warps, t_s, place
+            )
+        else:
+            worst = worst_phase_force(of_model, bound.packed[i], place, None)
         if worst[0] != code.OK:
             _forget_force(m, sample, composed)
             return worst[0]
@@ -206,9 +269,9 @@ def cross_to_walls(
             gradient = _to_tracker(pose, worst[3])
             sample.distance_mm, sample.rate_mm_per_cycle = worst[2], 0.0
             sample.gradient[0], sample.gradient[1], sample.gradient[2] = gradient
-            sample.distance_rate_mm_s, sample.sigma_mm = distance_rate_and_sigma(
-                pose_phase, pose, NO_RATE, xyz, gradient, 0.0
-            )
+            by_place, sigma = distance_rate_and_sigma(pose_phase, pose, NO_RATE, xyz, gradient, 0.0)
+            sample.distance_rate_mm_s = by_place - by_warp
+            sample.sigma_mm = math.sqrt(sigma * sigma + variance) if of_warp else sigma
     _turn_forces(pose, forces)
     _compose(bound, scratch, other)
     for k in range(3):

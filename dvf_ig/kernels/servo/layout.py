@@ -5,11 +5,13 @@ an offset cost. Every field has 8 bytes, so that what threads share is copied wo
 are sums of bits in whole numbers.
 """
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from dvf_ig.core import FloatArray
+from dvf_ig.core.space.warp import COEFFICIENTS
 from dvf_ig.kernels.composition import COMPOSED, work_size
 from dvf_ig.kernels.place import POSE_AND_PHASE
 
@@ -24,11 +26,13 @@ INPUTS = np.dtype(
         ("tool_status", _I),
         ("tracker_from_device", _F, (3, 4)),
         ("margin_mm", _F, (MAX_FIXTURES,)),
+        ("warps_number", _I),
         ("pose_and_phase", POSE_AND_PHASE),
     ]
 )
 """Values published by a session. Only pose and phase live in the session's time: what fades, latches or times
-out, and `valid_until_s`, runs by the servo's own clock, which no session can set back."""
+out, and `valid_until_s`, runs by the servo's own clock, which no session can set back. The coefficients of
+warps follow in the same memory (`Published`); they are copied where `warps_number` has changed."""
 
 FIXTURES = np.dtype(
     [
@@ -219,6 +223,29 @@ def row_words(rows: Any) -> Any:
 
 
 INPUT_WORDS, ROW_WORDS = INPUTS.itemsize // 8, ROW.itemsize // 8
+_PLACES: Any = INPUTS.fields
+WARPS_NUMBER_WORD = _PLACES["warps_number"][1] // 8
+WARPS_SHAPE = (2, COEFFICIENTS, COEFFICIENTS, 4 * COEFFICIENTS)
+
+
+class Published(NamedTuple):
+    """Memory of one publication, in three forms.
+
+    Attributes:
+        words: (n,) int64, all of it; inputs: (1,) INPUTS, its first INPUT_WORDS.
+        warps: WARPS_SHAPE float32, `dvf_ig.kernels.place.packed_warps` of the change of shape.
+    """
+
+    words: Any
+    inputs: Any
+    warps: Any
+
+
+def new_published() -> Published:
+    """Return a publication of zeros."""
+    memory = np.zeros(INPUT_WORDS + math.prod(WARPS_SHAPE) // 2, dtype=np.int64)
+    warps = memory[INPUT_WORDS:].view(np.float32).reshape(WARPS_SHAPE)
+    return Published(memory, memory[:INPUT_WORDS].view(INPUTS), warps)
 
 
 class Bound(NamedTuple):
@@ -243,12 +270,14 @@ class Scratch(NamedTuple):
     """Memory and working space of a servo's ticks, for k fixtures; `inputs` and `row` also as words.
 
     Attributes:
-        memory: (1,) MEMORY; inputs: (1,) INPUTS that were read last; row: (1,) ROW of the last tick.
+        memory: (1,) MEMORY; row: (1,) ROW of the last tick.
+        inputs: (1,) INPUTS that were read last; warps: with them.
         sample: (1,) SAMPLE; forces: (k, 3); composed, other: (1,) COMPOSED.
     """
 
     memory: Any
     inputs: Any
+    warps: Any
     input_words: Any
     read_words: Any
     row: Any
@@ -264,12 +293,13 @@ class Scratch(NamedTuple):
 
 def new_scratch(fixtures: int) -> Scratch:
     """Memory before the first tick, and working space, for `fixtures` fixtures."""
-    inputs, row = np.zeros(1, INPUTS), np.zeros(1, ROW)
+    read, row = new_published(), np.zeros(1, ROW)
     return Scratch(
         memory=new_memory(),
-        inputs=inputs,
-        input_words=words(inputs),
-        read_words=np.zeros(INPUT_WORDS, dtype=np.int64),
+        inputs=read.inputs,
+        warps=read.warps,
+        input_words=read.words,
+        read_words=np.zeros_like(read.words),
         row=row,
         row_words=words(row),
         sample=np.zeros(1, SAMPLE),

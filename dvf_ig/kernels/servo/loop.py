@@ -5,12 +5,12 @@ from typing import Any
 import numpy as np
 
 from dvf_ig.core import FloatArray
-from dvf_ig.kernels.compiled import kernel
+from dvf_ig.kernels.compiled import inlined, kernel
 
 from .borrowed import borrowed
 from .clock import elapsed_ns, monotonic_ns, sleep_until, wake_exactly
 from .device_call import call_device
-from .layout import ROW_WORDS
+from .layout import INPUT_WORDS, ROW_WORDS, WARPS_NUMBER_WORD
 from .shared import (
     fence_acquire,
     load_ordered,
@@ -131,6 +131,13 @@ def _send(
     return sent
 
 
+@inlined
+def _read_inputs(counter: Any, shared: Any, seen: int, scratch: Any) -> int:
+    """Read what the session has published since the count `seen`; see `read_shared`."""
+    read, work = scratch.input_words, scratch.read_words
+    return read_shared(counter, shared, seen, read, work, INPUT_WORDS, WARPS_NUMBER_WORD)
+
+
 @kernel
 def run_servo(
     bound: Any,
@@ -168,7 +175,7 @@ def run_servo(
     inputs, row = scratch.inputs[0], scratch.row[0]
     missed = bound.settings[0].hazards.missed_deadlines
     wake_exactly()
-    seen = read_shared(counter, shared, -1, scratch.input_words, scratch.read_words)
+    seen = _read_inputs(counter, shared, -1, scratch)
     ticks, overran, sent_ns = 0, False, 0
     simulated_ticks = len(simulated_late_ns)
     simulated, limit_ns = simulated_ticks > 0, load_ordered(numbers, LATE_NS)
@@ -195,7 +202,7 @@ def run_servo(
             hazards |= missed
         if load_ordered(numbers, TRIPPED) != 0:
             hazards |= missed
-        seen = read_shared(counter, shared, seen, scratch.input_words, scratch.read_words)
+        seen = _read_inputs(counter, shared, seen, scratch)
         _answer_rearm(numbers, bound, scratch, now * 1e-9)
         device_status = call_device(device[0], context, now, xyz)
         servo_tick(bound, scratch, inputs, xyz, device_status, now * 1e-9, hazards, force)

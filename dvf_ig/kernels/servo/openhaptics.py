@@ -74,6 +74,8 @@ def exchange(context: Any) -> int:
         c[SEEN_FORCE],
         n[FRAME + 3 : FRAME + 7],
         n[FRAME + 7 : FRAME + 11],
+        4,
+        0,
     )
     c[SEEN_FORCE] = seen
     error = load_relaxed(c, ERROR)
@@ -101,6 +103,8 @@ def read_openhaptics(context: Any, now_ns: int, out: Any) -> int:
         c[SEEN_POSITION],
         n[LAST_XYZ : LAST_XYZ + 3],
         n[WORK : WORK + 3],
+        3,
+        0,
     )
     if seen != c[SEEN_POSITION] or c[READ_NS] == 0:
         c[SEEN_POSITION], c[READ_NS] = seen, now_ns

@@ -123,24 +123,26 @@ def publish(counter: Any, shared: Any, values: Any) -> None:
 
     Args:
         counter: (n,) int64, of which the first is the lock's count.
-        shared, values: (m,) of one type of 8 bytes.
+        shared: (m,) of a type of 8 bytes; values: of the same, its first numbers, or all of them.
     """
     count = load_relaxed(counter, 0)
     store_relaxed(counter, 0, count + 1)
     fence_release()
-    for i in range(len(shared)):
+    for i in range(len(values)):
         store_relaxed(shared, i, values[i])
     store_release(counter, 0, count + 2)
 
 
 @kernel
-def read_shared(counter: Any, shared: Any, seen: int, out: Any, work: Any) -> int:
+def read_shared(counter: Any, shared: Any, seen: int, out: Any, work: Any, head: int, number: int) -> int:
     """Read the shared array into `out`; `out` stays as it is where nothing is new or every read was torn.
 
     Args:
         counter, shared: as in `publish`.
         seen: count of the last read, or −1.
         out, work: (m,) of the reader.
+        head: of the numbers, those that change with every publication; the others are read where that at
+            `number`, in the head, differs from the one in `out`.
     Returns:
         the count that was read.
     """
@@ -150,11 +152,14 @@ def read_shared(counter: Any, shared: Any, seen: int, out: Any, work: Any) -> in
             return seen
         if count & 1:
             continue
-        for i in range(len(shared)):
+        for i in range(head):
+            work[i] = load_relaxed(shared, i)
+        changed = head if work[number] == out[number] else len(shared)
+        for i in range(head, changed):
             work[i] = load_relaxed(shared, i)
         fence_acquire()
         if load_relaxed(counter, 0) == count:
-            for i in range(len(out)):
+            for i in range(changed):
                 out[i] = work[i]
             read: int = count
             return read

@@ -9,7 +9,7 @@ from dvf_ig.core import FloatArray
 from dvf_ig.kernels.compiled import inlined, kernel
 from dvf_ig.kernels.place import phase_at
 
-from .layout import INPUT_WORDS
+from .layout import INPUT_WORDS, WARPS_NUMBER_WORD
 from .tick import servo_tick
 
 SMOOTHED_S = 0.005
@@ -85,7 +85,7 @@ def tick_until(
     Args:
         bound, scratch: `Bound` and `Scratch` of `layout`; the record of the last tick is in `scratch.row`.
         tool: TRACKED.
-        published: (INPUT_WORDS,) INPUTS of now, as words.
+        published: words of `Published`, of now.
         tip_mm, velocity_mm_s: (3,) of the tool now, if `known`.
     """
     period_s, inputs, m = bound.settings[0].period_s, scratch.inputs[0], scratch.memory[0]
@@ -96,7 +96,8 @@ def tick_until(
         last = not at_s < now_s - 0.5 * period_s or ticks == MOST_TICKS
         if last:
             at_s = now_s
-            for k in range(INPUT_WORDS):
+            same = published[WARPS_NUMBER_WORD] == scratch.input_words[WARPS_NUMBER_WORD]
+            for k in range(INPUT_WORDS if same else len(published)):
                 scratch.input_words[k] = published[k]
             if tip_seen:
                 publish_tip(tool, tip_mm, velocity_mm_s, now_s)

@@ -5,14 +5,13 @@ where it is largest. The change is a pull-back: what lies at q at the registered
 the model. It contains what the registered pose is off by.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy import ndimage
 
-from dvf_ig.core import FloatArray, Rigid, read_only_arrays
+from dvf_ig.core import RIGID_SIGMA_MM, FloatArray, Rigid, Warp, read_only_arrays
+from dvf_ig.core.space.warp import CELLS, knots
 from dvf_ig.kernels.boundary import DistanceSplines, boundary_distances
 from dvf_ig.registration.boundary.fit import Boundary
 from dvf_ig.registration.boundary.target import BoundaryTarget
@@ -37,7 +36,6 @@ LEAST_POINTS = 150
 SIGMA_FACTOR = 1.5
 """Factor on standard deviations: of tuning hearts 1001 to 1005 the errors where the wall is seen are
 1.1 (filled) to 2.0 times (5 mm different) what prior and noise leave."""
-KNOT_MM = 16.0
 MARGIN_MM = 30.0
 """How far the pull-back is given beyond the walls."""
 WALL_MM = (-12.0, 2.0)
@@ -45,8 +43,15 @@ WALL_MM = (-12.0, 2.0)
 WALL_PLACES = 700
 PATCH_MM, PATCH_POINTS = 30.0, 8
 """Edge of a patch of wall whose shift is stated, and the points it needs."""
-LARGEST_RIGID_MM = 2.5 / 1.96
-"""RMS shift of the seen walls above which the model as it is would be 2.5 mm off in 5 of 100 places."""
+LARGEST_SCALE_MM = 3.0
+"""Scale of a change from which fixtures do not follow it: of the wall that is then known well enough for a
+force, 1 % is more than 3 mm off (threshold hearts 2101 and 2102)."""
+LARGEST_SLOPE = 0.35
+"""Largest ‖Dm‖: beyond it the warped distance is none, and folds are near."""
+LARGEST_SHARED = 0.7
+"""Mean square of the boundary's shared error beyond which what is seen is no change of shape."""
+HELD_OUT_FRAMES = 4
+"""Frames in a row that are held out together."""
 SIDES = (("right", "left"), ("anterior", "posterior"), ("inferior", "superior"))
 """Names of the sides of the heart along the axes of LPS, negative and positive."""
 
@@ -57,43 +62,46 @@ class ShapeChange:
     """A change of the heart's shape, at the pose of the registration that found it.
 
     Attributes:
-        frame: of the model.
-        origin_mm: (3,) where knot coordinates are 0; coefficients j to j + 3 belong to the cell after knot j.
-        knot_mm: pitch of the knots.
-        coefficients: (nx, ny, nz, 4) float32 of a cubic spline: m in mm, and the variance in mm² of the
-            place of the wall along its normal, the pose's included.
+        warp: the pull-back m, with the variance of the wall's place along its normal, the pose's included.
         scale_mm: RMS size of changes that the evidence prefers.
         evidence: logarithm of the odds against a rigid heart.
         seen_mm: RMS shift of the seen walls along their normals.
         wall: which wall has moved most, for example "left anterior"; shift_mm: by how much, positive
             outward; sigma_mm: its standard deviation.
+        shared: mean square of the boundary's shared error after the change, see `ShapePosterior`.
+        held_out: misfit of every second group of frames by the change that the others show, over that by the
+            rigid heart; below 1 if the change explains them better. None if nothing is to follow the change.
     """
 
-    frame: str
-    origin_mm: FloatArray
-    knot_mm: float
-    coefficients: NDArray[np.float32]
+    warp: Warp
     scale_mm: float
     evidence: float
     seen_mm: float
     wall: str
     shift_mm: float
     sigma_mm: float
-
-    def at(self, places_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(n, 3) m and (n,) standard deviation along the normal; beyond the knots as at their border."""
-        cells = np.array(self.coefficients.shape[:3]) - 3.0
-        knots = np.clip((places_mm - self.origin_mm) / self.knot_mm, 0.0, cells) + 1.0
-        lanes = [
-            ndimage.map_coordinates(self.coefficients[..., lane], knots.T, output=np.float64, prefilter=False)
-            for lane in range(4)
-        ]
-        return np.stack(lanes[:3], axis=1), np.sqrt(np.maximum(lanes[3], 0.0))
+    shared: float
+    held_out: float | None = None
 
     @property
-    def large(self) -> bool:
-        """Whether the model as it is lies too far from the seen walls to guide."""
-        return self.seen_mm > LARGEST_RIGID_MM
+    def followed(self) -> Warp | None:
+        """The warp that fixtures follow; None of a change within the margins of an unchanged heart."""
+        return self.warp if self.seen_mm > RIGID_SIGMA_MM else None
+
+    @property
+    def refusal(self) -> str | None:
+        """Why fixtures cannot follow a change that they would have to; None if they can, or need not."""
+        if self.followed is None:
+            return None
+        if self.scale_mm >= LARGEST_SCALE_MM:
+            return f"it has changed by about {self.scale_mm:g} mm, more than the model can follow"
+        if self.warp.steepest > LARGEST_SLOPE:
+            return "it has changed too abruptly for the model to follow"
+        if self.shared > LARGEST_SHARED:
+            return "the change leaves errors in the images that no shape explains"
+        if self.held_out is not None and self.held_out >= 1.0:
+            return "the change does not explain frames that were held out"
+        return None
 
     @property
     def sentence(self) -> str:
@@ -131,7 +139,30 @@ def change_of_shape(
     evidence = best.log_evidence - rigid.log_evidence
     if evidence < LEAST_EVIDENCE:
         return None
-    return _change(boundary.target, problem, modes, best, evidence)
+    change = _change(boundary.target, problem, modes, best, evidence)
+    if change.followed is None or change.refusal is not None:
+        return change
+    return replace(change, held_out=_held_out(boundary, offset_mm, pose, modes, best.scale_mm, noise))
+
+
+def _held_out(
+    boundary: Boundary, offset_mm: float, pose: Rigid, modes: ShapeModes, scale_mm: float, noise: float
+) -> float:
+    """Compute how much better the change that half of the frames show explains the other half."""
+    frame = np.cumsum(np.diff(boundary.points.model_phase, prepend=0.0) != 0.0)
+    odd = frame // HELD_OUT_FRAMES % 2 == 1
+    halves = [
+        ShapeProblem(Boundary(boundary.points.subset(part), boundary.target), offset_mm, pose, modes, MODES)
+        for part in (odd, ~odd)
+    ]
+    if min(len(half) for half in halves) < LEAST_POINTS:
+        return np.inf
+    changed = rigid = 0.0
+    for seen, unseen in (halves, halves[::-1]):
+        alone = seen.fit(0.0, noise)
+        rigid += unseen.misfit(alone)
+        changed += unseen.misfit(seen.fit(scale_mm, noise, alone))
+    return changed / rigid
 
 
 def _change(
@@ -145,26 +176,20 @@ def _change(
     pulled, variance = _field(modes, best, problem.places_mm, problem.outward)
     shift = np.einsum("ni,ni->n", problem.outward, pulled)
     wall, shift_mm, sigma_mm = _most_moved(problem, modes.center_mm, shift, variance)
-    low = modes.nodes_mm.min(axis=0) - MARGIN_MM
-    counts = np.ceil((modes.nodes_mm.max(axis=0) + MARGIN_MM - low) / KNOT_MM).astype(int) + 1
-    axes = [low[k] + KNOT_MM * np.arange(counts[k]) for k in range(3)]
-    knots = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    normals = _outward(target, knots, modes.center_mm)
-    samples = np.column_stack(_field(modes, best, knots, normals)).reshape(*counts, 4)
-    coefficients = np.stack([_spline_coefficients(samples[..., lane]) for lane in range(4)], axis=-1).astype(
-        np.float32
-    )
+    low, high = modes.nodes_mm.min(axis=0) - MARGIN_MM, modes.nodes_mm.max(axis=0) + MARGIN_MM
+    knot_mm = float((high - low).max()) / CELLS
+    origin_mm = 0.5 * (low + high - CELLS * knot_mm)
+    places = knots(origin_mm, knot_mm)
+    pulled, variance = _field(modes, best, places, _outward(target, places, modes.center_mm))
     return ShapeChange(
-        frame=target.frame,
-        origin_mm=low,
-        knot_mm=KNOT_MM,
-        coefficients=coefficients,
+        warp=Warp.through(target.frame, origin_mm, knot_mm, pulled, variance),
         scale_mm=best.scale_mm,
         evidence=float(evidence),
         seen_mm=float(np.sqrt(np.mean(shift**2))),
         wall=wall,
         shift_mm=shift_mm,
         sigma_mm=sigma_mm,
+        shared=best.shared,
     )
 
 
@@ -233,9 +258,3 @@ def _outward(target: BoundaryTarget, places_mm: FloatArray, center_mm: FloatArra
     length = np.linalg.norm(gradient, axis=1, keepdims=True)
     normals = np.where(length > 0.2, target.polarity * gradient, away)
     return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9))
-
-
-def _spline_coefficients(samples: FloatArray) -> FloatArray:
-    """(nx + 2, ny + 2, nz + 2) coefficients of the cubic spline through samples at knots."""
-    filtered = ndimage.spline_filter(samples, order=3, output=np.float64, mode="mirror")
-    return np.asarray(np.pad(filtered, 1, mode="reflect"))

@@ -56,12 +56,14 @@ class ShapePosterior:
         covariance_mm2: (7 + k, 7 + k) of the state.
         scale_mm: s; 0 if the heart was taken to be rigid.
         log_evidence: up to a constant that fits of one problem share.
+        shared: mean square of the shared error's coefficients w, a priori 1.
     """
 
     state: FloatArray
     covariance_mm2: FloatArray
     scale_mm: float
     log_evidence: float
+    shared: float
 
 
 class ShapeProblem:
@@ -155,7 +157,14 @@ class ShapeProblem:
             - 0.5 * float(np.linalg.slogdet(reduced)[1])
             - float(np.log(np.diag(factor[0])).sum())
         )
-        return ShapePosterior(state, np.linalg.inv(reduced), scale_mm, log_evidence)
+        shared = float(np.mean(w**2))
+        return ShapePosterior(state, np.linalg.inv(reduced), scale_mm, log_evidence, shared)
+
+    def misfit(self, fit: ShapePosterior) -> float:
+        """Mean of the points' robust squared residuals by a fit, also one to other points."""
+        residual = self._expansion(fit.state, self._modes[:, :, : len(fit.state) - 7])[0]
+        near = 1.0 / (1.0 + (residual / OUTLIER_MM) ** 2)
+        return float(self._weight @ (residual**2 * near) / self._weight.sum())
 
     def _expansion(self, state: FloatArray, modes: FloatArray) -> tuple[FloatArray, FloatArray]:
         """(n,) residual without the shared error, and (n, 7 + k) its derivative by the state."""

@@ -32,6 +32,7 @@ from dvf_ig.core import (
     FloatArray,
     InvalidInputError,
     Rigid,
+    Warp,
     mean_displacement_mm,
     read_only_arrays,
 )
@@ -110,6 +111,7 @@ class PoseEstimate:
         shared_mm2: S, of the error that all beats have in common.
         shape_step: the pose is shape_step ∘ that at which images match best, which a change of the heart's
             shape has pulled aside (`registration.shape`); None if they are the same.
+        warp: change of the heart's shape at `pose`; None if the last registration found none.
     """
 
     pose: Rigid
@@ -117,6 +119,7 @@ class PoseEstimate:
     center_mm: FloatArray
     shared_mm2: FloatArray
     shape_step: Rigid | None = None
+    warp: Warp | None = None
 
     @classmethod
     def from_registration(
@@ -126,14 +129,17 @@ class PoseEstimate:
         noise_covariance: FloatArray,
         center_mm: FloatArray,
         matched: Rigid | None = None,
+        warp: Warp | None = None,
     ) -> "PoseEstimate":
         """From a registration's covariances in rad², mm²: beats improve the noise alone.
 
         Args:
             matched: where its images match best; None: at the pose.
+            warp: change of the heart's shape at the pose.
         """
         step = None if matched is None else pose @ matched.inverse()
-        return cls(pose, covariance_to_mm(noise_covariance), center_mm, covariance_to_mm(covariance), step)
+        noise, all_errors = covariance_to_mm(noise_covariance), covariance_to_mm(covariance)
+        return cls(pose, noise, center_mm, all_errors, step, warp)
 
     @property
     def matched_pose(self) -> Rigid:
@@ -189,7 +195,10 @@ class PoseEstimate:
             registered.shared_mm2 + beats * PROCESS_NOISE_MM**2 * np.eye(6),
             chart.coordinates(registered.pose),
         )
-        there = replace(self, pose=chart.pose(offset), shared_mm2=shared)
+        pose, warp = chart.pose(offset), registered.warp
+        if warp is not None:  # the walls are where the registration saw them
+            warp = warp.at_pose(registered.pose, pose)
+        there = replace(self, pose=pose, shared_mm2=shared, warp=warp)
         if registered.shape_step is self.shape_step:
             return there
         reshaped = replace(there, shape_step=registered.shape_step)

@@ -9,7 +9,7 @@ from dvf_ig.registration import LANDMARKS_MM, PairEvidence, RegistrationResult
 from dvf_ig.registration.evidence.checks import WRONG_MM
 from dvf_ig.registration.evidence.image_offset import SUSPICIOUS_LOG_RATIO as CALIBRATION_LOG_RATIO
 from dvf_ig.registration.evidence.phase_offset import SUSPICIOUS_LOG_RATIO, SUSPICIOUS_S
-from dvf_ig.registration.shape.change import LARGEST_RIGID_MM
+from dvf_ig.registration.shape.change import LARGEST_SCALE_MM, LARGEST_SHARED, LARGEST_SLOPE
 from dvf_ig.report.registration import Check, Outcome
 
 BOUNDARY_UNSEEN = "no boundary seen"
@@ -134,18 +134,42 @@ def _image_offset(result: RegistrationResult) -> Check:
 
 
 def _shape(result: RegistrationResult) -> list[Check]:
-    """The shift of the seen walls, where the boundary shows that the heart has changed its shape."""
-    if result.shape is None:
+    """Whether fixtures can follow the change of the heart's shape, where they have to."""
+    shape = result.shape
+    if shape is None or shape.followed is None:
         return []
     return [
-        _at_most(
-            "Shape of the heart",
-            "RMS shift of the seen walls along their normals; most has moved the "
-            f"{result.shape.wall} wall, by {abs(result.shape.shift_mm):.1f} mm",
-            result.shape.seen_mm,
-            LARGEST_RIGID_MM,
-        )
+        Check(
+            "Abruptness of the change of shape",
+            "largest slope of the shift of the heart's walls",
+            f"{shape.warp.steepest:.2f}",
+            f"at most {LARGEST_SLOPE:g}",
+            _outcome(shape.warp.steepest <= LARGEST_SLOPE),
+        ),
+        Check(
+            "Size of the change of shape",
+            "RMS size of changes that the evidence prefers",
+            f"{shape.scale_mm:g} mm",
+            f"below {LARGEST_SCALE_MM:g} mm",
+            _outcome(shape.scale_mm < LARGEST_SCALE_MM),
+        ),
+        Check(
+            "What the change of shape leaves",
+            "mean square of the boundary's shared error, 1 a priori",
+            f"{shape.shared:.2f}",
+            f"at most {LARGEST_SHARED:g}",
+            _outcome(shape.shared <= LARGEST_SHARED),
+        ),
+        _held_out(shape.held_out),
     ]
+
+
+def _held_out(misfit: float | None) -> Check:
+    name = "Frames held out"
+    measures = "misfit of half of the frames by the change of shape that the others show, 1 without a change"
+    if misfit is None:
+        return Check(name, measures, "", "", Outcome.NOT_CHECKED)
+    return Check(name, measures, f"{misfit:.2f}", "below 1", _outcome(misfit < 1.0))
 
 
 def _pair(pair: PairEvidence) -> Check:

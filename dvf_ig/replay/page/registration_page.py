@@ -8,10 +8,12 @@ import numpy as np
 
 import dvf_ig
 from dvf_ig.core import HEART_RADIUS_MM, DvfModel, Landmarks
+from dvf_ig.core.space.warp import LARGEST_SIGMA_MM
 from dvf_ig.kernels.compiled import thread_count
 from dvf_ig.registration import RegistrationResult, least_constrained_direction
 from dvf_ig.report.plane_overlay import PlaneOverlay
 from dvf_ig.report.registration import Check, Outcome, RegistrationPage, Transform, registration_html
+from dvf_ig.report.registration.shape import ShapeShown, shape_shown
 from dvf_ig.report.viewer import RegistrationView, registration_payload, viewer_html
 
 from .registration_checks import checks_of
@@ -89,8 +91,18 @@ def registration_page(
                 ("threads", str(thread_count())),
             ),
             view=view,
+            shape=_shape(result, shown.model),
         )
     )
+
+
+def _shape(result: RegistrationResult, model: DvfModel | None) -> ShapeShown | None:
+    """The surface in the MR and now, at end-diastole; None if no change was found, or for a pair."""
+    change = result.shape
+    if change is None or model is None:
+        return None
+    mesh = model.reference[model.ed_phase]
+    return shape_shown(change.sentence, mesh, change.warp, LARGEST_SIGMA_MM)
 
 
 def registration_view(result: RegistrationResult, shown: ShownInput) -> str | None:

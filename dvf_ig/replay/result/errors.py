@@ -1,5 +1,6 @@
 """Errors in `result.json` against the ground truth: of poses, phase, force and the margin."""
 
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,7 @@ from .score import (
     score_force,
     score_hazard,
     score_phase,
+    score_surface,
     score_violation,
 )
 
@@ -29,6 +31,7 @@ ERROR_FIELDS = (
     "model_phase_error_mm",
     "force_error_n",
     "contact",
+    "surface_error_mm",
     "lag_error_s",
     "probe_error_mm",
     "tip_error_mm",
@@ -76,6 +79,9 @@ def error_fields(replay: Replay) -> dict[str, Any]:
         "served_share": float(with_force[contact].mean()) if contact.any() else 0.0,
     }
     if true_force is not None:
+        believed = np.where(valid, ticks.distance_mm, np.nan)
+        surface = score_surface(believed, distance, with_force, 1.0 / RATE_HZ)
+        out["surface_error_mm"] = None if surface is None else asdict(surface)
         force = score_force(ticks.force_n, valid & ticks.guided, true_force, contact)
         if force is not None:
             out["force_error_n"] = {"median": force.error_n_median, "p95": force.error_n_p95}

@@ -76,6 +76,9 @@ def _shape_change(shape: ShapeChange | None) -> dict[str, Any] | None:
         "seen_walls_mm": shape.seen_mm,
         "scale_mm": shape.scale_mm,
         "log_evidence": shape.evidence,
+        "steepest": shape.warp.steepest,
+        "shared_error": shape.shared,
+        "held_out": _finite(shape.held_out),
     }
 
 

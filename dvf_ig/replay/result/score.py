@@ -21,6 +21,8 @@ local."""
 CONTACT_MM = 0.0
 """Largest distance outside the true surface at which the tip is in contact."""
 
+FAR_OFF_MM = 3.0
+"""Error of the wall's place at the tool from which a force counts as far off."""
 HAZARD_FORCE_N = 0.001
 HAZARD_MM = 5.0
 """A tick is hazardous if it gives more than HAZARD_FORCE_N on a pose with a mean error above HAZARD_MM."""
@@ -42,6 +44,16 @@ class ForceScore:
 
     error_n_median: float
     error_n_p95: float
+
+
+@dataclass(frozen=True, slots=True)
+class SurfaceScore:
+    """Error of the guarded wall's place at the tool, and the seconds of force on one FAR_OFF_MM off."""
+
+    rms: float
+    median: float
+    p95: float
+    force_far_off_s: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,6 +170,28 @@ def score_force(
         return None
     error = np.linalg.norm(force_n[with_force] - true_force_n[with_force], axis=1)
     return ForceScore(float(np.median(error)), float(np.percentile(error, 95)))
+
+
+def score_surface(
+    believed_mm: FloatArray, true_mm: FloatArray, with_force: BoolArray, tick_s: float
+) -> SurfaceScore | None:
+    """Score the place of the wall at the tool, along its normal; None if the tool was never near it.
+
+    Args:
+        believed_mm, true_mm: (n,) signed distance at each tick, NaN where none is believed.
+        with_force: (n,) ticks in which a force was given.
+    """
+    off = np.abs(believed_mm - true_mm)
+    near = np.isfinite(off) & (np.abs(true_mm) <= NEAR_WALL_MM)
+    if not near.any():
+        return None
+    far_off = with_force & near & (off > FAR_OFF_MM)
+    return SurfaceScore(
+        float(np.sqrt(np.mean(off[near] ** 2))),
+        float(np.median(off[near])),
+        float(np.percentile(off[near], 95)),
+        float(far_off.sum() * tick_s),
+    )
 
 
 def score_hazard(force_n: FloatArray, pose_error_mm: FloatArray, tick_s: float) -> HazardScore:

@@ -18,6 +18,7 @@ from dvf_ig.report.plane_marks import LETTERS_NOTE, draw_plane_marks
 from dvf_ig.report.plane_overlay import AnatomyPlane, PlaneOverlay
 from dvf_ig.report.style import MR_ON_GREY, ON_GREY, jpeg_bytes
 
+from .shape import ShapeShown, shape_figure
 from .values import Check, Outcome, RegistrationPage, Transform
 
 if TYPE_CHECKING:
@@ -122,6 +123,7 @@ def registration_html(page: RegistrationPage) -> str:
             f"{PLANES_NOTE} {page.remark}".strip(),
             _planes(page),
         )
+        + _shape(page.shape)
         + section(
             "Evidence",
             "Checks of the pose. One failed check is enough to refuse it; passed checks are no proof.",
@@ -133,6 +135,15 @@ def registration_html(page: RegistrationPage) -> str:
         + section("How it was computed", "", table(("", ""), page.made))
     )
     return html_page(page.title, body, style=STYLE)
+
+
+def _shape(shape: ShapeShown | None) -> str:
+    """Build the section on a heart that has changed its shape."""
+    if shape is None:
+        return ""
+    said = f"{shape.sentence[0].upper()}{shape.sentence[1:]}."
+    picture = jpeg_tag(jpeg_bytes(shape_figure(shape)), "the heart's surface in the MR and now")
+    return section("The heart has changed its shape", said, picture)
 
 
 def _verdict(page: RegistrationPage) -> str:

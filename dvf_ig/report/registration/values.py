@@ -12,6 +12,8 @@ from dvf_ig.core.arrays import FloatArray, read_only_arrays
 from dvf_ig.core.space.frames import RAS_FROM_LPS
 from dvf_ig.report.plane_overlay import PlaneOverlay
 
+from .shape import ShapeShown
+
 
 class Outcome(Enum):
     """Outcome of a check; each value is the displayed text."""
@@ -85,6 +87,7 @@ class RegistrationPage:
         transform: the pose.
         made: rows on the computation.
         view: file name of the interactive page; empty without one.
+        shape: change of the heart's shape; None if none was found.
     """
 
     title: str
@@ -101,3 +104,4 @@ class RegistrationPage:
     transform: Transform
     made: Sequence[tuple[str, str]]
     view: str = ""
+    shape: ShapeShown | None = None

@@ -21,7 +21,8 @@ from typing import Any
 
 import numpy as np
 
-from dvf_ig.core import DvfModel, FloatArray, Mesh, Rigid
+from dvf_ig.core import RIGID_SIGMA_MM, DvfModel, FloatArray, Mesh, Rigid, Warp, WarpMotion
+from dvf_ig.core.space.warp import CELLS, knots
 from dvf_ig.guidance import (
     Evaluator,
     FixtureOptions,
@@ -37,9 +38,11 @@ from dvf_ig.guidance.device import COMMON_DEVICE
 from dvf_ig.guidance.devices.recorded import RecordedDevice
 from dvf_ig.guidance.servo import Deadlines, Servo, ServoInputs, ServoOptions, TrackedServo
 from dvf_ig.guidance.servo.bound import bind_fixtures
+from dvf_ig.guidance.servo.inputs import Publication
 from dvf_ig.guidance.servo.record import BINS, deadlines_of
 from dvf_ig.guidance.servo.servo import real_time_thread
 from dvf_ig.kernels.compiled import kernel
+from dvf_ig.kernels.pose_and_phase import GUIDED_SIZE, guided_batch
 from dvf_ig.kernels.servo import loop, shared
 from dvf_ig.kernels.servo.borrowed import borrowed
 from dvf_ig.kernels.servo.layout import new_scratch
@@ -295,7 +298,10 @@ def bench_tick(model: DvfModel, seed: int) -> TickCost:
     passes: dict[str, Pass] = {
         "one force": batch_of(arguments, path, phase),
         "one force, random": batch_of(arguments, anywhere, anywhen),
-        "servo tick": _ticks(model, path),
+        "one guided force": _guided(model, path, None),
+        "one guided force, warped": _guided(model, path, _warp(model)),
+        "servo tick": _ticks(model, path, None),
+        "servo tick, warped": _ticks(model, path, _warp(model)),
     }
     floor = compiled_floor(model, POSE, law)
     if floor is not None:
@@ -308,9 +314,12 @@ def bench_tick(model: DvfModel, seed: int) -> TickCost:
         for what, us in spent.items()
     )
     median = {one.what: one.median_us for one in rows}
-    ratios = {}
+    ratios = {
+        "one guided force, warped / plain": median["one guided force, warped"] / median["one guided force"],
+        "servo tick, warped / plain": median["servo tick, warped"] / median["servo tick"],
+    }
     if floor is not None:
-        ratios = {
+        ratios |= {
             "one force / C++ floor": median["one force"] / median["C++ floor"],
             "one force / C++ floor, random": median["one force, random"] / median["C++ floor, random"],
             "servo tick / C++ floor": median["servo tick"] / median["C++ floor"],
@@ -340,7 +349,30 @@ def _alternating(passes: dict[str, Pass]) -> dict[str, FloatArray]:
     return best
 
 
-def _ticks(model: DvfModel, tip: FloatArray) -> Pass:
+def _warp(model: DvfModel) -> WarpMotion:
+    """A heart that is 2 mm fuller."""
+    vertices = model.reference[model.ed_phase].vertices_mm
+    center, pitch = vertices.mean(axis=0), 0.1 * float(np.ptp(vertices, axis=0).max()) + 5.0
+    origin = center - 0.5 * CELLS * pitch
+    away = knots(origin, pitch) - center
+    variance = np.full(len(away), RIGID_SIGMA_MM**2)
+    return WarpMotion.still(Warp.through(model.frame, origin, pitch, 0.05 * away, variance))
+
+
+def _guided(model: DvfModel, tip: FloatArray, warp: WarpMotion | None) -> Pass:
+    """Force at a tip and time, through pose, phase and perhaps a change of shape; with rates and σ_d."""
+    t_s, status = np.arange(len(tip)) / RATE_HZ, np.zeros(len(tip), dtype=np.int64)
+    out = np.empty((len(tip), GUIDED_SIZE))
+    arguments = PoseAndPhase(*steady(POSE), warp=warp).bind(Evaluator(model, Sigmoid())).args
+    batch: Callable[..., None] = guided_batch
+
+    def run(i: int, j: int) -> None:
+        batch(*arguments, t_s[i:j], tip[i:j], status[i:j], out[i:j])
+
+    return run
+
+
+def _ticks(model: DvfModel, tip: FloatArray, warp: WarpMotion | None) -> Pass:
     """Pose, phase, two fixtures, composition, passivity, saturation, supervision; without device and clock.
 
     The hand goes to and fro on the first 2 s of its path: a jump to another place would latch the force.
@@ -351,9 +383,11 @@ def _ticks(model: DvfModel, tip: FloatArray) -> Pass:
     bound = bind_fixtures(Fixtures(model, TWO_FIXTURES), COMMON_DEVICE, ServoOptions(), 0.0)
     scratch = new_scratch(len(TWO_FIXTURES.fixtures))
     inputs = ServoInputs(
-        PoseAndPhase(*steady(POSE)), 0.0, Rigid.identity("tracker", "device"), valid_for_s=1e9
+        PoseAndPhase(*steady(POSE), warp=warp), 0.0, Rigid.identity("tracker", "device"), valid_for_s=1e9
     )
-    scratch.inputs[:], force = inputs.packed(0.0), np.empty(3)
+    publication, force = Publication(), np.empty(3)
+    publication.set(inputs, 0.0)
+    scratch.input_words[:] = publication.words
 
     def run(i: int, j: int) -> None:
         tick_batch(bound, scratch, tip[i:j], numbers, 1.0 / RATE_HZ, force)

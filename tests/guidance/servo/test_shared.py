@@ -27,7 +27,7 @@ def read_many(counter, shared, out, work, count):
     seen, reads, torn, back, before = -1, 0, 0, 0, -1.0
     while reads < count:
         count_before = seen
-        seen = read_shared(counter, shared, seen, out, work)
+        seen = read_shared(counter, shared, seen, out, work, len(out), 0)
         reads += seen != count_before
         for i in range(len(out)):
             torn += out[i] != out[0]
@@ -54,8 +54,18 @@ def test_a_sequence_lock_never_gives_a_torn_value():
 def test_a_reader_keeps_what_it_has_while_a_writer_is_in_the_middle():
     counter, shared, out = new_counter(), np.full(3, 7.0), np.full(3, 5.0)
     counter[0] = 3
-    assert read_shared(counter, shared, 2, out, np.zeros(3)) == 2
+    assert read_shared(counter, shared, 2, out, np.zeros(3), 3, 0) == 2
     np.testing.assert_array_equal(out, 5.0)
+
+
+def test_what_follows_the_head_is_read_where_its_number_has_changed():
+    counter, shared, out = new_counter(), np.zeros(4), np.zeros(4)
+    publish(counter, shared, np.array([1.0, 0.0, 7.0, 8.0]))
+    seen = read_shared(counter, shared, -1, out, np.zeros(4), 2, 1)
+    np.testing.assert_array_equal(out, [1.0, 0.0, 0.0, 0.0])
+    publish(counter, shared, np.array([2.0, 1.0]))
+    read_shared(counter, shared, seen, out, np.zeros(4), 2, 1)
+    np.testing.assert_array_equal(out, [2.0, 1.0, 7.0, 8.0])
 
 
 def test_a_ring_that_was_overwritten_says_so():

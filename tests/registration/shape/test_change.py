@@ -11,7 +11,7 @@ from dvf_ig.core import CycleTiming, FloatArray, Grid, Rigid, VolumeSeries
 from dvf_ig.registration import BLOOD, WALL, BoundaryPoints, BoundaryTarget, target_from_labels
 from dvf_ig.registration.boundary.fit import Boundary
 from dvf_ig.registration.pose_chart import rigid_motion
-from dvf_ig.registration.shape.change import LARGEST_RIGID_MM, ShapeChange, change_of_shape
+from dvf_ig.registration.shape.change import ShapeChange, change_of_shape
 from dvf_ig.registration.shape.modes import shape_modes
 
 CENTER = np.array([5.0, -10.0, 20.0])
@@ -63,11 +63,11 @@ def _on_wall(count: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArr
     return np.concatenate(places), np.concatenate(normals)
 
 
-def _boundary(seed: int, *, pressed: bool) -> Boundary:
+def _boundary(seed: int, *, pressed: float) -> Boundary:
     """Noisy boundary points of 0.7 mm with 5 % outliers, in the tracker's frame."""
     rng = np.random.default_rng(seed)
     wall, normal = _on_wall(1200, rng)
-    seen = wall + _pressed_mm(wall) if pressed else wall
+    seen = wall + pressed * _pressed_mm(wall)
     off = rng.normal(scale=0.7, size=len(seen))
     off[rng.random(len(off)) < 0.05] += 5.0
     back = POSE.inverse()
@@ -75,53 +75,91 @@ def _boundary(seed: int, *, pressed: bool) -> Boundary:
         "tracker",
         back.apply_array(seen + off[:, None] * normal),
         normal @ back.rotation.T,
-        np.zeros(len(seen)),
+        1e-3 * (np.arange(len(seen)) // 50 % 2),  # frames of 50 points
         np.ones(len(seen)),
     )
     return Boundary(points, _target())
 
 
-def _change(seed: int, *, pressed: bool) -> ShapeChange | None:
+def _change(seed: int, *, pressed: float) -> ShapeChange | None:
     return change_of_shape(_boundary(seed, pressed=pressed), 0.0, POSE, CENTER)
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_an_unchanged_heart_stays_rigid(seed: int) -> None:
-    assert _change(seed, pressed=False) is None
+    assert _change(seed, pressed=0.0) is None
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_a_pressed_wall_is_found_where_it_is(seed: int) -> None:
-    change = _change(seed, pressed=True)
+    change = _change(seed, pressed=1.0)
     assert change is not None
     wall, normal = _on_wall(800, np.random.default_rng(100 + seed))
     now = wall + _pressed_mm(wall)
-    pulled, sigma = change.at(now)
+    pulled, variance = change.warp.at(now)
+    sigma = np.sqrt(variance)
     without = np.einsum("ni,ni->n", normal, now - wall)
     left = np.einsum("ni,ni->n", normal, now - pulled - wall)
     assert np.sqrt(np.mean(left**2)) < 0.5 * np.sqrt(np.mean(without**2))
     assert 0.4 < np.sqrt(np.mean((left / sigma) ** 2)) < 1.3
-    behind = change.at(CENTER + np.array([[0.0, 45.0, 0.0]]))[1]
+    behind = np.sqrt(change.warp.at(CENTER + np.array([[0.0, 45.0, 0.0]]))[1])
     assert behind[0] > 2.0 * np.median(sigma), "what is not seen is not known"
 
 
 def test_a_change_is_said_in_words() -> None:
-    change = _change(1, pressed=True)
+    change = _change(1, pressed=1.0)
     assert change is not None
     assert change.wall == "left anterior"
     assert change.shift_mm == pytest.approx(-4.8, abs=1.5), (
         "the mean over a patch of it, less the pose's part"
     )
     assert f"the left anterior wall lies {-change.shift_mm:.1f} mm further in" in change.sentence
-    assert change.large
-    assert not replace(change, seen_mm=LARGEST_RIGID_MM).large
+    assert replace(change, scale_mm=1.5).refusal is None
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        ({"scale_mm": 5.0}, "more than the model can follow"),
+        ({"shared": 0.8}, "no shape explains"),
+        ({"held_out": 1.01}, "held out"),
+    ],
+)
+def test_what_the_model_cannot_hold_is_refused_by_name(changed: dict[str, float], words: str) -> None:
+    change = _change(1, pressed=1.0)
+    assert change is not None
+    assert words in str(replace(change, **({"scale_mm": 1.5} | changed)).refusal)
+
+
+def test_a_change_explains_frames_that_were_held_out() -> None:
+    """Below 1 even of points of which each has its own noise."""
+    change = _change(1, pressed=0.5)
+    assert change is not None
+    assert change.refusal is None
+    assert change.held_out is not None
+    assert change.held_out < 0.8
+
+
+def test_fixtures_follow_what_the_margins_of_an_unchanged_heart_do_not_hold() -> None:
+    change = _change(1, pressed=1.0)
+    assert change is not None
+    assert change.followed is change.warp
+    small = replace(change, seen_mm=0.79, scale_mm=5.0)
+    assert (small.followed, small.refusal) == (None, None)
+
+
+def test_an_abrupt_change_is_refused() -> None:
+    change = _change(1, pressed=1.0)
+    assert change is not None
+    steep = replace(change.warp, coefficients=4.0 * change.warp.coefficients)
+    assert "abruptly" in str(replace(change, scale_mm=1.5, warp=steep).refusal)
 
 
 @pytest.mark.parametrize("away_mm", [7.0, 45.0, 300.0])
 def test_points_that_fit_another_pose_say_nothing_of_the_shape(away_mm: float) -> None:
     """Nor do few, or none, near the model, as of a probe and a tool that were exchanged."""
     elsewhere = POSE.perturbed_left(np.zeros(3), np.array([0.0, away_mm, 0.0]), CENTER)
-    assert change_of_shape(_boundary(1, pressed=False), 0.0, elsewhere, CENTER) is None
+    assert change_of_shape(_boundary(1, pressed=0.0), 0.0, elsewhere, CENTER) is None
 
 
 def test_modes_have_no_rigid_part_and_are_ordered() -> None:

@@ -6,10 +6,13 @@ import numpy as np
 import pytest
 from html_outline import outline_of
 
+from dvf_ig.core import Mesh, Warp
+from dvf_ig.core.space.warp import knots
 from dvf_ig.report.plane_marks import scale_bar_mm
 from dvf_ig.report.plane_overlay import AnatomyPlane, PlaneOverlay
 from dvf_ig.report.registration import Check, Outcome, RegistrationPage, Transform, registration_html
 from dvf_ig.report.registration.page import checkerboard, checkerboard_figure, fused_figure, fused_rgb
+from dvf_ig.report.registration.shape import shape_shown
 
 TURN = np.array([[0.0, -1, 0, 5], [1, 0, 0, -7], [0, 0, 1, 9], [0, 0, 0, 1]])
 
@@ -73,6 +76,26 @@ def test_the_page_is_one_wellformed_file_that_loads_nothing() -> None:
     assert alts[2] == "frame 3, registered: MR and the model's contours over ultrasound"
     assert "Registration of &lt;toy&gt;" in text
     assert "distance &lt;of&gt; halves" in text
+
+
+def test_a_heart_of_another_shape_is_shown_beside_that_of_the_mr() -> None:
+    """A box whose front is 3 mm further out, and whose upper part is not known."""
+    corners = np.stack(np.meshgrid([-30.0, 30.0], [-20.0, 20.0], [-40.0, 40.0], indexing="ij"), axis=-1)
+    front = np.array([[0, 4, 5], [0, 5, 1]])
+    mesh = Mesh("mr", corners.reshape(-1, 3), np.concatenate([front, 7 - front]))
+    origin, knot_mm = np.full(3, -84.0), 14.0
+    places = knots(origin, knot_mm)
+    pull = np.where(places[:, 1:2] < 0.0, [0.0, -3.0, 0.0], 0.0)
+    warp = Warp.through("mr", origin, knot_mm, pull, np.where(places[:, 2] < 0.0, 0.1, 4.0))
+    shown = shape_shown("the front <lies> 3 mm further out", mesh, warp, 1.0)
+    outward = shown.outward_mm.reshape(2, 2, 2)
+    np.testing.assert_allclose(outward[:, 0], 3.0, atol=0.3)
+    np.testing.assert_allclose(outward[:, 1], 0.0, atol=0.3)
+    assert shown.known.reshape(2, 2, 2)[:, :, 0].all()
+    assert not shown.known.reshape(2, 2, 2)[:, :, 1].any()
+    html = registration_html(replace(page(), shape=shown))
+    assert "The front &lt;lies&gt; 3 mm further out." in html
+    assert html.count("<img") == registration_html(page()).count("<img") + 1
 
 
 def test_it_says_whether_the_pose_may_be_used() -> None:
