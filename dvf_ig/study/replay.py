@@ -3,27 +3,33 @@
 hazard_s is the time in which a force was given on a pose more than 5 mm off; the table shows the largest over
 the seeds. The unit is the seed: it draws patient and noise, and with `--heart varied` the heart too; the
 share of pose updates within their bound has an interval over resampled seeds. What holds from SETTLED_S on,
-when the motion in breathing has been learnt, has columns of its own in sessions that last longer.
+when the motion in breathing has been learnt, has columns of its own in sessions that last longer. With
+`--cines` the pre-operative images are real short-axis cines, and the hearts those of the experts' labels.
 
     dvf-ig study replay --preset lost-ultrasound --seeds 10 -o study
     dvf-ig study replay --preset calm --heart varied --seconds 40 --seeds 20 --seed 7101 -o study
     dvf-ig study replay --preset ventilated --preset breathing --seconds 100 --seeds 10 -o study
+    dvf-ig study replay --preset calm --cines acdc --voxel-mm 1.5,1.5,10 --seeds 3 -o study
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from enum import StrEnum
+from pathlib import Path
 
 import numpy as np
 
+from data_synth.cine_heart.anatomy import CineHeart
 from data_synth.heart.heart_spec import HeartSpec
 from data_synth.scenario.presets import PRESETS, ScenarioSpec, preset_name
-from data_synth.scenario.recording import phantom_scenario
+from data_synth.scenario.recording import cine_scenario, phantom_scenario
+from dvf_ig.core import InvalidInputError, Scenario, VolumeSeries
 from dvf_ig.intake.model_cache import cached_model
 from dvf_ig.replay import Replay, result_of, run_replay
 from dvf_ig.replay.result.errors import true_contact
 from dvf_ig.replay.result.score import CONTACT_MM, pose_errors_mm
 from dvf_ig.session.pose_states import ELSEWHERE_BEATS
+from dvf_ig.study.cines import labelled_cines, read_labelled_cine
 from dvf_ig.study.driver import (
     Driver,
     Line,
@@ -60,6 +66,10 @@ class ReplaySettings:
     preset: tuple[str, ...] = option("One preset; may be repeated (default: all).", ())
     motion: Motion = option("How far the heart moves.", Motion.paper5mm)
     heart: HeartKind = option("One heart for all seeds, or another for each.", HeartKind.standard)
+    cines: Path | None = option("Folder of patients as for `study cines`, whose hearts are replayed.", None)
+    voxel_mm: tuple[float, float, float] | None = option(
+        "Voxel size of cines whose header has lost it, three numbers of mm, for example 1.5,1.5,10.", None
+    )
     seconds: float = option("Length of each intervention.", 60.0)
     seeds: int = seeds_option(10)
     seed: int = seed_option(1)
@@ -93,7 +103,7 @@ class PresetSummary:
     """One preset over its seeds.
 
     Attributes:
-        preset: its name.
+        preset: its name; patient: of the cine, None for phantoms.
         seeds: replays; refused: those that ended in an error.
         guided: replays that gave a force at any time; the numbers below are over these, medians unless said.
         tre_median_mm, tre_worst_mm: median TRE of each replay: their median and their largest.
@@ -112,6 +122,7 @@ class PresetSummary:
     """
 
     preset: str
+    patient: str | None
     seeds: int
     refused: int
     guided: int
@@ -133,20 +144,25 @@ class PresetSummary:
     settled_p95_worst_mm: float | None
 
 
-def summarise_replays(lines: Sequence[Line], presets: Sequence[str]) -> list[PresetSummary]:
-    """A summary of each preset, in the order in which `trial_of` numbers them."""
+Kind = tuple[str, str | None]
+"""Preset, and patient of a cine or None for a phantom."""
+
+
+def summarise_replays(lines: Sequence[Line], kinds: Sequence[Kind]) -> list[PresetSummary]:
+    """A summary of each kind, in the order in which `trial_of` numbers them."""
     return [
-        _summary(preset, [line for line in lines if line["seed"] % len(presets) == place])
-        for place, preset in enumerate(presets)
+        _summary(kind, [line for line in lines if line["seed"] % len(kinds) == place])
+        for place, kind in enumerate(kinds)
     ]
 
 
-def _summary(preset: str, lines: Sequence[Line]) -> PresetSummary:
+def _summary(kind: Kind, lines: Sequence[Line]) -> PresetSummary:
     scored = [line for line in lines if "refused" not in line]
     tre = [line["tre_mm"]["median"] for line in scored if line["tre_mm"]]
     bounds = [line["pose_bound_mm"] for line in scored if line["pose_bound_mm"]]
     return PresetSummary(
-        preset=preset,
+        preset=kind[0],
+        patient=kind[1],
         seeds=len(lines),
         refused=len(lines) - len(scored),
         guided=len(tre),
@@ -226,25 +242,26 @@ KEPT = (
 """Fields of a replay's result that a line keeps."""
 
 
-def trial_of(settings: Settings, number: int) -> tuple[int, str]:
-    """Seed and preset of a trial; those of one seed follow one another."""
-    presets = settings["presets"]
-    return number // len(presets), presets[number % len(presets)]
+def trial_of(settings: Settings, number: int) -> tuple[int, Kind]:
+    """Seed and kind of a trial; those of one seed follow one another."""
+    kinds = settings["kinds"]
+    preset, patient = kinds[number % len(kinds)]
+    return number // len(kinds), (preset, patient)
 
 
-def trial_numbers(presets: int, first_seed: int, seeds: int) -> range:
+def trial_numbers(kinds: int, first_seed: int, seeds: int) -> range:
     """Numbers of the trials of consecutive seeds."""
-    return range(first_seed * presets, (first_seed + seeds) * presets)
+    return range(first_seed * kinds, (first_seed + seeds) * kinds)
 
 
 def replay_trial(settings: Settings, number: int) -> Line:
     """Make, replay and score one intervention.
 
     Args:
-        settings: `presets`, `motion`, `heart`, `seconds`.
+        settings: `kinds`, `motion`, `heart`, `seconds`, `cines`, `voxel_mm`.
         number: see `trial_of`.
     """
-    seed, preset = trial_of(settings, number)
+    seed, (preset, patient) = trial_of(settings, number)
     spec = ScenarioSpec(
         preset=preset,
         motion=settings["motion"],
@@ -252,17 +269,39 @@ def replay_trial(settings: Settings, number: int) -> Line:
         seconds=settings["seconds"],
         seed=seed,
     )
-    scenario = phantom_scenario(spec)
+    scenario = phantom_scenario(spec) if patient is None else _patient_scenario(spec, settings, patient)
     replay = run_replay(scenario, model=cached_model(scenario.preop).model)
     result, settled = result_of(replay), settled_part(replay)
     return {
         "scenario_seed": seed,
         "preset": preset,
+        "patient": patient,
         "usable_registrations": sum(a["usable"] for a in result["registrations"]),
         "registrations": len(result["registrations"]),
         "settled": None if settled is None else asdict(settled),
         **{name: result[name] for name in KEPT},
     }
+
+
+def _patient_scenario(spec: ScenarioSpec, settings: Settings, patient: str) -> Scenario:
+    """Record a scenario on a real cine, whose first phase is made end-diastole."""
+    cine = read_labelled_cine(Path(settings["cines"]) / patient, settings["voxel_mm"])
+    values = np.roll(cine.image.values, -cine.ed_phase, axis=0)
+    es_phase = (cine.es_phase - cine.ed_phase) % len(values)
+    image = VolumeSeries(cine.image.grid, values, cine.image.timing)
+    return cine_scenario(spec, CineHeart(patient, image, cine.ed, cine.es, es_phase))
+
+
+def _patients(settings: ReplaySettings) -> list[str] | list[None]:
+    """Names of the patients, all of whose files can be read; one None for phantoms."""
+    if settings.cines is None:
+        if settings.voxel_mm is not None:
+            raise InvalidInputError("--voxel-mm belongs to --cines")
+        return [None]
+    folders = labelled_cines(settings.cines)
+    for folder in folders:
+        read_labelled_cine(folder, settings.voxel_mm)
+    return [folder.name for folder in folders]
 
 
 def run(settings: ReplaySettings, driver: Driver) -> Result:
@@ -272,18 +311,21 @@ def run(settings: ReplaySettings, driver: Driver) -> Result:
     checked = ScenarioSpec(
         preset=presets[0], motion=settings.motion.value, seconds=settings.seconds, seed=settings.seed
     )
+    kinds: list[Kind] = [(preset, patient) for patient in _patients(settings) for preset in presets]
     described = {
-        "presets": presets,
+        "kinds": kinds,
+        "cines": None if settings.cines is None else str(settings.cines),
+        "voxel_mm": settings.voxel_mm,
         "motion": checked.motion,
         "heart": settings.heart.value,
         "seconds": checked.seconds,
     }
     lines = driver.trials(
         Trials("replay", described, replay_trial),
-        trial_numbers(len(presets), settings.seed, settings.seeds),
-        group_size=len(presets),
+        trial_numbers(len(kinds), settings.seed, settings.seeds),
+        group_size=len(kinds),
     )
-    rows = summarise_replays(lines, presets)
+    rows = summarise_replays(lines, kinds)
     summary = {**described, "seed": settings.seed, "seeds": settings.seeds, "rows": rows}
     return Result(summary, _table(rows), {"summary.json": summary})
 
@@ -298,7 +340,7 @@ def _table(rows: Sequence[PresetSummary]) -> Rows:
 def _cells(row: PresetSummary) -> tuple[str, ...]:
     tre = "" if row.tre_median_mm is None else f"{row.tre_median_mm:.2f}, {row.tre_worst_mm:.2f}"
     return (
-        row.preset,
+        row.preset if row.patient is None else f"{row.patient}, {row.preset}",
         f"{row.guided} of {row.seeds}",
         tre,
         number_text(row.force_error_n, "{:.3f}", ""),

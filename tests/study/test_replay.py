@@ -28,15 +28,15 @@ def line(number: int, tre_mm: float | None, hazard_s: float) -> dict[str, Any]:
 
 
 def test_the_trials_of_one_seed_follow_one_another() -> None:
-    settings = {"presets": list(PRESETS)}
-    numbers = trial_numbers(len(PRESETS), first_seed=7, seeds=2)
-    asked = [trial_of(settings, number) for number in numbers]
-    assert asked == [(seed, preset) for seed in (7, 8) for preset in PRESETS]
+    kinds = [(preset, None) for preset in PRESETS]
+    numbers = trial_numbers(len(kinds), first_seed=7, seeds=2)
+    asked = [trial_of({"kinds": kinds}, number) for number in numbers]
+    assert asked == [(seed, kind) for seed in (7, 8) for kind in kinds]
 
 
 def test_the_worst_seed_gives_the_hazard_and_the_median_the_error() -> None:
     lines = [line(4, 1.0, 0.0), line(6, 3.0, 4.0), line(8, None, 0.0), {"seed": 10, "refused": "no"}]
-    (calm, other) = summarise_replays(lines, ["calm", "ectopy"])
+    (calm, other) = summarise_replays(lines, [("calm", None), ("ectopy", None)])
     assert (calm.seeds, calm.refused, calm.guided) == (4, 1, 2)
     assert (calm.tre_median_mm, calm.tre_worst_mm) == (2.0, 3.0)
     assert (calm.hazard_s, calm.hazard_longest_s) == (4.0, 2.0)
