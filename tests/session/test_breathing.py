@@ -13,13 +13,8 @@ from data_synth.breathing.recorded import recorded_breathing
 from dvf_ig.core import HEART_RADIUS_MM, BoolArray, FloatArray, PoseMotion, Respiration, Rigid
 from dvf_ig.registration import BeatMeasurement, PoseChart
 from dvf_ig.session import RespirationSample
-from dvf_ig.session.breathing import (
-    BreathingRecord,
-    BreathingTracker,
-    FrameBreathing,
-    moved_to_rest,
-    no_log,
-)
+from dvf_ig.session.breathing import BreathingRecord, BreathingTracker, no_log
+from dvf_ig.session.breathing_motion import FrameBreathing, moved_to_rest
 from dvf_ig.session.reasons import BreathingReason
 
 CENTER = np.zeros(3)
