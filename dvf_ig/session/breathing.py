@@ -106,7 +106,7 @@ class BreathingTracker:
         self._from_ecg: BeatClock | None = None
         self._locked_s = -inf
         self._qrs = None if ecg_rate_hz is None else QrsGain(ecg_rate_hz)
-        self._beats: deque[tuple[float, float]] = deque(maxlen=REMEMBERED_BEATS)
+        self._beats: deque[tuple[float, FloatArray]] = deque(maxlen=REMEMBERED_BEATS)
         self._changed = False  # for good, and not learnt again yet
         self._motion = LearntMotion(center_mm, self._recorded.clock)
         self._watch = OscillationWatch(center_mm)
@@ -148,20 +148,22 @@ class BreathingTracker:
         """Add an R peak when it is detected."""
         if self._qrs is None or (self._beats and peak.t_s <= self._beats[-1][0]):
             return
-        gain = self._qrs.gain(peak.t_s, peak.detected_at_s)
-        self._beats.append((peak.t_s, gain))
+        rr_s = peak.t_s - self._beats[-1][0] if self._beats else nan
+        values = np.append(self._qrs.gains(peak.t_s, peak.detected_at_s), rr_s)
+        self._beats.append((peak.t_s, values))
         if self._from_ecg is not None:
-            self._from_ecg.add(peak.t_s, gain)
+            self._from_ecg.add(peak.t_s, values)
         elif self._watch.found is not None:
             self._follow_ecg(self._watch.found, peak.detected_at_s)
 
     def _follow_ecg(self, found: Oscillation, now_s: float) -> None:
         """Let the ECG follow the breath if it shows that rate."""
-        t_s, gains = np.array([beat for beat in self._beats if np.isfinite(beat[1])]).reshape(-1, 2).T
-        fitted = breathing_in_beats(t_s, gains)
-        if fitted is None or abs(60.0 / fitted.period_s - found.per_minute) > SAME_RATE_PER_MIN:
+        known = [beat for beat in self._beats if np.isfinite(beat[1]).all()]
+        t_s, values = np.array([t_s for t_s, _ in known]), np.array([values for _, values in known])
+        shown = breathing_in_beats(t_s, values) if known else None
+        if shown is None or abs(60.0 / shown.fitted.period_s - found.per_minute) > SAME_RATE_PER_MIN:
             return
-        self._from_ecg, self._locked_s = BeatClock(t_s, gains, fitted), now_s
+        self._from_ecg, self._locked_s = BeatClock(t_s, values, shown), now_s
         self._begin()
 
     def _begin(self) -> None:

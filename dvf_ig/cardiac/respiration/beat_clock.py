@@ -1,4 +1,4 @@
-"""Breathing clock from one value a heart beat, such as the size of its QRS complex.
+"""Breathing clock from what is known once a heart beat: the size of its QRS complex in each lead, and RR.
 
 Between and after the beats ρ is that of a quasi-periodic process, smoothed over the last REVISED_S and
 forecast ahead. Its standard deviation decides whether it tells where the heart is.
@@ -6,11 +6,12 @@ forecast ahead. Its standard deviation decides whether it tells where the heart 
 
 import math
 from collections import deque
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.signal import lfilter
 
-from dvf_ig.core import BoolArray, FloatArray
+from dvf_ig.core import BoolArray, FloatArray, read_only_arrays
 
 from .breath_clock import ARM, BEGIN, LAG_S, BreathEvent, BreathReading, BreathState
 from .quasi_periodic import QuasiPeriodic, fit_quasi_periodic
@@ -35,24 +36,61 @@ UNEXPECTED = 3.3
 ORDINARY_BREATHS = 2.0
 DEPTHS = (0.5, 1.6)
 """Range of ρ in a breath of the usual depth."""
+MOST_SPREADS = 8.0
+"""Beats further from the median than this multiple of the median distance are left out at first."""
 ANOTHER_ORIGIN = 3.0
 """A beat this far from the range of ρ is no sinus beat, and tells nothing of breathing."""
+
+
+@read_only_arrays
+@dataclass(frozen=True, slots=True, eq=False)
+class BreathInBeats:
+    """Breathing as beats show it.
+
+    Attributes:
+        direction: (columns,) of the beats' values in which it shows most.
+        fitted: to the values along it.
+    """
+
+    direction: FloatArray
+    fitted: QuasiPeriodic
+
+
+def breathing_in_beats(t_s: FloatArray, values: FloatArray) -> BreathInBeats | None:
+    """Find breathing in (n, columns) values of beats: in one column or in all; None if they show none."""
+    spread = np.median(np.abs(values - np.median(values, axis=0)), axis=0)
+    if len(t_s) < LEAST_BEATS or not (spread > 0.0).any():
+        return None
+    columns = np.diag(np.divide(1.0, spread, out=np.zeros(len(spread)), where=spread > 0.0))
+    _, axes = np.linalg.eigh(np.cov((values @ columns).T).reshape(columns.shape))
+    found = []
+    for direction in (*columns[spread > 0.0], columns @ axes[:, -1]):
+        along = values @ direction
+        along = along - np.median(along)
+        usual = np.abs(along) <= MOST_SPREADS * np.median(np.abs(along))
+        if usual.sum() >= LEAST_BEATS:
+            found.append(BreathInBeats(direction, fit_quasi_periodic(t_s[usual], along[usual])))
+    best = max(found, key=lambda one: one.fitted.gain, default=None)
+    return best if best is not None and best.fitted.gain >= LEAST_GAIN else None
 
 
 class BeatClock:
     """Causal breathing clock over beats; it begins with some that show breathing.
 
     Args:
-        t_s, values: (n,) of the beats, at least LEAST_BEATS.
-        fitted: to them, see `breathing_in_beats`.
+        t_s, values: (n,), (n, columns) of the beats.
+        found: in them, see `breathing_in_beats`.
     """
 
     continuous = False
 
-    def __init__(self, t_s: FloatArray, values: FloatArray, fitted: QuasiPeriodic) -> None:
-        self._beats: deque[tuple[float, float]] = deque(zip(t_s.tolist(), values.tolist(), strict=True))
-        self._fitted = fitted
-        self._middle = float(np.median(values))
+    def __init__(self, t_s: FloatArray, values: FloatArray, found: BreathInBeats) -> None:
+        self._direction, self._fitted = found.direction, found.fitted
+        along = values @ found.direction
+        self._middle = float(np.median(along))
+        usual = np.abs(along - self._middle) <= MOST_SPREADS * np.median(np.abs(along - self._middle))
+        t_s, along = t_s[usual], along[usual]
+        self._beats: deque[tuple[float, float]] = deque(zip(t_s.tolist(), along.tolist(), strict=True))
         self._ordinary_from_s = -math.inf
         self._missed = 0.0  # normalised error of the last beat's forecast
         self._latest_s = float(t_s[-1])
@@ -60,7 +98,7 @@ class BeatClock:
         self._armed = False
         self._counted_s = -math.inf  # onsets are counted until here
         times = np.arange(t_s[0], t_s[-1], STEP_S)
-        scale = learn_scale(fitted.predict(t_s, values - self._middle, times)[0][:, None])
+        scale = learn_scale(found.fitted.predict(t_s, along - self._middle, times)[0][:, None])
         self._origin, self._per_unit = (0.0, 0.0) if scale is None else (scale.origin[0], scale.direction[0])
         self._table = np.empty((0, 6))  # time, ρ, its two lags, σ, 1 where they do not tell the heart's place
         self._extend(float(t_s[0]))
@@ -85,9 +123,9 @@ class BeatClock:
         """Length of a breath."""
         return self._fitted.period_s
 
-    def add(self, t_s: float, value: float) -> None:
-        """Add a beat; NaN values and beats of another origin are left out."""
-        self._latest_s = t_s
+    def add(self, t_s: float, values: FloatArray) -> None:
+        """Add a beat with its (columns,) values; NaN values and beats of another origin are left out."""
+        self._latest_s, value = t_s, float(values @ self._direction)
         if math.isfinite(value) and not self._foreign(value):
             if self._is_unexpected(t_s, value):
                 self._beats.clear()
@@ -202,11 +240,3 @@ class BeatClock:
                 self._armed = False
                 self._onsets.append(at_s)
         self._counted_s = max(self._counted_s, final_s)
-
-
-def breathing_in_beats(t_s: FloatArray, values: FloatArray) -> QuasiPeriodic | None:
-    """Fit breathing to the values of (n,) beats; None if they show none."""
-    if len(t_s) < LEAST_BEATS:
-        return None
-    fitted = fit_quasi_periodic(t_s, values - np.median(values))
-    return fitted if fitted.gain >= LEAST_GAIN else None

@@ -1,6 +1,5 @@
-"""Size of each QRS complex relative to the usual one: the lungs' filling modulates it in every lead."""
+"""Size of each QRS complex relative to the usual one, which the lungs' filling modulates in each lead."""
 
-import math
 from collections import deque
 
 import numpy as np
@@ -16,7 +15,7 @@ KEEP_S = 5.0
 
 
 class QrsGain:
-    """Causal: the gain of a beat depends on nothing after its R peak was detected.
+    """Gains of beats by lead; causal: they depend on nothing after its R peak was detected.
 
     Args:
         rate_hz: sampling rate.
@@ -33,15 +32,18 @@ class QrsGain:
         while self._parts[0][0] < start_s - KEEP_S:
             self._parts.popleft()
 
-    def gain(self, peak_s: float, detected_s: float) -> float:
-        """Compute the gain of a beat; NaN unless all its samples had come by its detection."""
+    def gains(self, peak_s: float, detected_s: float) -> FloatArray:
+        """Compute (leads,) gains of a beat; NaN unless all its samples had come by its detection."""
         shape = self._shape(peak_s) if detected_s >= peak_s + QRS_S else None
-        if shape is None or (self._shapes and self._shapes[0].shape != shape.shape):
-            return math.nan
+        if shape is None:
+            return np.full(self._parts[-1][1].shape[1] if self._parts else 1, np.nan)
+        if self._shapes and self._shapes[0].shape != shape.shape:
+            self._shapes.clear()
         self._shapes.append(shape)
         usual = np.median(np.array(self._shapes), axis=0)
-        square = float(np.square(usual).sum())
-        return float((shape * usual).sum()) / square if square > 0.0 else math.nan
+        square = np.square(usual).sum(axis=0)
+        sizes = (shape * usual).sum(axis=0)
+        return np.divide(sizes, square, out=np.full(len(square), np.nan), where=square > 0.0)
 
     def _shape(self, peak_s: float) -> FloatArray | None:
         """Return (n, leads) samples about a peak, above their level; None if any is missing."""

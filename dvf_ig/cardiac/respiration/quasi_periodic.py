@@ -5,7 +5,8 @@ breaths (MacKay 1998; Roberts et al. 2013), a slow drift, and white noise,
 
     k(τ) = s² [ (e^{−2 sin²(πτ/P)/ℓ²} − c) / (1 − c) · e^{−τ²/2λ²} + e^{−τ²/2D²} + ν δ ],
 
-with c the mean of the periodic factor. P, λ, ℓ and ν are those of the highest likelihood on a grid.
+with c the mean of the periodic factor. P, λ, ℓ and ν are those of the highest likelihood on a grid about the
+strongest oscillation.
 """
 
 import math
@@ -20,8 +21,8 @@ from dvf_ig.core import FloatArray
 
 FREQUENCIES_HZ = np.arange(0.1, 0.56, 0.02)
 """Six to 33 breaths a minute."""
-REFINED = np.linspace(0.96, 1.04, 9)
-"""Periods relative to the last one between two searches of the whole grid, and relative to its best."""
+REFINED = np.linspace(0.94, 1.06, 13)
+"""Periods that are tried, relative to the last one, or to the strongest oscillation."""
 COHERENT_BREATHS = (1.5, 4.0)
 ROUGHNESS = (0.6, 1.0)
 NOISES = (0.02, 0.08, 0.3)
@@ -77,35 +78,41 @@ def fit_quasi_periodic(
     """Fit to (n,) samples of about zero mean.
 
     Args:
-        before: parameters near which to search; None searches all frequencies of breathing.
+        before: parameters near which to search; None begins at the strongest oscillation.
     """
     apart = t_s[:, None] - t_s
     drift, noise = _drift(apart), np.eye(len(t_s))
-    nothing = max(_likelihood(drift + level * noise, values)[0] for level in (*NOISES, 1.0, 4.0, 20.0))
 
-    def best(periods_s: FloatArray, shapes: tuple[tuple[float, float, float], ...]) -> QuasiPeriodic:
-        found = []
-        for period_s in periods_s.tolist():
-            for breaths, roughness, level in shapes:
-                coherence = _coherence(apart, breaths * period_s)
-                whole = _periodic(apart, period_s, roughness) * coherence + drift + level * noise
-                likelihood, variance = _likelihood(whole, values)
-                found.append(
-                    QuasiPeriodic(
-                        period_s, breaths * period_s, roughness, level, variance, likelihood - nothing
-                    )
-                )
+    def fitted(period_s: float, breaths: float, roughness: float, level: float) -> QuasiPeriodic:
+        coherence_s = breaths * period_s
+        waves = _periodic(apart, period_s, roughness) * _coherence(apart, coherence_s)
+        likelihood, variance = _likelihood(waves + drift + level * noise, values)
+        return QuasiPeriodic(period_s, coherence_s, roughness, level, variance, likelihood - nothing)
+
+    def best(found: list[QuasiPeriodic]) -> QuasiPeriodic:
         return max(found, key=lambda one: one.gain)
 
-    every = tuple(product(COHERENT_BREATHS, ROUGHNESS, NOISES))
-    if before is None:
-        shortest_s = BEATS_A_BREATH * float(np.median(np.diff(t_s)))
-        periods_s = 1.0 / FREQUENCIES_HZ
-        coarse = tuple(product(COHERENT_BREATHS, ROUGHNESS[1:], NOISES[1:]))
-        before = best(periods_s[periods_s >= shortest_s], coarse)
-    shape = (before.coherence_s / before.period_s, before.roughness, before.noise)
-    before = best(before.period_s * REFINED, (shape,))
-    return best(np.array([before.period_s]), every)
+    nothing = max(_likelihood(drift + level * noise, values)[0] for level in (*NOISES, 1.0, 4.0, 20.0))
+    shape, middle_s = (COHERENT_BREATHS[-1], ROUGHNESS[-1], NOISES[1]), strongest_period_s(t_s, values)
+    if before is not None:
+        middle_s = before.period_s
+        shape = (before.coherence_s / middle_s, before.roughness, before.noise)
+    nearest = best([fitted(period_s, *shape) for period_s in (middle_s * REFINED).tolist()])
+    shapes = product(COHERENT_BREATHS, ROUGHNESS, NOISES)
+    return best([fitted(nearest.period_s, *one) for one in shapes])
+
+
+def strongest_period_s(t_s: FloatArray, values: FloatArray) -> float:
+    """Find the period of the oscillation that explains most of (n,) samples, beside a linear drift."""
+    shortest_s = BEATS_A_BREATH * float(np.median(np.diff(t_s)))
+    after_s = t_s - t_s.mean()
+    missed = {}
+    for frequency_hz in FREQUENCIES_HZ[shortest_s * FREQUENCIES_HZ <= 1.0].tolist():
+        angle = 2.0 * np.pi * frequency_hz * after_s
+        waves = np.column_stack([np.ones(len(t_s)), after_s, np.cos(angle), np.sin(angle)])
+        residual = values - waves @ np.linalg.lstsq(waves, values, rcond=None)[0]
+        missed[1.0 / frequency_hz] = float(np.square(residual).sum())
+    return min(missed, key=missed.__getitem__)
 
 
 def _periodic(apart_s: FloatArray, period_s: float, roughness: float) -> FloatArray:
