@@ -32,6 +32,7 @@ from dvf_ig.registration import (
     Oscillation,
     OscillationWatch,
 )
+from dvf_ig.registration.unfollowed_breathing import GONE_MM
 
 from .breathing_motion import AHEAD_S, FrameBreathing, LearntMotion
 from .clocks import StampOrder
@@ -42,6 +43,8 @@ REMEMBERED_BEATS = 45
 """Beats whose ECG may show the breath."""
 SAME_RATE_PER_MIN = 2.4
 """Rates of ECG and heart beats differ by no more: two steps of the watch."""
+LEAST_EXCURSION_MM = 2.0 * GONE_MM
+"""A heart that moves by less with the breath of the ECG does not follow it."""
 UNFOLLOWED_S = 40.0
 """A clock from the ECG that has not been locked for so long is given up."""
 
@@ -144,27 +147,29 @@ class BreathingTracker:
         if self._qrs is not None:
             self._qrs.push(event.samples, event.start_s)
 
-    def add_peak(self, peak: RPeak) -> None:
-        """Add an R peak when it is detected."""
+    def add_peak(self, peak: RPeak) -> bool:
+        """Add an R peak when it is detected; whether the ECG follows the breath from then on."""
         if self._qrs is None or (self._beats and peak.t_s <= self._beats[-1][0]):
-            return
+            return False
         rr_s = peak.t_s - self._beats[-1][0] if self._beats else nan
         values = np.append(self._qrs.gains(peak.t_s, peak.detected_at_s), rr_s)
         self._beats.append((peak.t_s, values))
         if self._from_ecg is not None:
             self._from_ecg.add(peak.t_s, values)
-        elif self._watch.found is not None:
-            self._follow_ecg(self._watch.found, peak.detected_at_s)
+            return False
+        found = None if self.follows else self._watch.found
+        return found is not None and self._follow_ecg(found, peak.detected_at_s)
 
-    def _follow_ecg(self, found: Oscillation, now_s: float) -> None:
-        """Let the ECG follow the breath if it shows that rate."""
+    def _follow_ecg(self, found: Oscillation, now_s: float) -> bool:
+        """Let the ECG follow the breath if it shows that rate; whether it does."""
         known = [beat for beat in self._beats if np.isfinite(beat[1]).all()]
         t_s, values = np.array([t_s for t_s, _ in known]), np.array([values for _, values in known])
         shown = breathing_in_beats(t_s, values) if known else None
         if shown is None or abs(60.0 / shown.fitted.period_s - found.per_minute) > SAME_RATE_PER_MIN:
-            return
+            return False
         self._from_ecg, self._locked_s = BeatClock(t_s, values, shown), now_s
         self._begin()
+        return True
 
     def _begin(self) -> None:
         """Begin to learn with the clock of now."""
@@ -207,10 +212,12 @@ class BreathingTracker:
             self._changed = True
 
     def _give_up(self, clock: BeatClock, now_s: float) -> None:
-        """Watch again once the ECG has not shown the breath for UNFOLLOWED_S."""
+        """Watch again once the ECG shows no breath for UNFOLLOWED_S, or the heart does not follow it."""
         if clock.reading(now_s).state is BreathState.LOCKED:
             self._locked_s = now_s
-        elif now_s > self._locked_s + UNFOLLOWED_S:
+        excursion_mm = self._motion.excursion_mm
+        still = excursion_mm is not None and excursion_mm < LEAST_EXCURSION_MM
+        if still or now_s > self._locked_s + UNFOLLOWED_S:
             self._from_ecg, self._watch = None, OscillationWatch(self._center_mm)
             self._watch_changed_s = now_s
             self._begin()

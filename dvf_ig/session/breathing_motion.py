@@ -129,6 +129,15 @@ class LearntMotion:
         return self._model if self.learnt else None
 
     @property
+    def excursion_mm(self) -> float | None:
+        """RMS motion over the heart from rest to the top of a breath; None before TRUSTED_BREATHS."""
+        model = self._model
+        if model is None or model.breaths < TRUSTED_BREATHS:
+            return None
+        xi_mm = self._xi_mm(model, np.ones((1, 4)))[0]
+        return float(np.sqrt(MEAN_SQUARE_OF_COORDINATES @ np.square(xi_mm)))
+
+    @property
     def astray(self) -> bool:
         """Whether RELEARN_BREATHS breaths in a row lay outside of what was learnt."""
         return self._unknown_breaths >= RELEARN_BREATHS

@@ -23,6 +23,7 @@ from .pose_states import Candidate, Confirmation, InUse, NoPose, Pose, last_used
 from .pose_transition import (
     BeatCompared,
     BeatMissed,
+    BreathFollowed,
     PoseEvent,
     Registered,
     RegisterNext,
@@ -116,6 +117,11 @@ class PoseTracker:
         """Add a sighting of the tool's tip in images up to now."""
         self.history.append(seen)
         self._apply(TipSeen(now_s, seen))
+
+    def follow_breath(self, now_s: float) -> None:
+        """Register again, now that the breath is followed."""
+        self._recent.clear()
+        self._apply(BreathFollowed(now_s))
 
     def step(self) -> None:
         """Do what is to be done at `next_s`."""

@@ -22,6 +22,7 @@ class DoubtCause(Enum):
         "ultrasound shows the tool {mm:.1f} mm from where its tip should be; calibrate the probe and the "
         "tool's tip again"
     )
+    BREATHING = "the heart moves with breaths that were not followed before; it is registered again at rest"
     PHASE_OFFSET = "ECG and ultrasound disagree on the phase"
 
 

@@ -233,7 +233,8 @@ class Session:
         if peak is not None:
             peak = replace(peak, detected_at_s=max(peak.detected_at_s, stepped_s))
             self.history.append(peak)
-            self._breathing.add_peak(peak)
+            if self._breathing.add_peak(peak):
+                self._pose.follow_breath(peak.detected_at_s)
             self._pose.add_peak(peak)
             seen = self._tip.after_beat(peak.t_s, peak.detected_at_s)
             if seen is not None:

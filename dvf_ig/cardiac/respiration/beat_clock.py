@@ -14,7 +14,7 @@ from scipy.signal import lfilter
 from dvf_ig.core import BoolArray, FloatArray, read_only_arrays
 
 from .breath_clock import ARM, BEGIN, LAG_S, BreathEvent, BreathReading, BreathState
-from .quasi_periodic import QuasiPeriodic, fit_quasi_periodic
+from .quasi_periodic import QuasiPeriodic, fit_quasi_periodic, strongest_period_s
 from .surrogate import learn_scale
 
 LEAST_BEATS, MOST_BEATS = 18, 45
@@ -36,8 +36,8 @@ UNEXPECTED = 3.3
 ORDINARY_BREATHS = 2.0
 DEPTHS = (0.5, 1.6)
 """Range of ρ in a breath of the usual depth."""
-MOST_SPREADS = 8.0
-"""Beats further from the median than this multiple of the median distance are left out at first."""
+MOST_SPREADS = 5.0
+"""Values further from the median than this multiple of the median distance are clipped at first."""
 ANOTHER_ORIGIN = 3.0
 """A beat this far from the range of ρ is no sinus beat, and tells nothing of breathing."""
 
@@ -59,19 +59,24 @@ class BreathInBeats:
 def breathing_in_beats(t_s: FloatArray, values: FloatArray) -> BreathInBeats | None:
     """Find breathing in (n, columns) values of beats: in one column or in all; None if they show none."""
     spread = np.median(np.abs(values - np.median(values, axis=0)), axis=0)
-    if len(t_s) < LEAST_BEATS or not (spread > 0.0).any():
+    if len(t_s) < LEAST_BEATS or not (spread > 0.0).all():
         return None
-    columns = np.diag(np.divide(1.0, spread, out=np.zeros(len(spread)), where=spread > 0.0))
+    columns = np.diag(1.0 / spread)
     _, axes = np.linalg.eigh(np.cov((values @ columns).T).reshape(columns.shape))
+    about_s = strongest_period_s(t_s, _clipped(values @ columns))
     found = []
-    for direction in (*columns[spread > 0.0], columns @ axes[:, -1]):
-        along = values @ direction
-        along = along - np.median(along)
-        usual = np.abs(along) <= MOST_SPREADS * np.median(np.abs(along))
-        if usual.sum() >= LEAST_BEATS:
-            found.append(BreathInBeats(direction, fit_quasi_periodic(t_s[usual], along[usual])))
-    best = max(found, key=lambda one: one.fitted.gain, default=None)
-    return best if best is not None and best.fitted.gain >= LEAST_GAIN else None
+    for direction in (*columns, columns @ axes[:, -1]):
+        along = _clipped(values @ direction)
+        found.append(BreathInBeats(direction, fit_quasi_periodic(t_s, along, about_s)))
+    best = max(found, key=lambda one: one.fitted.gain)
+    return best if best.fitted.gain >= LEAST_GAIN else None
+
+
+def _clipped(values: FloatArray) -> FloatArray:
+    """Limit distances from the median, taken off, which a beat of another origin has."""
+    away = values - np.median(values, axis=0)
+    most = MOST_SPREADS * np.median(np.abs(away), axis=0)
+    return np.clip(away, -most, most)
 
 
 class BeatClock:
@@ -88,8 +93,7 @@ class BeatClock:
         self._direction, self._fitted = found.direction, found.fitted
         along = values @ found.direction
         self._middle = float(np.median(along))
-        usual = np.abs(along - self._middle) <= MOST_SPREADS * np.median(np.abs(along - self._middle))
-        t_s, along = t_s[usual], along[usual]
+        along = self._middle + _clipped(along)
         self._beats: deque[tuple[float, float]] = deque(zip(t_s.tolist(), along.tolist(), strict=True))
         self._ordinary_from_s = -math.inf
         self._missed = 0.0  # normalised error of the last beat's forecast
@@ -99,7 +103,8 @@ class BeatClock:
         self._counted_s = -math.inf  # onsets are counted until here
         times = np.arange(t_s[0], t_s[-1], STEP_S)
         scale = learn_scale(found.fitted.predict(t_s, along - self._middle, times)[0][:, None])
-        self._origin, self._per_unit = (0.0, 0.0) if scale is None else (scale.origin[0], scale.direction[0])
+        self._origin = 0.0 if scale is None else float(scale.origin[0])
+        self._per_unit = 0.0 if scale is None else float(scale.direction[0])
         self._table = np.empty((0, 6))  # time, ρ, its two lags, σ, 1 where they do not tell the heart's place
         self._extend(float(t_s[0]))
 
@@ -196,8 +201,9 @@ class BeatClock:
         """Fit again; with few beats since something unexpected the parameters stay."""
         count = len(self._beats)
         if count >= LEAST_BEATS:
-            before = None if count == LEAST_BEATS else self._fitted
-            self._fitted = fit_quasi_periodic(*self._arrays(), before)
+            t_s, along = self._arrays()
+            about_s = strongest_period_s(t_s, along[:, None]) if count == LEAST_BEATS else self.period_s
+            self._fitted = fit_quasi_periodic(t_s, along, about_s)
 
     def _extend(self, from_s: float) -> None:
         """Compute the table again from a time on, until AHEAD_S after the latest beat."""

@@ -43,7 +43,7 @@ class QrsGain:
         usual = np.median(np.array(self._shapes), axis=0)
         square = np.square(usual).sum(axis=0)
         sizes = (shape * usual).sum(axis=0)
-        return np.divide(sizes, square, out=np.full(len(square), np.nan), where=square > 0.0)
+        return np.asarray(np.divide(sizes, square, out=np.full(len(square), np.nan), where=square > 0.0))
 
     def _shape(self, peak_s: float) -> FloatArray | None:
         """Return (n, leads) samples about a peak, above their level; None if any is missing."""

@@ -5,8 +5,7 @@ breaths (MacKay 1998; Roberts et al. 2013), a slow drift, and white noise,
 
     k(τ) = s² [ (e^{−2 sin²(πτ/P)/ℓ²} − c) / (1 − c) · e^{−τ²/2λ²} + e^{−τ²/2D²} + ν δ ],
 
-with c the mean of the periodic factor. P, λ, ℓ and ν are those of the highest likelihood on a grid about the
-strongest oscillation.
+with c the mean of the periodic factor. P, λ, ℓ and ν are those of the highest likelihood on a grid.
 """
 
 import math
@@ -19,10 +18,10 @@ from scipy.special import i0e
 
 from dvf_ig.core import FloatArray
 
-FREQUENCIES_HZ = np.arange(0.1, 0.56, 0.02)
+FREQUENCIES_HZ = np.arange(0.1, 0.56, 0.01)
 """Six to 33 breaths a minute."""
 REFINED = np.linspace(0.94, 1.06, 13)
-"""Periods that are tried, relative to the last one, or to the strongest oscillation."""
+"""Periods that are tried, relative to the one that is given."""
 COHERENT_BREATHS = (1.5, 4.0)
 ROUGHNESS = (0.6, 1.0)
 NOISES = (0.02, 0.08, 0.3)
@@ -72,14 +71,8 @@ class QuasiPeriodic:
         return _periodic(apart_s, self.period_s, self.roughness) * _coherence(apart_s, self.coherence_s)
 
 
-def fit_quasi_periodic(
-    t_s: FloatArray, values: FloatArray, before: QuasiPeriodic | None = None
-) -> QuasiPeriodic:
-    """Fit to (n,) samples of about zero mean.
-
-    Args:
-        before: parameters near which to search; None begins at the strongest oscillation.
-    """
+def fit_quasi_periodic(t_s: FloatArray, values: FloatArray, about_s: float) -> QuasiPeriodic:
+    """Fit to (n,) samples of about zero mean, with a period near `about_s`."""
     apart = t_s[:, None] - t_s
     drift, noise = _drift(apart), np.eye(len(t_s))
 
@@ -93,26 +86,30 @@ def fit_quasi_periodic(
         return max(found, key=lambda one: one.gain)
 
     nothing = max(_likelihood(drift + level * noise, values)[0] for level in (*NOISES, 1.0, 4.0, 20.0))
-    shape, middle_s = (COHERENT_BREATHS[-1], ROUGHNESS[-1], NOISES[1]), strongest_period_s(t_s, values)
-    if before is not None:
-        middle_s = before.period_s
-        shape = (before.coherence_s / middle_s, before.roughness, before.noise)
-    nearest = best([fitted(period_s, *shape) for period_s in (middle_s * REFINED).tolist()])
+    shape = (COHERENT_BREATHS[-1], ROUGHNESS[-1], NOISES[1])
+    nearest = best([fitted(period_s, *shape) for period_s in (about_s * REFINED).tolist()])
     shapes = product(COHERENT_BREATHS, ROUGHNESS, NOISES)
     return best([fitted(nearest.period_s, *one) for one in shapes])
 
 
 def strongest_period_s(t_s: FloatArray, values: FloatArray) -> float:
-    """Find the period of the oscillation that explains most of (n,) samples, beside a linear drift."""
+    """Find the period of the oscillation that explains most of (n, columns) samples, beside linear drifts."""
     shortest_s = BEATS_A_BREATH * float(np.median(np.diff(t_s)))
     after_s = t_s - t_s.mean()
-    missed = {}
+    steady = np.column_stack([np.ones(len(t_s)), after_s])
+    without = _squares(values, steady)
+    explained = {}
     for frequency_hz in FREQUENCIES_HZ[shortest_s * FREQUENCIES_HZ <= 1.0].tolist():
         angle = 2.0 * np.pi * frequency_hz * after_s
-        waves = np.column_stack([np.ones(len(t_s)), after_s, np.cos(angle), np.sin(angle)])
-        residual = values - waves @ np.linalg.lstsq(waves, values, rcond=None)[0]
-        missed[1.0 / frequency_hz] = float(np.square(residual).sum())
-    return min(missed, key=missed.__getitem__)
+        left = _squares(values, np.column_stack([steady, np.cos(angle), np.sin(angle)]))
+        explained[1.0 / frequency_hz] = float((1.0 - left / without).sum())
+    return max(explained, key=lambda period_s: explained[period_s])
+
+
+def _squares(values: FloatArray, features: FloatArray) -> FloatArray:
+    """Sum the squares of each column that a linear fit misses."""
+    missed = values - features @ np.linalg.lstsq(features, values, rcond=None)[0]
+    return np.maximum(np.square(missed).sum(axis=0), 1e-12)
 
 
 def _periodic(apart_s: FloatArray, period_s: float, roughness: float) -> FloatArray:
@@ -133,4 +130,5 @@ def _likelihood(covariance: FloatArray, values: FloatArray) -> tuple[float, floa
     """Compute the log-likelihood at the best variance, and that variance."""
     lower = np.linalg.cholesky(covariance)
     variance = float(np.square(np.linalg.solve(lower, values)).mean())
-    return -0.5 * len(values) * np.log(variance) - float(np.log(np.diag(lower)).sum()), variance
+    likelihood = -0.5 * len(values) * math.log(variance) - float(np.log(np.diag(lower)).sum())
+    return likelihood, variance
