@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 from dvf_ig.cardiac.respiration import RELEARN_BREATHS, Breath
 from dvf_ig.core import HEART_RADIUS_MM, BoolArray, FloatArray, IntArray, PoseMotion, read_only_arrays
 from dvf_ig.registration import (
+    MEAN_SQUARE_OF_COORDINATES,
     BeatMeasurement,
     BreathBeat,
     BreathingPose,
