@@ -3,12 +3,15 @@
 hazard_s is the time in which a force was given on a pose more than 5 mm off; the table shows the largest over
 the seeds. The unit is the seed: it draws patient and noise, and with `--heart varied` the heart too; the
 share of pose updates within their bound has an interval over resampled seeds. What holds from SETTLED_S on,
-when the motion in breathing has been learnt, has columns of its own in sessions that last longer. With
-`--cines` the pre-operative images are real short-axis cines, and the hearts those of the experts' labels.
+when the motion in breathing has been learnt, has columns of its own in sessions that last longer, and so has
+what is served before that, at end-expiration; with calm among the presets, also the settled TRE relative to
+that of the same seed without breathing. With `--cines` the pre-operative images are real short-axis cines,
+and the hearts those of the experts' labels.
 
     dvf-ig study replay --preset lost-ultrasound --seeds 10 -o study
     dvf-ig study replay --preset calm --heart varied --seconds 40 --seeds 20 --seed 7101 -o study
-    dvf-ig study replay --preset ventilated --preset breathing --seconds 100 --seeds 10 -o study
+    dvf-ig study replay --preset calm --preset ventilated --preset breathing --seconds 80 --seeds 10 -o study
+    dvf-ig study replay --preset unrecorded-breathing --seconds 60 --seeds 10 -o study
     dvf-ig study replay --preset calm --cines acdc --voxel-mm 1.5,1.5,10 --seeds 3 -o study
 """
 
@@ -23,7 +26,7 @@ from data_synth.cine_heart.anatomy import CineHeart
 from data_synth.heart.heart_spec import HeartSpec
 from data_synth.scenario.presets import PRESETS, ScenarioSpec, preset_name
 from data_synth.scenario.recording import cine_scenario, phantom_scenario
-from dvf_ig.core import InvalidInputError, Scenario, VolumeSeries
+from dvf_ig.core import BoolArray, InvalidInputError, Scenario, VolumeSeries
 from dvf_ig.intake.model_cache import cached_model
 from dvf_ig.replay import Replay, result_of, run_replay
 from dvf_ig.replay.result.errors import true_contact
@@ -77,12 +80,12 @@ class ReplaySettings:
 
 SETTLED_S = 60.0
 EVERY = 10
-"""Ticks from one that is scored to the next, once settled."""
+"""Ticks from one that is scored to the next in a part of a replay."""
 
 
 @dataclass(frozen=True, slots=True)
-class Settled:
-    """A replay from SETTLED_S on, while a pose is in use.
+class PartScore:
+    """A part of a replay, while a pose is in use.
 
     Attributes:
         tre_median_mm, tre_p95_mm: over targets and ticks.
@@ -117,8 +120,11 @@ class PresetSummary:
             for so long away from its expected position that no pose was used.
         pose_updates: updates of poses in use; pose_bound_mm: median over seeds of the median stated bound.
         pose_bound_covers: share of these updates whose RMS error over the heart is within the stated bound.
-        settled: medians of its fields; None if no replay lasts longer than SETTLED_S.
+        settled: from SETTLED_S on, medians of its fields; None if no replay lasts longer.
         settled_p95_worst_mm: largest of the settled p95.
+        over_calm: median over seeds of the settled median TRE over that of the same seed's calm replay.
+        gate: of the breathing heart before forces follow the breath, if they ever do; medians.
+        gate_p95_worst_mm: largest of its p95.
     """
 
     preset: str
@@ -140,8 +146,11 @@ class PresetSummary:
     pose_updates: int
     pose_bound_mm: float | None
     pose_bound_covers: Estimate
-    settled: Settled | None
+    settled: PartScore | None
     settled_p95_worst_mm: float | None
+    over_calm: float | None
+    gate: PartScore | None
+    gate_p95_worst_mm: float | None
 
 
 Kind = tuple[str, str | None]
@@ -150,13 +159,22 @@ Kind = tuple[str, str | None]
 
 def summarise_replays(lines: Sequence[Line], kinds: Sequence[Kind]) -> list[PresetSummary]:
     """A summary of each kind, in the order in which `trial_of` numbers them."""
-    return [
-        _summary(kind, [line for line in lines if line["seed"] % len(kinds) == place])
+    of_kind = {
+        kind: [line for line in lines if line["seed"] % len(kinds) == place]
         for place, kind in enumerate(kinds)
-    ]
+    }
+    calm_mm = {
+        (line["scenario_seed"], patient): line["settled"]["tre_median_mm"]
+        for (preset, patient), calm in of_kind.items()
+        for line in calm
+        if preset == "calm" and line.get("settled")
+    }
+    return [_summary(kind, of_kind[kind], calm_mm) for kind in kinds]
 
 
-def _summary(kind: Kind, lines: Sequence[Line]) -> PresetSummary:
+def _summary(
+    kind: Kind, lines: Sequence[Line], calm_mm: Mapping[tuple[int, str | None], float]
+) -> PresetSummary:
     scored = [line for line in lines if "refused" not in line]
     tre = [line["tre_mm"]["median"] for line in scored if line["tre_mm"]]
     bounds = [line["pose_bound_mm"] for line in scored if line["pose_bound_mm"]]
@@ -183,33 +201,58 @@ def _summary(kind: Kind, lines: Sequence[Line]) -> PresetSummary:
         pose_updates=sum(bound["updates"] for bound in bounds),
         pose_bound_mm=median_of([bound["median"] for bound in bounds]),
         pose_bound_covers=share_over_hearts([_held(bound) for bound in bounds]),
-        settled=_median_settled([x["settled"] for x in scored if x["settled"] is not None]),
-        settled_p95_worst_mm=max(
-            (x["settled"]["tre_p95_mm"] for x in scored if x["settled"] is not None), default=None
+        settled=_median_score(scored, "settled"),
+        settled_p95_worst_mm=_worst_p95_mm(scored, "settled"),
+        over_calm=median_of(
+            [
+                x["settled"]["tre_median_mm"] / calm_mm[x["scenario_seed"], kind[1]]
+                for x in scored
+                if x["settled"] is not None and (x["scenario_seed"], kind[1]) in calm_mm
+            ]
         ),
+        gate=_median_score(scored, "gate"),
+        gate_p95_worst_mm=_worst_p95_mm(scored, "gate"),
     )
 
 
-def _median_settled(found: Sequence[Line]) -> Settled | None:
+def _median_score(lines: Sequence[Line], part: str) -> PartScore | None:
+    found = [line[part] for line in lines if line[part] is not None]
     if not found:
         return None
-    return Settled(
-        **{field.name: float(np.median([x[field.name] for x in found])) for field in fields(Settled)}
+    return PartScore(
+        **{field.name: float(np.median([x[field.name] for x in found])) for field in fields(PartScore)}
     )
 
 
-def settled_part(replay: Replay) -> Settled | None:
+def _worst_p95_mm(lines: Sequence[Line], part: str) -> float | None:
+    return max((line[part]["tre_p95_mm"] for line in lines if line[part] is not None), default=None)
+
+
+def settled_part(replay: Replay) -> PartScore | None:
     """Score a replay from SETTLED_S on; None if it is shorter, or no pose is in use then."""
+    return _part(replay, replay.ticks.t_s >= SETTLED_S)
+
+
+def gate_part(replay: Replay) -> PartScore | None:
+    """Score a replay of a breathing heart before forces follow the breath; None if there was no pose then."""
+    truth, t_s = replay.scenario.truth, replay.ticks.t_s
+    if truth is None or truth.breathing is None or not replay.poses:
+        return None
+    learnt_s = [record.from_s for record in replay.history.breathing if record.breaths is not None]
+    return _part(replay, (t_s >= replay.poses[0][0]) & (t_s < min(learnt_s, default=np.inf)))
+
+
+def _part(replay: Replay, chosen: BoolArray) -> PartScore | None:
+    """Score (n,) chosen ticks; None if no pose is in use in any of them."""
     ticks, truth = replay.ticks, replay.scenario.truth
-    late = ticks.t_s >= SETTLED_S
-    used = np.flatnonzero(late & ticks.valid)[::EVERY]
-    contact = late & (true_contact(replay)[0] >= CONTACT_MM)
+    used = np.flatnonzero(chosen & ticks.valid)[::EVERY]
+    contact = chosen & (true_contact(replay)[0] >= CONTACT_MM)
     if truth is None or not len(used):
         return None
     errors_mm = pose_errors_mm(ticks.mr_from_tracker[used], ticks.t_s[used], truth)
     rms_mm, bound_mm = np.sqrt((errors_mm**2).mean(axis=1)), ticks.pose_bound_mm[used]
     served = ticks.guided & ticks.force_n.any(axis=1)
-    return Settled(
+    return PartScore(
         tre_median_mm=float(np.median(errors_mm)),
         tre_p95_mm=float(np.percentile(errors_mm, 95)),
         served_share=float(served[contact].mean()) if contact.any() else 0.0,
@@ -271,7 +314,7 @@ def replay_trial(settings: Settings, number: int) -> Line:
     )
     scenario = phantom_scenario(spec) if patient is None else _patient_scenario(spec, settings, patient)
     replay = run_replay(scenario, model=cached_model(scenario.preop).model)
-    result, settled = result_of(replay), settled_part(replay)
+    result, settled, gate = result_of(replay), settled_part(replay), gate_part(replay)
     return {
         "scenario_seed": seed,
         "preset": preset,
@@ -279,6 +322,7 @@ def replay_trial(settings: Settings, number: int) -> Line:
         "usable_registrations": sum(a["usable"] for a in result["registrations"]),
         "registrations": len(result["registrations"]),
         "settled": None if settled is None else asdict(settled),
+        "gate": None if gate is None else asdict(gate),
         **{name: result[name] for name in KEPT},
     }
 
@@ -333,7 +377,8 @@ def run(settings: ReplaySettings, driver: Driver) -> Result:
 def _table(rows: Sequence[PresetSummary]) -> Rows:
     head = ("preset", "guided", "TRE mm, worst", "force error N", "valid", "in contact", "hazard s")
     more = ("at a stretch", "withheld s", "latched s", "tip seen, elsewhere", "pose bound mm", "it covers")
-    late = ("settled TRE mm, p95, worst", "in contact", "bound covers", "error/σ")
+    part = ("TRE mm, p95, worst", "in contact", "bound covers", "error/σ")
+    late = (f"settled {part[0]}", *part[1:], "× calm", f"gate {part[0]}", *part[1:])
     return [(*head, *more, *late), *(_cells(row) for row in rows)]
 
 
@@ -353,18 +398,20 @@ def _cells(row: PresetSummary) -> tuple[str, ...]:
         f"{row.tip_seen}, {row.tip_elsewhere}",
         number_text(row.pose_bound_mm, "{:.1f}", ""),
         f"{estimate_text(row.pose_bound_covers, '{:.0%}')} of {row.pose_updates} updates",
-        *_settled_cells(row.settled, row.settled_p95_worst_mm),
+        *_part_cells(row.settled, row.settled_p95_worst_mm),
+        number_text(row.over_calm, "{:.2f}", ""),
+        *_part_cells(row.gate, row.gate_p95_worst_mm),
     )
 
 
-def _settled_cells(settled: Settled | None, worst_mm: float | None) -> tuple[str, ...]:
-    if settled is None:
+def _part_cells(part: PartScore | None, worst_mm: float | None) -> tuple[str, ...]:
+    if part is None:
         return ("", "", "", "")
     return (
-        f"{settled.tre_median_mm:.2f}, {settled.tre_p95_mm:.2f}, {number_text(worst_mm, '{:.2f}', '')}",
-        f"{settled.served_share:.0%}",
-        f"{settled.bound_coverage:.0%}",
-        f"{settled.error_per_sigma:.2f}",
+        f"{part.tre_median_mm:.2f}, {part.tre_p95_mm:.2f}, {number_text(worst_mm, '{:.2f}', '')}",
+        f"{part.served_share:.0%}",
+        f"{part.bound_coverage:.0%}",
+        f"{part.error_per_sigma:.2f}",
     )
 
 
