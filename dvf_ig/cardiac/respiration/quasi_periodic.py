@@ -103,13 +103,13 @@ def strongest_period_s(t_s: FloatArray, values: FloatArray) -> float:
         angle = 2.0 * np.pi * frequency_hz * after_s
         left = _squares(values, np.column_stack([steady, np.cos(angle), np.sin(angle)]))
         explained[1.0 / frequency_hz] = float((1.0 - left / without).sum())
-    return max(explained, key=lambda period_s: explained[period_s])
+    return float(max(explained, key=lambda period_s: explained[period_s]))
 
 
 def _squares(values: FloatArray, features: FloatArray) -> FloatArray:
     """Sum the squares of each column that a linear fit misses."""
     missed = values - features @ np.linalg.lstsq(features, values, rcond=None)[0]
-    return np.maximum(np.square(missed).sum(axis=0), 1e-12)
+    return np.asarray(np.maximum(np.square(missed).sum(axis=0), 1e-12))
 
 
 def _periodic(apart_s: FloatArray, period_s: float, roughness: float) -> FloatArray:
