@@ -8,6 +8,7 @@ from .cine_heart.anatomy import LV_LABEL as LV_LABEL
 from .cine_heart.anatomy import RV_LABEL as RV_LABEL
 from .cine_heart.anatomy import CineHeart as CineHeart
 from .cine_heart.anatomy import cine_anatomy as cine_anatomy
+from .cine_heart.anatomy import require_heart_size as require_heart_size
 from .heart.anatomy import PhantomAnatomy as PhantomAnatomy
 from .heart.anatomy import phantom_anatomy as phantom_anatomy
 from .heart.beating_anatomy import BeatingAnatomy as BeatingAnatomy

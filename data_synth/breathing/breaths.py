@@ -47,6 +47,7 @@ class BreathSpec:
         lagging: share of the motion that follows the breath through a lag (hysteresis that depends on rate).
         backlash: width, as a share of a breath, of the hysteresis that does not depend on rate.
         events: (event, time s) pairs.
+        recorded: something follows the breath; without, only the ECG shows it.
     """
 
     kind: BreathKind = "ventilated"
@@ -58,6 +59,7 @@ class BreathSpec:
     lagging: float = 0.5
     backlash: float = 0.04
     events: tuple[tuple[BreathEvent, float], ...] = ()
+    recorded: bool = True
 
     def __post_init__(self) -> None:
         if self.kind not in get_args(BreathKind):

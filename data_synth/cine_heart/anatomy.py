@@ -12,6 +12,7 @@ from data_synth.surfaces.atria import AtrialStub
 from dvf_ig.core import (
     AnyArray,
     FloatArray,
+    Grid,
     InvalidInputError,
     Preop,
     SurfaceSeries,
@@ -34,6 +35,8 @@ CAPS = {
 """Caps by surface: the epicardium continues around the atria, the cavities end at their valves."""
 STRIDE = {LV: 1, RV: 1, EPICARDIAL: 2}
 """Pixels between vertices, by surface."""
+LEAST_HEART_MM = 30.0
+"""Smallest extent along an axis of the heart in a stack of slices of an adult."""
 VALVE_PLANE_MM = 11.0
 """Distance from the basal slice to the atria."""
 
@@ -64,6 +67,7 @@ class CineHeart:
                 f"end-systole is phase {self.es_phase}; needed 1 to {len(self.cine.timing) - 1} "
                 "(end-diastole is phase 0)"
             )
+        require_heart_size(self.cine.grid, self.ed_labels.values)
 
     def preop(self) -> Preop:
         """Real cine with the expert's end-diastolic labels, the data that a laboratory would have."""
@@ -74,6 +78,22 @@ class CineHeart:
             ed_labels=Volume(self.cine.grid, values),
             label_names=LABEL_NAMES,
             organ_labels=(RV_LABEL, MYOCARDIUM_LABEL, LV_LABEL),
+        )
+
+
+def require_heart_size(grid: Grid, ed_labels: AnyArray) -> None:
+    """Refuse labels that are too small for a heart, as of a cine whose header has lost its voxel size.
+
+    Raises:
+        InvalidInputError: an extent below LEAST_HEART_MM.
+    """
+    extents = [np.ptp(indices) + 1 if len(indices) else 0 for indices in np.nonzero(ed_labels)]
+    extents_mm = np.array(extents) * grid.spacing_mm
+    if extents_mm.min() < LEAST_HEART_MM:
+        size = " × ".join(f"{extent_mm:.0f}" for extent_mm in extents_mm)
+        raise InvalidInputError(
+            f"the labelled heart is {size} mm large; needed {LEAST_HEART_MM:g} mm and more along each axis. "
+            "Check the voxel size in the header of the cine (--voxel-mm X,Y,Z replaces it)"
         )
 
 

@@ -151,6 +151,7 @@ PRESETS: dict[str, Preset] = {
             "spontaneous", excursion_mm=6.0, tilt_deg=1.5, stretch_mm=0.35, nonrigid_mm=0.2
         )
     ),
+    "unrecorded-breathing": Preset(respiration=BreathSpec("ventilated", excursion_mm=10.0, recorded=False)),
 }
 """calm: about 72 beats/min with mild variability, low noise, short drop-outs. Every other one is calm except:
 tachycardia: the rate climbs from 60 to 120 beats/min between 8 and 52 s.
@@ -176,6 +177,7 @@ deformed: a retractor presses the free wall in by 8 mm, the heart is fuller (2.5
 ventilated: a ventilator moves the heart by 10 mm, 14 times a minute; its channels and a marker on the chest
     are recorded.
 breathing: the patient breathes, 6 mm, 14 times a minute and unevenly; a chest marker is recorded.
+unrecorded-breathing: ventilated, and nothing records the breath.
 """
 
 

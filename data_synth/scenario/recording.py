@@ -290,7 +290,7 @@ def _assembled(
 
 def _breathing_recorded(world: World) -> dict[str, Any]:
     """Record the breath as fields of a scenario."""
-    if world.breathing is None:
+    if world.breathing is None or not world.breathing.spec.recorded:
         return {}
     return recorded_breathing(
         world.breathing, world.patient, world.spec.seconds, world.rng("breathing recorded")

@@ -104,4 +104,5 @@ from .tracking.tip_in_image import TipView as TipView
 from .tracking.tip_in_image import patch_around as patch_around
 from .tracking.tip_in_image import sighting as sighting
 from .tracking.tip_in_image import tip_view as tip_view
+from .unfollowed_breathing import Oscillation as Oscillation
 from .unfollowed_breathing import OscillationWatch as OscillationWatch

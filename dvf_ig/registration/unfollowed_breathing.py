@@ -83,6 +83,9 @@ class OscillationWatch:
     def __init__(self, center_mm: FloatArray) -> None:
         self.found: Oscillation | None = None
         """Breathing that the last beats show; None if they show none."""
+        self.excluded = False
+        """Whether LEAST_BEATS beats were compared, and have shown no breathing since."""
+        self._compared = 0
         self._center_mm = center_mm
         self._chart: PoseChart | None = None
         self._place = 0
@@ -90,6 +93,17 @@ class OscillationWatch:
 
     def add(self, middle_s: float, measurement: BeatMeasurement) -> None:
         """Add a beat that was compared with a pose, with the time half-way through it."""
+        self._compared += 1
+        self._add(middle_s, measurement)
+        before = self.found is not None or not self.excluded
+        oscillation = strongest_oscillation(tuple(self._beats))
+        breathes = oscillation is not None and oscillation.is_breathing(before=self.found is not None)
+        suspected = oscillation is not None and oscillation.is_breathing(before=before)
+        self.found = oscillation if breathes else None
+        self.excluded = self._compared >= LEAST_BEATS and not suspected
+
+    def _add(self, middle_s: float, measurement: BeatMeasurement) -> None:
+        """Remember a beat that tells where the heart is."""
         if not measurement.informative or (self._beats and middle_s <= self._beats[-1].t_s):
             return
         if self._chart is None:
@@ -99,9 +113,6 @@ class OscillationWatch:
         offset = measurement.offset_information_mm + information @ from_base_mm
         square = float(offset @ np.linalg.pinv(information, rcond=1e-9, hermitian=True) @ offset)
         self._beats.append(BeatPose(middle_s, information, offset, square, self._place))
-        oscillation = strongest_oscillation(tuple(self._beats))
-        breathes = oscillation is not None and oscillation.is_breathing(before=self.found is not None)
-        self.found = oscillation if breathes else None
 
     def shifted(self, from_s: float) -> None:
         """Count beats from then on as those of another place: the heart has moved in another way."""

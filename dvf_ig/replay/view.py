@@ -4,10 +4,12 @@ from typing import Any
 
 import numpy as np
 
+from dvf_ig.cardiac.respiration import learn_scale
 from dvf_ig.core import (
     DvfModel,
     FloatArray,
     ImageMap,
+    Respiration,
     Scenario,
     Signal,
 )
@@ -64,6 +66,7 @@ def run_payload(run: RunFolder, scenario: Scenario, model: DvfModel) -> dict[str
         shape = image_shape(rows, columns, pixel_mm, scenario.fan, SENT_COLUMNS)
         frames = _frames(run, scenario, probe_from_image, shape)
     wave = scenario.ecg if isinstance(scenario.ecg, Signal) else None
+    breath = scenario.respiration
     scene = scene_payload(
         SceneInput(
             kind="replay",
@@ -72,18 +75,26 @@ def run_payload(run: RunFolder, scenario: Scenario, model: DvfModel) -> dict[str
             fixtures=_fixtures(run),
             image=shape,
             ecg=None if wave is None else (f"ECG {wave.leads[0]}", wave.unit),
+            breathing=None if breath is None else ("breathing", f"{breath.name}, 0 at rest"),
             age_limit_s=MAX_AGE_S,
         )
     )
     series = SeriesInput(
         ticks=_ticks(run, scenario),
         ecg=None if wave is None else SampledSignal(wave.t_s, wave.samples[:, 0]),
-        breathing=None,
+        breathing=None if breath is None else _breath(breath),
         r_peaks_s=run.view.r_peaks_s,
         frames=frames,
         marks=_marks(run.result),
     )
     return {**scene, "series": series_payload(series)}
+
+
+def _breath(recorded: Respiration) -> SampledSignal:
+    """Scale what follows the breath: 0 at end-expiration, 1 at the usual top; unscaled if none is seen."""
+    scale = learn_scale(recorded.values)
+    values = recorded.values[:, 0] if scale is None else scale.rho(recorded.values)
+    return SampledSignal(recorded.t_s, values)
 
 
 def _fixtures(run: RunFolder) -> FixtureSet:

@@ -24,7 +24,7 @@ from dvf_ig.registration import (
     measure_beat,
 )
 
-from .breathing import FrameBreathing
+from .breathing_motion import FrameBreathing
 from .gated_frames import UltrasoundRecording, gate_recording, slices_of, ultrasound_mask
 
 BEAT_PITCH_MM = 2.0

@@ -41,7 +41,7 @@ from dvf_ig.registration import (
     subsample,
 )
 
-from .breathing import FrameBreathing, moved_to_rest
+from .breathing_motion import FrameBreathing, moved_to_rest
 from .heart import Heart
 from .setup import UltrasoundCalibration
 

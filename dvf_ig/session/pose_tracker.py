@@ -23,6 +23,7 @@ from .pose_states import Candidate, Confirmation, InUse, NoPose, Pose, last_used
 from .pose_transition import (
     BeatCompared,
     BeatMissed,
+    BreathFollowed,
     PoseEvent,
     Registered,
     RegisterNext,
@@ -35,8 +36,9 @@ from .reasons import Doubt, Refusal, Refused
 from .registration_plan import RegistrationPlan
 from .work import FinishedBeat, FinishedRegistration, UltrasoundSource, WorkQueue
 
-REMEMBERED_BEATS = 6
-"""Last beats that a new candidate is compared with, as far as they ended after its frames."""
+REMEMBERED_BEATS = 12
+"""Last beats: a new candidate is compared with those that began after its frames, and the first one also with
+those before, as many as exclude breathing."""
 
 
 class PoseTracker:
@@ -121,6 +123,11 @@ class PoseTracker:
         self.history.append(seen)
         self._apply(TipSeen(now_s, seen))
 
+    def follow_breath(self, now_s: float) -> None:
+        """Register again, now that the breath is followed."""
+        self._recent.clear()
+        self._apply(BreathFollowed(now_s))
+
     def step(self) -> None:
         """Do what is to be done at `next_s`."""
         self._stepped_s = now_s = self.next_s
@@ -167,7 +174,22 @@ class PoseTracker:
             beats = sum(middle_s < peak.t_s < now_s for peak in self._work.peaks)
             estimate = _estimate_of(record.result)
             self._apply(Registered(now_s, record, estimate, beats, self._plan.landmarks.fit))
+            self._watch_recent(estimate, record.asked_s, now_s)
             self._compare_recent(estimate, record.asked_s, now_s)
+
+    def _watch_recent(self, candidate: PoseEstimate, asked_s: float, now_s: float) -> None:
+        """Look for breathing in the beats of a first candidate's frames, so that force need not wait."""
+        if self._breathing is None or not self._breathing.watches or under_test(self.pose) is not candidate:
+            return
+        for beat in [beat for beat in self._recent if beat.begin_s < asked_s]:
+            evaluation = self._evaluate(beat, candidate)
+            if evaluation is not None:
+                self._watch_breathing(evaluation, now_s)
+
+    def _watch_breathing(self, evaluation: BeatEvaluation, now_s: float) -> None:
+        if self._breathing is not None:
+            middle_s = 0.5 * (evaluation.begin_s + evaluation.end_s)
+            self._breathing.watch(middle_s, now_s, evaluation.measurement)
 
     def _compare_recent(self, candidate: PoseEstimate, asked_s: float, now_s: float) -> None:
         """Compare a new candidate with the beats that ended after its frames, until one contradicts it."""
@@ -204,9 +226,7 @@ class PoseTracker:
     ) -> None:
         if evaluation is None:
             return
-        if self._breathing is not None:
-            middle_s = 0.5 * (evaluation.begin_s + evaluation.end_s)
-            self._breathing.watch(middle_s, now_s, evaluation.measurement)
+        self._watch_breathing(evaluation, now_s)
         evaluation = replace(evaluation, in_use=isinstance(self.pose, InUse))
         self.history.append(evaluation)
         if not isinstance(self.pose, Candidate):

@@ -142,7 +142,14 @@ class TipSeen:
     sighting: TipSighting
 
 
-PoseEvent = Registered | RegistrationRefused | BeatCompared | BeatMissed | TipSeen
+@dataclass(frozen=True, slots=True)
+class BreathFollowed:
+    """From `now_s` on the breath is followed, and frames are those of the heart at rest."""
+
+    now_s: float
+
+
+PoseEvent = Registered | RegistrationRefused | BeatCompared | BeatMissed | TipSeen | BreathFollowed
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -198,6 +205,8 @@ def next_pose(pose: Pose, event: PoseEvent) -> Transition:
             return replace(pose, trial=trial), ()
         case ((Candidate() | Suspended()), BeatMissed()):
             return _missed(pose), ()
+        case _, BreathFollowed():
+            return _restart(pose, event)
     return pose, ()
 
 
@@ -317,6 +326,15 @@ def _moved(pose: InUse, estimate: PoseEstimate, now_s: float) -> tuple[InUse, Po
     confirmation = pose.confirmation.changed(estimate.pose_bound_mm)
     moved = replace(pose, estimate=estimate, motion=motion, warp=warp, confirmation=confirmation)
     return moved, PoseUpdate(now_s, estimate.pose)
+
+
+def _restart(pose: Pose, event: BreathFollowed) -> Transition:
+    """Register again: what was compared before showed the heart wherever in the breath."""
+    again = RegisterNext(event.now_s, cancel_running=True)
+    if isinstance(pose, InUse):
+        return _suspend(pose, Doubt(DoubtCause.BREATHING), event.now_s, again)
+    before, trial = suspended(pose), Trial(tip=pose.trial.tip)
+    return NoPose(trial) if before is None else replace(before, trial=trial), (again,)
 
 
 # ------------------------------------------------------------------ while none is

@@ -22,6 +22,7 @@ class DoubtCause(Enum):
         "ultrasound shows the tool {mm:.1f} mm from where its tip should be; calibrate the probe and the "
         "tool's tip again"
     )
+    BREATHING = "the heart moves with breaths that were not followed before; it is registered again at rest"
     PHASE_OFFSET = "ECG and ultrasound disagree on the phase"
 
 
@@ -79,11 +80,16 @@ class BreathingReason(Enum):
     """Why a pose is withheld or served at rest alone; each value is the sentence that a user reads."""
 
     NO_BREATH = "what follows the breath has shown none yet; check its channel or marker if this lasts 20 s"
-    LOST = "no sample of what follows the breath has come for 0.5 s; check its sender"
+    LOST = "nothing has come of what follows the breath; check its sender, or the ECG if that does"
     NOT_ORDINARY = "breathing is not ordinary ({what}): the pose waits for ordinary breaths"
     LEARNING = "the motion in breathing is being learnt: force is given at end-expiration alone"
     CHANGED = "breathing has changed for good and is learnt again: force is given at end-expiration alone"
     NOT_LEARNT = "the breath lies outside of what was learnt"
+    BY_ECG = (
+        "only the ECG follows the breath: force is given at end-expiration alone; record breathing (key "
+        "respiration) for force at all times"
+    )
+    NOT_EXCLUDED = "heart beats are watched for breathing, which nothing follows, before force is given"
     NOT_FOLLOWED = (
         "ultrasound shows the heart moving by {mm:.1f} mm with breaths, some {per_minute:.0f} a minute, that "
         "nothing follows: record them (key respiration), or hold the breath"

@@ -43,7 +43,7 @@ from .heart_clock import HeartClock
 from .history import SessionHistory
 from .margins import MarginTracker
 from .pose_tracker import PoseTracker
-from .setup import SessionSetup
+from .setup import EcgSource, SessionSetup
 from .state import GuidanceState
 from .tip_watch import TipWatch
 from .tool_tracker import ToolTracker
@@ -84,7 +84,8 @@ class Session:
         self.history = history if history is not None else SessionHistory(REMEMBERED)
         self._threads = SliceThreads()
         self._frames = FrameBuffer()
-        self._breathing = BreathingTracker(setup.heart.center_mm, self.history.append)
+        ecg_hz = setup.beat_source.rate_hz if isinstance(setup.beat_source, EcgSource) else None
+        self._breathing = BreathingTracker(setup.heart.center_mm, self.history.append, ecg_hz)
         if ultrasound is None:
             source = self._arrived(clock, executor if executor is not None else InlineExecutor())
         else:
@@ -132,7 +133,10 @@ class Session:
                 return False
             event = accepted
         if isinstance(event, EcgSamples | Trigger):
-            return self._clock.push(event)
+            used = self._clock.push(event)
+            if used and isinstance(event, EcgSamples):
+                self._breathing.push_ecg(event)
+            return used
         if isinstance(event, RespirationSample):
             return self._breathing.push(event)
         if isinstance(event, ToolPose):
@@ -229,6 +233,8 @@ class Session:
         if peak is not None:
             peak = replace(peak, detected_at_s=max(peak.detected_at_s, stepped_s))
             self.history.append(peak)
+            if self._breathing.add_peak(peak):
+                self._pose.follow_breath(peak.detected_at_s)
             self._pose.add_peak(peak)
             seen = self._tip.after_beat(peak.t_s, peak.detected_at_s)
             if seen is not None:

@@ -3,27 +3,36 @@
 hazard_s is the time in which a force was given on a pose more than 5 mm off; the table shows the largest over
 the seeds. The unit is the seed: it draws patient and noise, and with `--heart varied` the heart too; the
 share of pose updates within their bound has an interval over resampled seeds. What holds from SETTLED_S on,
-when the motion in breathing has been learnt, has columns of its own in sessions that last longer.
+when the motion in breathing has been learnt, has columns of its own in sessions that last longer, and so has
+what is served before that, at end-expiration; with calm among the presets, also the settled TRE relative to
+that of the same seed without breathing. With `--cines` the pre-operative images are real short-axis cines,
+and the hearts those of the experts' labels.
 
     dvf-ig study replay --preset lost-ultrasound --seeds 10 -o study
     dvf-ig study replay --preset calm --heart varied --seconds 40 --seeds 20 --seed 7101 -o study
-    dvf-ig study replay --preset ventilated --preset breathing --seconds 100 --seeds 10 -o study
+    dvf-ig study replay --preset calm --preset ventilated --preset breathing --seconds 80 --seeds 10 -o study
+    dvf-ig study replay --preset unrecorded-breathing --seconds 60 --seeds 10 -o study
+    dvf-ig study replay --preset calm --cines acdc --voxel-mm 1.5,1.5,10 --seeds 3 -o study
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from enum import StrEnum
+from pathlib import Path
 
 import numpy as np
 
+from data_synth.cine_heart.anatomy import CineHeart
 from data_synth.heart.heart_spec import HeartSpec
 from data_synth.scenario.presets import PRESETS, ScenarioSpec, preset_name
-from data_synth.scenario.recording import phantom_scenario
+from data_synth.scenario.recording import cine_scenario, phantom_scenario
+from dvf_ig.core import BoolArray, InvalidInputError, Scenario, VolumeSeries
 from dvf_ig.intake.model_cache import cached_model
 from dvf_ig.replay import Replay, result_of, run_replay
 from dvf_ig.replay.result.errors import true_contact
 from dvf_ig.replay.result.score import CONTACT_MM, pose_errors_mm
 from dvf_ig.session.pose_states import ELSEWHERE_BEATS
+from dvf_ig.study.cines import labelled_cines, read_labelled_cine
 from dvf_ig.study.driver import (
     Driver,
     Line,
@@ -60,6 +69,10 @@ class ReplaySettings:
     preset: tuple[str, ...] = option("One preset; may be repeated (default: all).", ())
     motion: Motion = option("How far the heart moves.", Motion.paper5mm)
     heart: HeartKind = option("One heart for all seeds, or another for each.", HeartKind.standard)
+    cines: Path | None = option("Folder of patients as for `study cines`, whose hearts are replayed.", None)
+    voxel_mm: tuple[float, float, float] | None = option(
+        "Voxel size of cines whose header has lost it, three numbers of mm, for example 1.5,1.5,10.", None
+    )
     seconds: float = option("Length of each intervention.", 60.0)
     seeds: int = seeds_option(10)
     seed: int = seed_option(1)
@@ -67,12 +80,12 @@ class ReplaySettings:
 
 SETTLED_S = 60.0
 EVERY = 10
-"""Ticks from one that is scored to the next, once settled."""
+"""Ticks from one that is scored to the next in a part of a replay."""
 
 
 @dataclass(frozen=True, slots=True)
-class Settled:
-    """A replay from SETTLED_S on, while a pose is in use.
+class PartScore:
+    """A part of a replay, while a pose is in use.
 
     Attributes:
         tre_median_mm, tre_p95_mm: over targets and ticks.
@@ -93,7 +106,7 @@ class PresetSummary:
     """One preset over its seeds.
 
     Attributes:
-        preset: its name.
+        preset: its name; patient: of the cine, None for phantoms.
         seeds: replays; refused: those that ended in an error.
         guided: replays that gave a force at any time; the numbers below are over these, medians unless said.
         tre_median_mm, tre_worst_mm: median TRE of each replay: their median and their largest.
@@ -109,11 +122,15 @@ class PresetSummary:
             for so long away from its expected position that no pose was used.
         pose_updates: updates of poses in use; pose_bound_mm: median over seeds of the median stated bound.
         pose_bound_covers: share of these updates whose RMS error over the heart is within the stated bound.
-        settled: medians of its fields; None if no replay lasts longer than SETTLED_S.
+        settled: from SETTLED_S on, medians of its fields; None if no replay lasts longer.
         settled_p95_worst_mm: largest of the settled p95.
+        over_calm: median over seeds of the settled median TRE over that of the same seed's calm replay.
+        gate: of the breathing heart before forces follow the breath, if they ever do; medians.
+        gate_p95_worst_mm: largest of its p95.
     """
 
     preset: str
+    patient: str | None
     seeds: int
     refused: int
     guided: int
@@ -133,24 +150,41 @@ class PresetSummary:
     pose_updates: int
     pose_bound_mm: float | None
     pose_bound_covers: Estimate
-    settled: Settled | None
+    settled: PartScore | None
     settled_p95_worst_mm: float | None
+    over_calm: float | None
+    gate: PartScore | None
+    gate_p95_worst_mm: float | None
 
 
-def summarise_replays(lines: Sequence[Line], presets: Sequence[str]) -> list[PresetSummary]:
-    """A summary of each preset, in the order in which `trial_of` numbers them."""
-    return [
-        _summary(preset, [line for line in lines if line["seed"] % len(presets) == place])
-        for place, preset in enumerate(presets)
-    ]
+Kind = tuple[str, str | None]
+"""Preset, and patient of a cine or None for a phantom."""
 
 
-def _summary(preset: str, lines: Sequence[Line]) -> PresetSummary:
+def summarise_replays(lines: Sequence[Line], kinds: Sequence[Kind]) -> list[PresetSummary]:
+    """A summary of each kind, in the order in which `trial_of` numbers them."""
+    of_kind = {
+        kind: [line for line in lines if line["seed"] % len(kinds) == place]
+        for place, kind in enumerate(kinds)
+    }
+    calm_mm = {
+        (line["scenario_seed"], patient): line["settled"]["tre_median_mm"]
+        for (preset, patient), calm in of_kind.items()
+        for line in calm
+        if preset == "calm" and line.get("settled")
+    }
+    return [_summary(kind, of_kind[kind], calm_mm) for kind in kinds]
+
+
+def _summary(
+    kind: Kind, lines: Sequence[Line], calm_mm: Mapping[tuple[int, str | None], float]
+) -> PresetSummary:
     scored = [line for line in lines if "refused" not in line]
     tre = [line["tre_mm"]["median"] for line in scored if line["tre_mm"]]
     bounds = [line["pose_bound_mm"] for line in scored if line["pose_bound_mm"]]
     return PresetSummary(
-        preset=preset,
+        preset=kind[0],
+        patient=kind[1],
         seeds=len(lines),
         refused=len(lines) - len(scored),
         guided=len(tre),
@@ -175,33 +209,58 @@ def _summary(preset: str, lines: Sequence[Line]) -> PresetSummary:
         pose_updates=sum(bound["updates"] for bound in bounds),
         pose_bound_mm=median_of([bound["median"] for bound in bounds]),
         pose_bound_covers=share_over_hearts([_held(bound) for bound in bounds]),
-        settled=_median_settled([x["settled"] for x in scored if x["settled"] is not None]),
-        settled_p95_worst_mm=max(
-            (x["settled"]["tre_p95_mm"] for x in scored if x["settled"] is not None), default=None
+        settled=_median_score(scored, "settled"),
+        settled_p95_worst_mm=_worst_p95_mm(scored, "settled"),
+        over_calm=median_of(
+            [
+                x["settled"]["tre_median_mm"] / calm_mm[x["scenario_seed"], kind[1]]
+                for x in scored
+                if x["settled"] is not None and (x["scenario_seed"], kind[1]) in calm_mm
+            ]
         ),
+        gate=_median_score(scored, "gate"),
+        gate_p95_worst_mm=_worst_p95_mm(scored, "gate"),
     )
 
 
-def _median_settled(found: Sequence[Line]) -> Settled | None:
+def _median_score(lines: Sequence[Line], part: str) -> PartScore | None:
+    found = [line[part] for line in lines if line[part] is not None]
     if not found:
         return None
-    return Settled(
-        **{field.name: float(np.median([x[field.name] for x in found])) for field in fields(Settled)}
+    return PartScore(
+        **{field.name: float(np.median([x[field.name] for x in found])) for field in fields(PartScore)}
     )
 
 
-def settled_part(replay: Replay) -> Settled | None:
+def _worst_p95_mm(lines: Sequence[Line], part: str) -> float | None:
+    return max((line[part]["tre_p95_mm"] for line in lines if line[part] is not None), default=None)
+
+
+def settled_part(replay: Replay) -> PartScore | None:
     """Score a replay from SETTLED_S on; None if it is shorter, or no pose is in use then."""
+    return _part(replay, replay.ticks.t_s >= SETTLED_S)
+
+
+def gate_part(replay: Replay) -> PartScore | None:
+    """Score a replay of a breathing heart before forces follow the breath; None if there was no pose then."""
+    truth, t_s = replay.scenario.truth, replay.ticks.t_s
+    if truth is None or truth.breathing is None or not replay.poses:
+        return None
+    learnt_s = [record.from_s for record in replay.history.breathing if record.breaths is not None]
+    return _part(replay, (t_s >= replay.poses[0][0]) & (t_s < min(learnt_s, default=np.inf)))
+
+
+def _part(replay: Replay, chosen: BoolArray) -> PartScore | None:
+    """Score (n,) chosen ticks; None if no pose is in use in any of them."""
     ticks, truth = replay.ticks, replay.scenario.truth
-    late = ticks.t_s >= SETTLED_S
-    used = np.flatnonzero(late & ticks.valid)[::EVERY]
-    contact = late & (true_contact(replay)[0] >= CONTACT_MM)
+    used = np.flatnonzero(chosen & ticks.valid)[::EVERY]
+    contact = chosen & (true_contact(replay)[0] >= CONTACT_MM)
     if truth is None or not len(used):
         return None
     errors_mm = pose_errors_mm(ticks.mr_from_tracker[used], ticks.t_s[used], truth)
     rms_mm, bound_mm = np.sqrt((errors_mm**2).mean(axis=1)), ticks.pose_bound_mm[used]
     served = ticks.guided & ticks.force_n.any(axis=1)
-    return Settled(
+    return PartScore(
         tre_median_mm=float(np.median(errors_mm)),
         tre_p95_mm=float(np.percentile(errors_mm, 95)),
         served_share=float(served[contact].mean()) if contact.any() else 0.0,
@@ -235,25 +294,26 @@ KEPT = (
 """Fields of a replay's result that a line keeps."""
 
 
-def trial_of(settings: Settings, number: int) -> tuple[int, str]:
-    """Seed and preset of a trial; those of one seed follow one another."""
-    presets = settings["presets"]
-    return number // len(presets), presets[number % len(presets)]
+def trial_of(settings: Settings, number: int) -> tuple[int, Kind]:
+    """Seed and kind of a trial; those of one seed follow one another."""
+    kinds = settings["kinds"]
+    preset, patient = kinds[number % len(kinds)]
+    return number // len(kinds), (preset, patient)
 
 
-def trial_numbers(presets: int, first_seed: int, seeds: int) -> range:
+def trial_numbers(kinds: int, first_seed: int, seeds: int) -> range:
     """Numbers of the trials of consecutive seeds."""
-    return range(first_seed * presets, (first_seed + seeds) * presets)
+    return range(first_seed * kinds, (first_seed + seeds) * kinds)
 
 
 def replay_trial(settings: Settings, number: int) -> Line:
     """Make, replay and score one intervention.
 
     Args:
-        settings: `presets`, `motion`, `heart`, `seconds`.
+        settings: `kinds`, `motion`, `heart`, `seconds`, `cines`, `voxel_mm`.
         number: see `trial_of`.
     """
-    seed, preset = trial_of(settings, number)
+    seed, (preset, patient) = trial_of(settings, number)
     spec = ScenarioSpec(
         preset=preset,
         motion=settings["motion"],
@@ -261,17 +321,40 @@ def replay_trial(settings: Settings, number: int) -> Line:
         seconds=settings["seconds"],
         seed=seed,
     )
-    scenario = phantom_scenario(spec)
+    scenario = phantom_scenario(spec) if patient is None else _patient_scenario(spec, settings, patient)
     replay = run_replay(scenario, model=cached_model(scenario.preop).model)
-    result, settled = result_of(replay), settled_part(replay)
+    result, settled, gate = result_of(replay), settled_part(replay), gate_part(replay)
     return {
         "scenario_seed": seed,
         "preset": preset,
+        "patient": patient,
         "usable_registrations": sum(a["usable"] for a in result["registrations"]),
         "registrations": len(result["registrations"]),
         "settled": None if settled is None else asdict(settled),
+        "gate": None if gate is None else asdict(gate),
         **{name: result[name] for name in KEPT},
     }
+
+
+def _patient_scenario(spec: ScenarioSpec, settings: Settings, patient: str) -> Scenario:
+    """Record a scenario on a real cine, whose first phase is made end-diastole."""
+    cine = read_labelled_cine(Path(settings["cines"]) / patient, settings["voxel_mm"])
+    values = np.roll(cine.image.values, -cine.ed_phase, axis=0)
+    es_phase = (cine.es_phase - cine.ed_phase) % len(values)
+    image = VolumeSeries(cine.image.grid, values, cine.image.timing)
+    return cine_scenario(spec, CineHeart(patient, image, cine.ed, cine.es, es_phase))
+
+
+def _patients(settings: ReplaySettings) -> list[str] | list[None]:
+    """Names of the patients, all of whose files can be read; one None for phantoms."""
+    if settings.cines is None:
+        if settings.voxel_mm is not None:
+            raise InvalidInputError("--voxel-mm belongs to --cines")
+        return [None]
+    folders = labelled_cines(settings.cines)
+    for folder in folders:
+        read_labelled_cine(folder, settings.voxel_mm)
+    return [folder.name for folder in folders]
 
 
 def run(settings: ReplaySettings, driver: Driver) -> Result:
@@ -281,18 +364,21 @@ def run(settings: ReplaySettings, driver: Driver) -> Result:
     checked = ScenarioSpec(
         preset=presets[0], motion=settings.motion.value, seconds=settings.seconds, seed=settings.seed
     )
+    kinds: list[Kind] = [(preset, patient) for patient in _patients(settings) for preset in presets]
     described = {
-        "presets": presets,
+        "kinds": kinds,
+        "cines": None if settings.cines is None else str(settings.cines),
+        "voxel_mm": settings.voxel_mm,
         "motion": checked.motion,
         "heart": settings.heart.value,
         "seconds": checked.seconds,
     }
     lines = driver.trials(
         Trials("replay", described, replay_trial),
-        trial_numbers(len(presets), settings.seed, settings.seeds),
-        group_size=len(presets),
+        trial_numbers(len(kinds), settings.seed, settings.seeds),
+        group_size=len(kinds),
     )
-    rows = summarise_replays(lines, presets)
+    rows = summarise_replays(lines, kinds)
     summary = {**described, "seed": settings.seed, "seeds": settings.seeds, "rows": rows}
     return Result(summary, _table(rows), {"summary.json": summary})
 
@@ -310,14 +396,15 @@ def _table(rows: Sequence[PresetSummary]) -> Rows:
         "hazard s",
     )
     more = ("at a stretch", "withheld s", "latched s", "tip seen, elsewhere", "pose bound mm", "it covers")
-    late = ("settled TRE mm, p95, worst", "in contact", "bound covers", "error/σ")
+    part = ("TRE mm, p95, worst", "in contact", "bound covers", "error/σ")
+    late = (f"settled {part[0]}", *part[1:], "× calm", f"gate {part[0]}", *part[1:])
     return [(*head, *more, *late), *(_cells(row) for row in rows)]
 
 
 def _cells(row: PresetSummary) -> tuple[str, ...]:
     tre = "" if row.tre_median_mm is None else f"{row.tre_median_mm:.2f}, {row.tre_worst_mm:.2f}"
     return (
-        row.preset,
+        row.preset if row.patient is None else f"{row.patient}, {row.preset}",
         f"{row.guided} of {row.seeds}",
         tre,
         number_text(row.force_error_n, "{:.3f}", ""),
@@ -332,18 +419,20 @@ def _cells(row: PresetSummary) -> tuple[str, ...]:
         f"{row.tip_seen}, {row.tip_elsewhere}",
         number_text(row.pose_bound_mm, "{:.1f}", ""),
         f"{estimate_text(row.pose_bound_covers, '{:.0%}')} of {row.pose_updates} updates",
-        *_settled_cells(row.settled, row.settled_p95_worst_mm),
+        *_part_cells(row.settled, row.settled_p95_worst_mm),
+        number_text(row.over_calm, "{:.2f}", ""),
+        *_part_cells(row.gate, row.gate_p95_worst_mm),
     )
 
 
-def _settled_cells(settled: Settled | None, worst_mm: float | None) -> tuple[str, ...]:
-    if settled is None:
+def _part_cells(part: PartScore | None, worst_mm: float | None) -> tuple[str, ...]:
+    if part is None:
         return ("", "", "", "")
     return (
-        f"{settled.tre_median_mm:.2f}, {settled.tre_p95_mm:.2f}, {number_text(worst_mm, '{:.2f}', '')}",
-        f"{settled.served_share:.0%}",
-        f"{settled.bound_coverage:.0%}",
-        f"{settled.error_per_sigma:.2f}",
+        f"{part.tre_median_mm:.2f}, {part.tre_p95_mm:.2f}, {number_text(worst_mm, '{:.2f}', '')}",
+        f"{part.served_share:.0%}",
+        f"{part.bound_coverage:.0%}",
+        f"{part.error_per_sigma:.2f}",
     )
 
 

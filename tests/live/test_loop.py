@@ -211,7 +211,7 @@ def breath_message(t_s: float, *, by_marker: bool) -> Message:
 def test_the_pose_follows_the_breath_that_arrives_and_is_withheld_when_it_stops(toy, monkeypatch, by_marker):
     """Five breaths teach the motion here; the surrogate ends at 36 s, and breathing goes on."""
     monkeypatch.setattr("dvf_ig.session.arrived_ultrasound.compare_beat", compare_breathing)
-    monkeypatch.setattr("dvf_ig.session.breathing.TRUSTED_BREATHS", 5)
+    monkeypatch.setattr("dvf_ig.session.breathing_motion.TRUSTED_BREATHS", 5)
     streams = toy_streams(37.0, patient=breathing, chunk=5)
     arrivals = arrivals_of(streams)
     times = np.arange(0.0, 36.0, 0.04).tolist()

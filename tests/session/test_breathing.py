@@ -1,5 +1,6 @@
 """Breathing in a session: frames moved to rest exactly, motion learnt from beats, withheld in time."""
 
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -10,16 +11,15 @@ from scipy.spatial.transform import Rotation
 from data_synth.breathing.breaths import BreathSpec, draw_breaths
 from data_synth.breathing.motion import Breathing, breathing_of
 from data_synth.breathing.recorded import recorded_breathing
+from data_synth.signals.ecg import EcgSpec, synthetic_ecg
+from data_synth.signals.rhythm import RhythmSpec, beat_series
+from dvf_ig.cardiac import detect_r_peaks
 from dvf_ig.core import HEART_RADIUS_MM, BoolArray, FloatArray, PoseMotion, Respiration, Rigid
 from dvf_ig.registration import BeatMeasurement, PoseChart
-from dvf_ig.session import RespirationSample
-from dvf_ig.session.breathing import (
-    BreathingRecord,
-    BreathingTracker,
-    FrameBreathing,
-    moved_to_rest,
-    no_log,
-)
+from dvf_ig.registration.unfollowed_breathing import LEAST_BEATS
+from dvf_ig.session import EcgSamples, RespirationSample
+from dvf_ig.session.breathing import BreathingRecord, BreathingTracker, no_log
+from dvf_ig.session.breathing_motion import FrameBreathing, moved_to_rest
 from dvf_ig.session.reasons import BreathingReason
 
 CENTER = np.zeros(3)
@@ -62,6 +62,51 @@ class Measured:
     information: FloatArray
     offset_information_mm: FloatArray
     informative: bool = True
+    pose: Rigid | None = None
+
+
+def follow_by_ecg(
+    excursion_mm: float, events: tuple[tuple[str, float], ...] = (), until_s: float = 62.0
+) -> tuple[FloatArray, FloatArray, BoolArray, BreathingTracker]:
+    """Follow a breath that nothing records, as `follow` does: beats are compared from 10 s on."""
+    rng = np.random.default_rng(4)
+    spec = replace(BreathSpec("ventilated", excursion_mm=excursion_mm), events=events)
+    breaths = draw_breaths(spec, until_s, rng)
+    breathing = breathing_of(spec, breaths, CENTER, rng)
+    assert breathing is not None
+    beats = beat_series(RhythmSpec(), 0.0, until_s, rng, breaths.volume_at)
+    ecg = synthetic_ecg(beats, until_s, EcgSpec(), rng, breaths.volume_at)
+    tracker = BreathingTracker(CENTER, ecg_rate_hz=ecg.rate_hz)
+    tracker.push_ecg(EcgSamples(0.0, ecg.samples))
+    peaks, times, errors, withheld = deque(detect_r_peaks(ecg)), [], [], []
+    begin_s = peaks[0].t_s
+    for now_s in np.arange(0.5, until_s - 1.0, 0.1).tolist():
+        while peaks and peaks[0].detected_at_s <= now_s:
+            peak = peaks.popleft()
+            tracker.add_peak(peak)
+            if peak.t_s > 10.0:
+                beat_between(tracker, breathing, begin_s, peak.t_s, rng)
+            begin_s = peak.t_s
+        tracker.advance(now_s)
+        moved = breathing.points_at(GRID, np.array([now_s]))[0]
+        times.append(now_s)
+        errors.append(float(np.linalg.norm(moved - GRID, axis=1).mean()))
+        withheld.append(tracker.withheld(now_s))
+    return np.array(times), np.array(errors), np.array(withheld), tracker
+
+
+def beat_between(
+    tracker: BreathingTracker, breathing: Breathing, begin_s: float, end_s: float, rng: np.random.Generator
+) -> None:
+    """Compare the frames of a beat, with noise."""
+    t_s = np.arange(begin_s, end_s, 1.0 / 12.0)
+    frames = tracker.frames(t_s)
+    shown = true_xi_mm(breathing, t_s).mean(axis=0) + NOISE_MM * rng.standard_normal(6)
+    if frames is None:
+        watch_beat(tracker, begin_s, shown)
+        return
+    left = shown - frames.xi_mm.mean(axis=0)
+    tracker.add_beat(Measured(np.eye(6) / NOISE_MM**2, left / NOISE_MM**2), frames)
 
 
 def beat(tracker: BreathingTracker, breathing: Breathing, begin_s: float, rng: np.random.Generator) -> None:
@@ -115,13 +160,45 @@ def test_frames_moved_to_rest_see_there_what_they_saw_in_the_breath() -> None:
         np.testing.assert_allclose(again, seen, atol=1e-9)
 
 
-def test_without_samples_nothing_changes() -> None:
-    tracker = BreathingTracker(CENTER)
+def watch_beat(tracker: BreathingTracker, begin_s: float, xi_mm: FloatArray) -> None:
+    """Compare a beat with RESTING, which is `xi_mm` from where it shows the heart."""
+    information = np.eye(6) / NOISE_MM**2
+    measured = Measured(information, information @ xi_mm, pose=RESTING.end)
+    tracker.watch(begin_s + 0.4, begin_s + 1.1, measured)
+
+
+def test_without_samples_there_is_no_force_until_beats_exclude_breathing() -> None:
+    tracker, rng = BreathingTracker(CENTER), np.random.default_rng(3)
     tracker.advance(5.0)
     assert tracker.frames(np.array([1.0])) is None
     assert tracker.motion(RESTING, 5.0) is RESTING
-    assert not tracker.withheld(5.0)
     assert not tracker.covariance_mm2(5.0).any()
+    for k in range(LEAST_BEATS):
+        assert tracker.withheld(10.0 + k)
+        assert tracker.reason(10.0 + k) == BreathingReason.NOT_EXCLUDED.value
+        watch_beat(tracker, 9.0 + k, NOISE_MM * rng.standard_normal(6))
+    assert not tracker.withheld(30.0)
+    assert tracker.reason(30.0) is None
+
+
+@pytest.mark.parametrize("excursion_mm", [4.0, 10.0])
+def test_the_ecg_follows_a_breath_that_nothing_records_and_force_is_given_at_rest(
+    excursion_mm: float,
+) -> None:
+    times, errors, withheld, tracker = follow_by_ecg(excursion_mm)
+    assert withheld[times < 15.0].all()
+    served = ~withheld & (times > 25.0)
+    assert 0.15 < served.sum() / (times > 25.0).sum() < 0.45
+    assert np.percentile(errors[served], 95) < 1.5
+    assert tracker.model is None  # what happens between two beats is not noticed at once
+    assert tracker.reason(float(times[-1])) == BreathingReason.BY_ECG.value
+    assert tracker.bound_mm(float(times[-1])) > 0.0
+
+
+@pytest.mark.parametrize("event", ["pause", "disconnection", "sigh", "doubled-rate"])
+def test_a_breath_that_the_ecg_did_not_forecast_is_no_rest(event: str) -> None:
+    times, errors, withheld, _ = follow_by_ecg(10.0, ((event, 40.0),))
+    assert errors[~withheld & (times > 25.0)].max() < 5.0
 
 
 def test_the_gate_serves_end_expiration_until_the_motion_is_learnt() -> None:

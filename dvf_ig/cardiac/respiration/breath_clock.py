@@ -4,6 +4,7 @@ import math
 from collections import deque
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import Protocol
 
 import numpy as np
 
@@ -45,6 +46,7 @@ class BreathEvent(IntEnum):
     PAUSE = 3
     CHANGED_RATE = 4
     DISCONNECTION = 5
+    UNEXPECTED = 6
 
 
 PARTING = (BreathEvent.DEEP_BREATH, BreathEvent.COUGH, BreathEvent.DISCONNECTION)
@@ -96,8 +98,38 @@ class BreathReading:
     event: BreathEvent
 
 
+class Breath(Protocol):
+    """A breathing clock, see `BreathClock`."""
+
+    @property
+    def continuous(self) -> bool:
+        """Whether it is sampled so often that a departure from the ordinary is noticed at once."""
+        ...
+
+    @property
+    def latest_s(self) -> float: ...
+
+    @property
+    def lost_s(self) -> float: ...
+
+    @property
+    def onsets_s(self) -> tuple[float, ...]: ...
+
+    def reading(self, t_s: float) -> BreathReading: ...
+
+    def features(self, t_s: FloatArray) -> FloatArray: ...
+
+    def tells(self, t_s: FloatArray) -> BoolArray: ...
+
+    def rest_level(self, share: float) -> float: ...
+
+    def rest_features(self, share: float) -> FloatArray: ...
+
+
 class BreathClock:
     """Causal breathing clock: samples in, ρ and its lags out, of the past by memory, ahead by forecast."""
+
+    continuous = True
 
     def __init__(self, options: BreathClockOptions | None = None) -> None:
         self._options = options or BreathClockOptions()
@@ -124,6 +156,11 @@ class BreathClock:
         if self._count:
             return float(self._table[self._count - 1, 0])
         return self._waiting[-1][0] if self._waiting else math.nan
+
+    @property
+    def lost_s(self) -> float:
+        """Time without a sample after which breathing is lost."""
+        return self._options.lost_s
 
     @property
     def onsets_s(self) -> tuple[float, ...]:

@@ -49,33 +49,45 @@ def first_scenario(file: "SpecFile", out: Path | None, *, print_spec: bool, as_j
 
 
 def _made(file: "SpecFile", spec: "ScenarioSpec") -> "tuple[Scenario, ReplayedPath | None]":
-    inputs, images = (file.surfaces, file.ecg, file.probe_path), (file.cine, file.labels, file.es_labels)
+    inputs, images = (
+        (file.surfaces, file.ecg, file.probe_path),
+        (file.cine, file.labels, file.es_labels, file.voxel_mm),
+    )
     if file.anatomy != "surfaces" and any(value is not None for value in inputs):
         raise typer.BadParameter("--surfaces, --ecg and --probe-path belong to --anatomy surfaces")
     if file.anatomy != "cine" and any(value is not None for value in images):
-        raise typer.BadParameter("--cine, --labels and --es-labels belong to --anatomy cine")
+        raise typer.BadParameter("--cine, --labels, --es-labels and --voxel-mm belong to --anatomy cine")
     if file.anatomy == "phantom":
         return _on_the_phantom(spec), None
     if file.anatomy == "cine":
         if file.cine is None or file.labels is None:
             raise typer.BadParameter("--anatomy cine needs --cine and --labels")
-        return _on_a_cine(spec, Path(file.cine), Path(file.labels), file.es_labels), None
+        return _on_a_cine(spec, Path(file.cine), Path(file.labels), file), None
     surfaces, ecg, probe_path = inputs
     if surfaces is None or ecg is None or probe_path is None:
         raise typer.BadParameter("--anatomy surfaces needs --surfaces, --ecg and --probe-path")
     return _on_real_anatomy(spec, Path(surfaces), ecg, Path(probe_path))
 
 
-def _on_a_cine(spec: "ScenarioSpec", cine: Path, labels: Path, es_labels: str | None) -> "Scenario":
+def _on_a_cine(spec: "ScenarioSpec", cine: Path, labels: Path, file: "SpecFile") -> "Scenario":
     """Record a scenario on real MR and its expert's labels, with simulated ultrasound."""
-    from data_synth import CineHeart, cine_scenario
-    from dvf_ig.io import read_cine_labels, read_volume_series
+    from dataclasses import replace
 
-    drawn = None if es_labels is None else _named_systole(es_labels)
+    from data_synth import CineHeart, cine_scenario, require_heart_size
+    from dvf_ig.core import Volume
+    from dvf_ig.io import read_cine_labels, read_volume_series
+    from dvf_ig.preop import with_voxel_size
+
+    drawn = None if file.es_labels is None else _named_systole(file.es_labels)
     series = read_volume_series(cine)
     ed, _ = read_cine_labels(labels, series, 0)
-    es, phase = _tracked_systole(series, ed) if drawn is None else _drawn_systole(series, cine, *drawn)
-    heart = CineHeart(cine.resolve().parent.name, series, ed, es, phase)
+    systole = None if drawn is None else _drawn_systole(series, cine, *drawn)
+    if file.voxel_mm is not None:
+        grid = with_voxel_size(series.grid, file.voxel_mm)
+        series, ed = replace(series, grid=grid), Volume(grid, ed.values)
+    require_heart_size(series.grid, ed.values)
+    es, phase = _tracked_systole(series, ed) if systole is None else systole
+    heart = CineHeart(cine.resolve().parent.name, series, ed, Volume(series.grid, es.values), phase)
     with progress("synthetic scenario") as report:
         return cine_scenario(spec, heart, report)
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from dvf_ig.cli.shell import JsonFlag, ThreadsOption, command, output_dir
+from dvf_ig.cli.voxel_size import VoxelOption, voxel_size
 
 if TYPE_CHECKING:
     from dvf_ig.cli.synth.spec import SpecFile
@@ -30,7 +31,7 @@ PRESET_NAMES = (
     "calm, tachycardia, ectopy, line-of-sight-loss, probe-slip, patient-shift, poor-image, "
     "wrong-calibration, lost-ultrasound, noise-ultrasound, black-ultrasound, frozen-ultrasound, frozen-tool, "
     "tool-clock-restart, late-ecg, tool-in-view, tool-elsewhere, tool-unseen, deformed, ventilated, "
-    "breathing"
+    "breathing, unrecorded-breathing"
 )
 """Names written out, as the synthetic world is loaded only to make a scenario."""
 
@@ -127,6 +128,7 @@ def scenario(
             help="Labels at end-systole, FILE@PHASE (phase 0 is the first); else the cine is tracked.",
         ),
     ] = None,
+    voxel_mm: VoxelOption = None,
     probe_calibration: Annotated[
         Path | None,
         typer.Option(
@@ -184,6 +186,7 @@ def scenario(
             "cine": None if cine is None else str(cine),
             "labels": None if labels is None else str(labels),
             "es_labels": es_labels,
+            "voxel_mm": voxel_size(voxel_mm),
             "probe_calibration": None if probe_calibration is None else str(probe_calibration),
             "image_px": image_px,
             "preset": preset,

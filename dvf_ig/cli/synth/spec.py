@@ -17,7 +17,7 @@ SCHEMA = "dvf_ig.scenario-spec/1"
 _KEYS = {"occlusion": "sight"}
 """Keys of the file that differ from the names of their fields, to keep the format."""
 _FIELDS = {key: field for field, key in _KEYS.items()}
-_INPUTS = {"surfaces": ("surfaces", "ecg", "probe_path"), "cine": ("cine", "labels", "es_labels")}
+_INPUTS = {"surfaces": ("surfaces", "ecg", "probe_path"), "cine": ("cine", "labels", "es_labels", "voxel_mm")}
 """Keys that belong to only one kind of anatomy."""
 _SEEDS = ("anatomy_seed", "motion_seed", "mismatch_seed", "speckle_seed")
 _HEADER = """\
@@ -33,7 +33,8 @@ class SpecFile(BaseModel):
         world: which synthetic world; `quality` belongs to the second, which also takes seed, motion, seconds
             and us_rate_hz.
         anatomy: source of the beating heart; surfaces, ecg and probe_path belong to "surfaces", cine, labels
-            and es_labels (FILE@PHASE; without, end-systole is tracked) to "cine".
+            es_labels (FILE@PHASE; without, end-systole is tracked) and voxel_mm (of a cine whose header has
+            lost it) to "cine".
         probe_calibration, image_px: file with a real probe's image calibration, and its image's columns and
             rows; both or neither.
         heart: kind of heart of the phantom.
@@ -54,6 +55,7 @@ class SpecFile(BaseModel):
     cine: str | None = None
     labels: str | None = None
     es_labels: str | None = None
+    voxel_mm: tuple[float, float, float] | None = None
     probe_calibration: str | None = None
     image_px: tuple[int, int] | None = None
     preset: str = "calm"

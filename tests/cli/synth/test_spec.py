@@ -127,6 +127,7 @@ def test_kind_and_seeds_of_the_heart_are_in_the_yaml_and_read_back(tmp_path: Pat
     "options",
     [
         ["--cine", "c.nii", "--labels", "l.nii", "--es-labels", "e.nii@3"],
+        ["--voxel-mm", "1.5,1.5,10"],
         ["--anatomy", "cine", "--cine", "c.nii"],
         ["--anatomy", "cine", "--surfaces", "s"],
     ],
@@ -150,7 +151,9 @@ def test_without_its_labels_end_systole_is_tracked_in_the_cine(capsys: pytest.Ca
 
 def test_end_systolic_labels_come_with_their_phase(tmp_path: Path) -> None:
     with pytest.raises(InvalidInputError, match="FILE@PHASE"):
-        first_world._on_a_cine(ScenarioSpec(), tmp_path / "c.nii", tmp_path / "l.nii", "e.nii")
+        first_world._on_a_cine(
+            ScenarioSpec(), tmp_path / "c.nii", tmp_path / "l.nii", SpecFile(es_labels="e.nii")
+        )
 
 
 def test_without_a_folder_or_with_two_presets_it_is_a_usage_error(tmp_path: Path) -> None:

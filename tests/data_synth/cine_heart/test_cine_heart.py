@@ -135,3 +135,9 @@ def test_bad_hearts_are_refused(heart: CineHeart) -> None:
     thin[20:30, 20:30, 3] = LV_LABEL
     with pytest.raises(InvalidInputError, match="needed at least 3"):
         stack_depth(thin > 0, GRID, Caps(8.0, 0.8, 0.0), base_first=True)
+
+
+def test_cine_without_a_voxel_size_is_refused(heart: CineHeart) -> None:
+    lost = Grid("mr", GRID.shape, GRID.origin_mm, np.array([1.0, 1.0, 1.0]), GRID.direction)
+    with pytest.raises(InvalidInputError, match="--voxel-mm"):
+        replace(heart, cine=replace(heart.cine, grid=lost))

@@ -1,0 +1,65 @@
+"""Size of each QRS complex relative to the usual one, which the lungs' filling modulates in each lead."""
+
+from collections import deque
+
+import numpy as np
+
+from dvf_ig.core import FloatArray
+
+QRS_S = 0.06
+"""Samples this long before and after an R peak are compared."""
+LEVEL_S = (0.12, 0.05)
+"""The level of the signal is taken from this far to this far before it."""
+USUAL_BEATS = 20
+KEEP_S = 5.0
+
+
+class QrsGain:
+    """Gains of beats by lead; causal: they depend on nothing after its R peak was detected.
+
+    Args:
+        rate_hz: sampling rate.
+    """
+
+    def __init__(self, rate_hz: float) -> None:
+        self._rate_hz = rate_hz
+        self._parts: deque[tuple[float, FloatArray]] = deque()
+        self._shapes: deque[FloatArray] = deque(maxlen=USUAL_BEATS)
+
+    def push(self, samples: FloatArray, start_s: float) -> None:
+        """Add (n, leads) samples in order of time."""
+        self._parts.append((start_s, samples))
+        while self._parts[0][0] < start_s - KEEP_S:
+            self._parts.popleft()
+
+    def gains(self, peak_s: float, detected_s: float) -> FloatArray:
+        """Compute (leads,) gains of a beat; NaN unless all its samples had come by its detection."""
+        shape = self._shape(peak_s) if detected_s >= peak_s + QRS_S else None
+        if shape is None:
+            return np.full(self._parts[-1][1].shape[1] if self._parts else 1, np.nan)
+        if self._shapes and self._shapes[0].shape != shape.shape:
+            self._shapes.clear()
+        self._shapes.append(shape)
+        usual = np.median(np.array(self._shapes), axis=0)
+        square = np.square(usual).sum(axis=0)
+        sizes = (shape * usual).sum(axis=0)
+        return np.asarray(np.divide(sizes, square, out=np.full(len(square), np.nan), where=square > 0.0))
+
+    def _shape(self, peak_s: float) -> FloatArray | None:
+        """Return (n, leads) samples about a peak, above their level; None if any is missing."""
+        first_s, last_s = peak_s - LEVEL_S[0], peak_s + QRS_S + 1.0 / self._rate_hz
+        chosen, times = [], []
+        for start_s, samples in self._parts:
+            if start_s <= last_s and start_s + len(samples) / self._rate_hz >= first_s:
+                chosen.append(samples)
+                times.append(start_s + np.arange(len(samples)) / self._rate_hz)
+        if not chosen:
+            return None
+        after_s, values = np.concatenate(times) - peak_s, np.concatenate(chosen)
+        complexes = np.round(QRS_S * self._rate_hz)
+        steps = np.round(after_s * self._rate_hz)
+        near = values[np.abs(steps) <= complexes]
+        level = values[(after_s >= -LEVEL_S[0]) & (after_s < -LEVEL_S[1])]
+        if len(near) != 2 * complexes + 1 or not len(level) or not np.isfinite(near).all():
+            return None
+        return np.asarray(near - np.median(level, axis=0))
