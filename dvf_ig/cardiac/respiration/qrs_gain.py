@@ -1,10 +1,13 @@
 """Size of each QRS complex relative to the usual one, which the lungs' filling modulates in each lead."""
 
 from collections import deque
+from collections.abc import Sequence
 
 import numpy as np
 
-from dvf_ig.core import FloatArray
+from dvf_ig.core import FloatArray, Signal
+
+from ..rpeak import RPeak
 
 QRS_S = 0.06
 """Samples this long before and after an R peak are compared."""
@@ -63,3 +66,17 @@ class QrsGain:
         if len(near) != 2 * complexes + 1 or not len(level) or not np.isfinite(near).all():
             return None
         return np.asarray(near - np.median(level, axis=0))
+
+
+def beat_values(ecg: Signal, peaks: Sequence[RPeak]) -> tuple[FloatArray, FloatArray]:
+    """Return (n,) R peaks of a recording, with (n, leads + 1) gains and the interval before each."""
+    qrs, t_s = QrsGain(ecg.rate_hz), np.array([peak.t_s for peak in peaks])
+    gains, begin = [], 0
+    for peak in peaks:
+        end = min(len(ecg), round((peak.detected_at_s - ecg.start_s) * ecg.rate_hz) + 1)
+        if end > begin:
+            qrs.push(ecg.samples[begin:end], ecg.start_s + begin / ecg.rate_hz)
+            begin = end
+        gains.append(qrs.gains(peak.t_s, peak.detected_at_s))
+    intervals_s = np.diff(t_s, prepend=np.nan)
+    return t_s, np.column_stack([np.array(gains).reshape(len(peaks), -1), intervals_s])
