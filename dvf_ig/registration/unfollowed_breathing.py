@@ -27,7 +27,7 @@ BEATS_A_BREATH = 2.2
 """Fewest beats a breath in which it is still seen."""
 OSCILLATION_MM = 5.0
 """Prior SD of drift and oscillation."""
-FOUND, GONE = 90.0, 45.0
+FOUND, GONE, SUSPECT = 90.0, 45.0, 25.0
 """Fall of χ² from which an oscillation is breathing, and below which it no longer is: between the 65 at most
 that biases make which change with a sweeping view, and the 131 at least of 4 mm of breathing
 (docs/theory/respiration.md)."""
@@ -67,6 +67,11 @@ class Oscillation:
     fall: float
     amplitude_mm: float
 
+    @property
+    def is_suspect(self) -> bool:
+        """Whether the first beats do not exclude breathing."""
+        return self.fall >= SUSPECT and self.amplitude_mm >= GONE_MM
+
     def is_breathing(self, *, before: bool) -> bool:
         """Whether it is taken for breathing, `before`: also by the beats until the last."""
         least, least_mm = (GONE, GONE_MM) if before else (FOUND, LEAST_MM)
@@ -85,7 +90,8 @@ class OscillationWatch:
         """Breathing that the last beats show; None if they show none."""
         self.excluded = False
         """Whether LEAST_BEATS beats were compared, and have shown no breathing since."""
-        self._compared = 0
+        self.compared = 0
+        """Beats that were compared with a pose."""
         self._center_mm = center_mm
         self._chart: PoseChart | None = None
         self._place = 0
@@ -93,14 +99,15 @@ class OscillationWatch:
 
     def add(self, middle_s: float, measurement: BeatMeasurement) -> None:
         """Add a beat that was compared with a pose, with the time half-way through it."""
-        self._compared += 1
+        self.compared += 1
         self._add(middle_s, measurement)
-        before = self.found is not None or not self.excluded
-        oscillation = strongest_oscillation(tuple(self._beats))
-        breathes = oscillation is not None and oscillation.is_breathing(before=self.found is not None)
-        suspected = oscillation is not None and oscillation.is_breathing(before=before)
+        before, oscillation = self.found is not None, strongest_oscillation(tuple(self._beats))
+        breathes = oscillation is not None and oscillation.is_breathing(before=before)
         self.found = oscillation if breathes else None
-        self.excluded = self._compared >= LEAST_BEATS and not suspected
+        if before or breathes:
+            self.excluded = not breathes
+        elif self.compared >= LEAST_BEATS:
+            self.excluded |= oscillation is None or not oscillation.is_suspect
 
     def _add(self, middle_s: float, measurement: BeatMeasurement) -> None:
         """Remember a beat that tells where the heart is."""

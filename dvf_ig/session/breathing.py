@@ -179,13 +179,14 @@ class BreathingTracker:
         """Look for breathing in the poses of beats if nothing follows the breath."""
         if self.follows:
             return
-        before = (self._watch.found is None, self._watch.excluded)
-        self._watch.add(middle_s, measurement)
-        found = self._watch.found
-        if before == (found is None, self._watch.excluded):
+        watch = self._watch
+        before = (watch.found is None, watch.excluded, watch.compared > 0)
+        watch.add(middle_s, measurement)
+        found = watch.found
+        if before == (found is None, watch.excluded, True):
             return
         self._watch_changed_s = decided_s
-        if found is not None:
+        if found is not None and before[0]:
             moved_mm, per_minute = 2.0 * found.amplitude_mm, found.per_minute
             self._log(BreathingRecord(decided_s, unfollowed_mm=moved_mm, per_minute=per_minute))
 
@@ -319,9 +320,9 @@ class BreathingTracker:
         if found is not None:
             template = BreathingReason.NOT_FOLLOWED.value
             reason = template.format(mm=2.0 * found.amplitude_mm, per_minute=found.per_minute)
-        elif not self._watch.excluded:
+        elif not self._watch.excluded and self._watch.compared:
             reason = BreathingReason.NOT_EXCLUDED.value
-        return _Moment(changed_s, reason is not None, np.zeros((6, 6)), 0.0, reason)
+        return _Moment(changed_s, not self._watch.excluded, np.zeros((6, 6)), 0.0, reason)
 
 
 def _unknown(reading: BreathReading, tells: bool) -> str | None:

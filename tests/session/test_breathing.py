@@ -175,7 +175,7 @@ def test_without_samples_there_is_no_force_until_beats_exclude_breathing() -> No
     assert not tracker.covariance_mm2(5.0).any()
     for k in range(LEAST_BEATS):
         assert tracker.withheld(10.0 + k)
-        assert tracker.reason(10.0 + k) == BreathingReason.NOT_EXCLUDED.value
+        assert tracker.reason(10.0 + k) == (BreathingReason.NOT_EXCLUDED.value if k else None)
         watch_beat(tracker, 9.0 + k, NOISE_MM * rng.standard_normal(6))
     assert not tracker.withheld(30.0)
     assert tracker.reason(30.0) is None
