@@ -27,12 +27,16 @@ BEATS_A_BREATH = 2.2
 """Fewest beats a breath in which it is still seen."""
 OSCILLATION_MM = 5.0
 """Prior SD of drift and oscillation."""
-FOUND, GONE, SUSPECT = 90.0, 45.0, 25.0
+FOUND, GONE = 90.0, 45.0
 """Fall of χ² from which an oscillation is breathing, and below which it no longer is: between the 65 at most
 that biases make which change with a sweeping view, and the 131 at least of 4 mm of breathing
 (docs/theory/respiration.md)."""
 LEAST_MM, GONE_MM = 1.0, 0.7
 """The same limits of the amplitude of the translation."""
+SUSPECT, SUSPECT_CYCLES = 32.0, 1.8
+"""Fall of χ² from which the first beats do not exclude breathing, and fewest breaths over which they must reach:
+a slower oscillation is not told from the drift of views. Between the 28 at most of such beats in sessions
+without breathing, and the 38 at least of 4 mm."""
 
 
 @read_only_arrays
@@ -106,8 +110,9 @@ class OscillationWatch:
         self.found = oscillation if breathes else None
         if before or breathes:
             self.excluded = not breathes
-        elif self.compared >= LEAST_BEATS:
-            self.excluded |= oscillation is None or not oscillation.is_suspect
+        elif self.compared >= LEAST_BEATS and not self.excluded:
+            first = strongest_oscillation(tuple(self._beats), SUSPECT_CYCLES)
+            self.excluded = first is None or not first.is_suspect
 
     def _add(self, middle_s: float, measurement: BeatMeasurement) -> None:
         """Remember a beat that tells where the heart is."""
@@ -128,8 +133,8 @@ class OscillationWatch:
         self._beats = deque(moved, maxlen=MOST_BEATS)
 
 
-def strongest_oscillation(beats: tuple[BeatPose, ...]) -> Oscillation | None:
-    """Fit the oscillation of the lowest χ²; None from fewer than LEAST_BEATS."""
+def strongest_oscillation(beats: tuple[BeatPose, ...], cycles: float = 0.0) -> Oscillation | None:
+    """Fit the oscillation of the lowest χ² of which beats show `cycles`; None from fewer than LEAST_BEATS."""
     if len(beats) < LEAST_BEATS:
         return None
     t_s = np.array([beat.t_s for beat in beats])
@@ -143,7 +148,9 @@ def strongest_oscillation(beats: tuple[BeatPose, ...]) -> Oscillation | None:
     fastest_hz = 1.0 / (BEATS_A_BREATH * float(np.median(np.diff(t_s))))
     total = float(np.sum([beat.square for beat in beats]))
     best = Oscillation(0.0, 0.0, 0.0)
-    for frequency_hz in FREQUENCIES_HZ[fastest_hz >= FREQUENCIES_HZ].tolist():
+    slowest_hz = cycles / float(np.ptp(t_s))
+    seen = (slowest_hz <= FREQUENCIES_HZ) & (fastest_hz >= FREQUENCIES_HZ)
+    for frequency_hz in FREQUENCIES_HZ[seen].tolist():
         angle = 2.0 * np.pi * frequency_hz * t_s
         waves = np.stack([np.cos(angle), np.sin(angle)], axis=1)
         explained, b_mm = _fit(np.hstack([steady, waves]), constants, information, offsets)
