@@ -34,7 +34,7 @@ that biases make which change with a sweeping view, and the 131 at least of 4 mm
 LEAST_MM, GONE_MM = 1.0, 0.7
 """The same limits of the amplitude of the translation."""
 SUSPECT, SUSPECT_CYCLES = 32.0, 1.8
-"""Fall of χ² from which the first beats do not exclude breathing, and fewest breaths over which they must reach:
+"""Fall of χ² from which the first beats do not exclude breathing, and fewest breaths over which they reach:
 a slower oscillation is not told from the drift of views. Between the 28 at most of such beats in sessions
 without breathing, and the 38 at least of 4 mm."""
 
