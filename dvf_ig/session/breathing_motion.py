@@ -210,17 +210,15 @@ class LearntMotion:
     def covariance_mm2(self, features: FloatArray, sigma_rho: float) -> FloatArray:
         """Compute (6, 6) covariance of the motion from rest at (4,) features; zero before a first model.
 
-        In the gate the heart is taken to be at rest, so that the motion that is left is an error.
+        In the gate the heart is taken to be at rest, so that the motion that is left is the error.
         """
         model = self._model
         if model is None:
             return np.zeros((6, 6))
-        covariance = model.covariance_mm2((features - self._rest)[None])[0]
-        covariance += sigma_rho**2 * np.outer(model.b_mm[1], model.b_mm[1])
-        if not self.learnt:
-            xi_mm = self._xi_mm(model, features[None])[0]
-            covariance += np.outer(xi_mm, xi_mm)
-        return np.asarray(covariance)
+        beyond = (features - self._rest)[None]
+        xi_mm = model.xi_mm(beyond)[0]
+        covariance = model.covariance_mm2(beyond)[0] if self.learnt else np.outer(xi_mm, xi_mm)
+        return np.asarray(covariance + sigma_rho**2 * np.outer(model.b_mm[1], model.b_mm[1]))
 
     @property
     def latency_s(self) -> float:
