@@ -33,10 +33,11 @@ that biases make which change with a sweeping view, and the 131 at least of 4 mm
 (docs/theory/respiration.md)."""
 LEAST_MM, GONE_MM = 1.0, 0.7
 """The same limits of the amplitude of the translation."""
-SUSPECT, SUSPECT_CYCLES = 32.0, 1.8
-"""Fall of χ² from which the first beats do not exclude breathing, and fewest breaths over which they reach:
-a slower oscillation is not told from the drift of views. Between the 28 at most of such beats in sessions
-without breathing, and the 38 at least of 4 mm."""
+SUSPECT, SUSPECT_A_BEAT = 32.0, 1.65
+"""Fall of χ² from which LEAST_BEATS do not exclude breathing, and its growth with each further beat: between the
+28 at most (65 of all beats) that views make, and the 38 at least of 4 mm."""
+SUSPECT_CYCLES = 1.8
+"""Fewest breaths in these beats: a slower oscillation is not told from the drift of views."""
 
 
 @read_only_arrays
@@ -71,10 +72,10 @@ class Oscillation:
     fall: float
     amplitude_mm: float
 
-    @property
-    def is_suspect(self) -> bool:
-        """Whether the first beats do not exclude breathing."""
-        return self.fall >= SUSPECT and self.amplitude_mm >= GONE_MM
+    def is_suspect(self, beats: int) -> bool:
+        """Whether the first `beats` do not exclude breathing."""
+        least = SUSPECT + SUSPECT_A_BEAT * (beats - LEAST_BEATS)
+        return self.fall >= least and self.amplitude_mm >= GONE_MM
 
     def is_breathing(self, *, before: bool) -> bool:
         """Whether it is taken for breathing, `before`: also by the beats until the last."""
@@ -112,7 +113,7 @@ class OscillationWatch:
             self.excluded = not breathes
         elif self.compared >= LEAST_BEATS and not self.excluded:
             first = strongest_oscillation(tuple(self._beats), SUSPECT_CYCLES)
-            self.excluded = first is None or not first.is_suspect
+            self.excluded = first is None or not first.is_suspect(len(self._beats))
 
     def _add(self, middle_s: float, measurement: BeatMeasurement) -> None:
         """Remember a beat that tells where the heart is."""
