@@ -34,8 +34,8 @@ that biases make which change with a sweeping view, and the 131 at least of 4 mm
 LEAST_MM, GONE_MM = 1.0, 0.7
 """The same limits of the amplitude of the translation."""
 SUSPECT, SUSPECT_A_BEAT = 32.0, 1.65
-"""Fall of χ² from which LEAST_BEATS do not exclude breathing, and its growth with each further beat: between the
-28 at most (65 of all beats) that views make, and the 38 at least of 4 mm."""
+"""Fall of χ² from which LEAST_BEATS do not exclude breathing, and its growth with each further beat: between
+the 28 at most (65 of all beats) that views make, and the 38 at least of 4 mm."""
 SUSPECT_CYCLES = 1.8
 """Fewest breaths in these beats: a slower oscillation is not told from the drift of views."""
 

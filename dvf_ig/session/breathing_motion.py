@@ -66,6 +66,11 @@ class FrameBreathing:
         """(n,) frames of the resting heart, or that can be moved to it."""
         return np.asarray(self.known if self.learnt else self.resting)
 
+    @property
+    def known_breath(self) -> BoolArray:
+        """(n,) frames whose place in the breath is known."""
+        return np.asarray(np.isfinite(self.features).all(axis=1))
+
     def part(self, chosen: IntArray | slice) -> "FrameBreathing":
         """Choose frames."""
         return FrameBreathing(
@@ -180,7 +185,7 @@ class LearntMotion:
 
         What it then still finds is added to the mean motion of its frames.
         """
-        good = np.isfinite(frames.features).all(axis=1)
+        good = frames.known_breath
         if not measurement.informative or not good.any():
             return
         beat = BreathBeat(

@@ -161,7 +161,7 @@ def gate_recording(
     breath_valid = None
     if recording.breathing is not None:
         breathing = recording.breathing.part(here)
-        breath_valid = np.isfinite(breathing.features).all(axis=1) if every_breath else breathing.usable
+        breath_valid = breathing.known_breath if every_breath else breathing.usable
         if recording.tested is not None:
             chart = PoseChart(recording.tested, recording.heart.center_mm)
             rotations, translations = moved_to_rest(rotations, translations, breathing.xi_mm, chart)
