@@ -59,6 +59,7 @@ class BreathingRecord:
         held_out_mm: its error in breaths that it was not learnt from, as in `BreathingPose`.
         latency_s: how far what follows the breath is behind the heart; negative if it is ahead.
         unfollowed_mm, per_minute: motion and rate of breaths that heart beats show, if nothing follows them.
+        by_ecg: the ECG follows them.
     """
 
     from_s: float
@@ -67,6 +68,7 @@ class BreathingRecord:
     latency_s: float | None = None
     unfollowed_mm: float | None = None
     per_minute: float | None = None
+    by_ecg: bool = False
 
 
 def no_log(_: BreathingRecord) -> None:
@@ -169,7 +171,12 @@ class BreathingTracker:
             return False
         self._from_ecg, self._locked_s = BeatClock(t_s, values, shown), now_s
         self._begin()
+        self._log_found(now_s, found, by_ecg=True)
         return True
+
+    def _log_found(self, from_s: float, found: Oscillation, *, by_ecg: bool = False) -> None:
+        moved_mm = 2.0 * found.amplitude_mm
+        self._log(BreathingRecord(from_s, unfollowed_mm=moved_mm, per_minute=found.per_minute, by_ecg=by_ecg))
 
     def _begin(self) -> None:
         """Begin to learn with the clock of now."""
@@ -187,8 +194,7 @@ class BreathingTracker:
             return
         self._watch_changed_s = decided_s
         if found is not None and before[0]:
-            moved_mm, per_minute = 2.0 * found.amplitude_mm, found.per_minute
-            self._log(BreathingRecord(decided_s, unfollowed_mm=moved_mm, per_minute=per_minute))
+            self._log_found(decided_s, found)
 
     def shifted(self, from_s: float) -> None:
         """Watch for breathing from then on at another place of the heart."""
