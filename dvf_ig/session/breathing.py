@@ -1,8 +1,10 @@
 """Breathing in a session: what follows the breath, and from it frames at rest and the pose of the moment.
 
-followed    a recorded channel or marker; the motion of the heart with it is learnt (`breathing_motion`)
-watched     nothing is recorded: no force until heart beats exclude breathing; where they show it, the ECG
-            follows the breath from then on, if it shows the same rate
+    followed   a recorded channel or marker; the motion of the heart with it is learnt (`breathing_motion`)
+    watched    nothing is recorded: no force until heart beats exclude breathing; where they show it, the ECG
+               follows the breath from then on, if it shows the same rate, for force at end-expiration alone
+
+All other parts of a session see the heart at rest, which is end-expiration.
 """
 
 from collections import deque
@@ -203,6 +205,8 @@ class BreathingTracker:
     def advance(self, now_s: float) -> None:
         """Follow the breath until now."""
         self.order.advance(now_s)
+        if self._qrs is not None:
+            self._qrs.forget(now_s)
         while self._waiting and self._waiting[0].t_s <= now_s:
             sample = self._waiting.popleft()
             self._recorded.push(np.array([sample.t_s]), sample.values[None])

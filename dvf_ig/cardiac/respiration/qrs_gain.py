@@ -15,6 +15,8 @@ LEVEL_S = (0.12, 0.05)
 """The level of the signal is taken from this far to this far before it."""
 USUAL_BEATS = 20
 KEEP_S = 5.0
+HALF_STEP = 1e-6
+"""Share of a sample's interval by which half of one is rounded down, however the samples were cut."""
 
 
 class QrsGain:
@@ -32,7 +34,10 @@ class QrsGain:
     def push(self, samples: FloatArray, start_s: float) -> None:
         """Add (n, leads) samples in order of time."""
         self._parts.append((start_s, samples))
-        while self._parts[0][0] < start_s - KEEP_S:
+
+    def forget(self, now_s: float) -> None:
+        """Forget samples KEEP_S before now: a beat is detected sooner than that."""
+        while len(self._parts) > 1 and self._parts[1][0] < now_s - KEEP_S:
             self._parts.popleft()
 
     def gains(self, peak_s: float, detected_s: float) -> FloatArray:
@@ -59,11 +64,10 @@ class QrsGain:
         if not chosen:
             return None
         after_s, values = np.concatenate(times) - peak_s, np.concatenate(chosen)
-        complexes = np.round(QRS_S * self._rate_hz)
-        steps = np.round(after_s * self._rate_hz)
-        near = values[np.abs(steps) <= complexes]
-        level = values[(after_s >= -LEVEL_S[0]) & (after_s < -LEVEL_S[1])]
-        if len(near) != 2 * complexes + 1 or not len(level) or not np.isfinite(near).all():
+        steps = np.round(after_s * self._rate_hz - HALF_STEP)
+        reach, (begin, end) = round(QRS_S * self._rate_hz), (round(t_s * self._rate_hz) for t_s in LEVEL_S)
+        near, level = values[np.abs(steps) <= reach], values[(steps >= -begin) & (steps < -end)]
+        if len(near) != 2 * reach + 1 or not len(level) or not np.isfinite(near).all():
             return None
         return np.asarray(near - np.median(level, axis=0))
 
@@ -78,5 +82,6 @@ def beat_values(ecg: Signal, peaks: Sequence[RPeak]) -> tuple[FloatArray, FloatA
             qrs.push(ecg.samples[begin:end], ecg.start_s + begin / ecg.rate_hz)
             begin = end
         gains.append(qrs.gains(peak.t_s, peak.detected_at_s))
+        qrs.forget(peak.t_s)
     intervals_s = np.diff(t_s, prepend=np.nan)
     return t_s, np.column_stack([np.array(gains).reshape(len(peaks), -1), intervals_s])

@@ -115,6 +115,12 @@ def test_the_gain_of_a_beat_needs_its_samples_and_no_later_ones() -> None:
     np.testing.assert_array_equal(prefix, whole[:7])
     third = (np.arange(len(peaks)) % 3 == 2)[5:, None].repeat(2, 1)
     assert whole[5:, :2] == pytest.approx(1.0 + 0.1 * third, abs=0.005)
+    ahead = QrsGain(250.0)  # all samples come before the first beat is taken
+    for begin in range(0, len(t_s), 50):
+        ahead.push(ecg.samples[begin : begin + 50], begin / 250.0)
+    for k, peak in enumerate(found):
+        ahead.forget(peak.detected_at_s)
+        np.testing.assert_array_equal(ahead.gains(peak.t_s, peak.detected_at_s), whole[k, :2])
     assert np.isnan(QrsGain(250.0).gains(1.0, 1.1)).all()
     assert np.isnan(beat_values(ecg, [RPeak(0.8, 0.83, 1.0)])[1]).all()
 
