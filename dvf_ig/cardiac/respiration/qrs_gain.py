@@ -55,7 +55,8 @@ class QrsGain:
 
     def _shape(self, peak_s: float) -> FloatArray | None:
         """Return (n, leads) samples about a peak, above their level; None if any is missing."""
-        first_s, last_s = peak_s - LEVEL_S[0], peak_s + QRS_S + 1.0 / self._rate_hz
+        beyond_s = 1.0 / self._rate_hz
+        first_s, last_s = peak_s - LEVEL_S[0] - beyond_s, peak_s + QRS_S + beyond_s
         chosen, times = [], []
         for start_s, samples in self._parts:
             if start_s <= last_s and start_s + len(samples) / self._rate_hz >= first_s:
