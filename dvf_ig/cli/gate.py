@@ -152,6 +152,9 @@ def _result(signal: "Signal | None", tracking: "PhaseTracking", *, with_phase: b
             for start, stop, state in state_segments(tracking.track)
         ],
     }
+    rates = _breath_rates(signal, tracking)
+    if rates is not None:
+        result["breathing_by_ecg"] = dict(zip(("low", "median", "high"), rates, strict=True))
     if with_phase:
         track = tracking.track
         result["phase"] = {
@@ -160,6 +163,18 @@ def _result(signal: "Signal | None", tracking: "PhaseTracking", *, with_phase: b
             "valid": track.valid.tolist(),
         }
     return result
+
+
+def _breath_rates(signal: "Signal | None", tracking: "PhaseTracking") -> list[float] | None:
+    """Compute quartiles of the breaths a minute that the ECG shows; None without, or if it is too short."""
+    import numpy as np
+
+    from dvf_ig.cardiac.respiration import beat_values, breath_rates
+
+    if signal is None or not tracking.peaks:
+        return None
+    rates = breath_rates(*beat_values(signal, tracking.peaks))
+    return np.percentile(rates, (25.0, 50.0, 75.0)).tolist() if len(rates) else None
 
 
 def _picture(spec: str, signal: "Signal | None", tracking: "PhaseTracking") -> bytes:
@@ -188,9 +203,17 @@ def _rows(result: dict[str, Any]) -> list[tuple[str, str]]:
         ("rate", f"{result['rate_bpm']:.1f} /min"),
         ("detection delay", f"{1000 * delays[len(delays) // 2]:.0f} ms (median)"),
         ("phase valid", f"{100 * result['valid_share']:.1f} % of the time"),
+        *_breath_rate_rows(result.get("breathing_by_ecg")),
         ("not valid", f"{shown}{more}" if segments else "never"),
         ("states", ", ".join(_reasons(result["state_segments"])) or "–"),
     ]
+
+
+def _breath_rate_rows(rates: dict[str, float] | None) -> list[tuple[str, str]]:
+    if rates is None:
+        return []
+    text = f"{rates['median']:.0f} (half of all windows: {rates['low']:.0f} to {rates['high']:.0f})"
+    return [("breaths a minute in the ECG", text)]
 
 
 def _reasons(segments: list[dict[str, Any]]) -> list[str]:

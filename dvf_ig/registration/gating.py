@@ -143,6 +143,7 @@ class FrameRejection(StrEnum):
     REPEATED_IMAGE = "image frozen"
     NOISE_IMAGE = "image without structure"
     UNTRACKED_PROBE = "probe not tracked"
+    BREATH = "in the moving part of a breath, or before it is known"
     IRREGULAR_BEAT = "irregular or unfinished beat"
     BETWEEN_PHASES = "between model phases"
 
@@ -169,6 +170,7 @@ def gate_frames(
     pose_valid: BoolArray,
     beat_valid: BoolArray,
     information: FrameInformation,
+    breath_valid: BoolArray | None = None,
     window: float = PHASE_WINDOW,
 ) -> Gated:
     """Keep frames that show anatomy, with a valid image and pose, a regular beat, and a model phase close by.
@@ -178,6 +180,7 @@ def gate_frames(
         fractions: (m,) phases of the model, [0, 1).
         image_valid, pose_valid, beat_valid: (n,).
         information: of the n images.
+        breath_valid: (n,) the heart rests, or can be moved to its rest; None if nothing follows the breath.
     """
     near = phase_distance(fractions, model_phase).min(axis=1) <= window
     kept = np.ones(len(model_phase), dtype=np.bool_)
@@ -188,6 +191,7 @@ def gate_frames(
         (FrameRejection.REPEATED_IMAGE, ~information.repeated),
         (FrameRejection.NOISE_IMAGE, ~information.noise),
         (FrameRejection.UNTRACKED_PROBE, pose_valid),
+        (FrameRejection.BREATH, np.ones_like(kept) if breath_valid is None else breath_valid),
         (FrameRejection.IRREGULAR_BEAT, beat_valid),
         (FrameRejection.BETWEEN_PHASES, near),
     ):

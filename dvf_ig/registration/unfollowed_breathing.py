@@ -33,6 +33,11 @@ that biases make which change with a sweeping view, and the 131 at least of 4 mm
 (docs/theory/respiration.md)."""
 LEAST_MM, GONE_MM = 1.0, 0.7
 """The same limits of the amplitude of the translation."""
+SUSPECT, SUSPECT_A_BEAT = 32.0, 1.65
+"""Fall of χ² from which LEAST_BEATS do not exclude breathing, and its growth with each further beat: between
+the 28 at most (65 of all beats) that views make, and the 38 at least of 4 mm."""
+SUSPECT_CYCLES = 1.8
+"""Fewest breaths in these beats: a slower oscillation is not told from the drift of views."""
 
 
 @read_only_arrays
@@ -67,6 +72,11 @@ class Oscillation:
     fall: float
     amplitude_mm: float
 
+    def is_suspect(self, beats: int) -> bool:
+        """Whether the first `beats` do not exclude breathing."""
+        least = SUSPECT + SUSPECT_A_BEAT * (beats - LEAST_BEATS)
+        return self.fall >= least and self.amplitude_mm >= GONE_MM
+
     def is_breathing(self, *, before: bool) -> bool:
         """Whether it is taken for breathing, `before`: also by the beats until the last."""
         least, least_mm = (GONE, GONE_MM) if before else (FOUND, LEAST_MM)
@@ -85,7 +95,8 @@ class OscillationWatch:
         """Breathing that the last beats show; None if they show none."""
         self.excluded = False
         """Whether LEAST_BEATS beats were compared, and have shown no breathing since."""
-        self._compared = 0
+        self.compared = 0
+        """Beats that were compared with a pose."""
         self._center_mm = center_mm
         self._chart: PoseChart | None = None
         self._place = 0
@@ -93,14 +104,16 @@ class OscillationWatch:
 
     def add(self, middle_s: float, measurement: BeatMeasurement) -> None:
         """Add a beat that was compared with a pose, with the time half-way through it."""
-        self._compared += 1
+        self.compared += 1
         self._add(middle_s, measurement)
-        before = self.found is not None or not self.excluded
-        oscillation = strongest_oscillation(tuple(self._beats))
-        breathes = oscillation is not None and oscillation.is_breathing(before=self.found is not None)
-        suspected = oscillation is not None and oscillation.is_breathing(before=before)
+        before, oscillation = self.found is not None, strongest_oscillation(tuple(self._beats))
+        breathes = oscillation is not None and oscillation.is_breathing(before=before)
         self.found = oscillation if breathes else None
-        self.excluded = self._compared >= LEAST_BEATS and not suspected
+        if before or breathes:
+            self.excluded = not breathes
+        elif self.compared >= LEAST_BEATS and not self.excluded:
+            first = strongest_oscillation(tuple(self._beats), SUSPECT_CYCLES)
+            self.excluded = first is None or not first.is_suspect(len(self._beats))
 
     def _add(self, middle_s: float, measurement: BeatMeasurement) -> None:
         """Remember a beat that tells where the heart is."""
@@ -121,8 +134,8 @@ class OscillationWatch:
         self._beats = deque(moved, maxlen=MOST_BEATS)
 
 
-def strongest_oscillation(beats: tuple[BeatPose, ...]) -> Oscillation | None:
-    """Fit the oscillation of the lowest χ²; None from fewer than LEAST_BEATS."""
+def strongest_oscillation(beats: tuple[BeatPose, ...], cycles: float = 0.0) -> Oscillation | None:
+    """Fit the oscillation of the lowest χ² of which beats show `cycles`; None from fewer than LEAST_BEATS."""
     if len(beats) < LEAST_BEATS:
         return None
     t_s = np.array([beat.t_s for beat in beats])
@@ -136,7 +149,9 @@ def strongest_oscillation(beats: tuple[BeatPose, ...]) -> Oscillation | None:
     fastest_hz = 1.0 / (BEATS_A_BREATH * float(np.median(np.diff(t_s))))
     total = float(np.sum([beat.square for beat in beats]))
     best = Oscillation(0.0, 0.0, 0.0)
-    for frequency_hz in FREQUENCIES_HZ[fastest_hz >= FREQUENCIES_HZ].tolist():
+    slowest_hz = cycles / float(np.ptp(t_s))
+    seen = (slowest_hz <= FREQUENCIES_HZ) & (fastest_hz >= FREQUENCIES_HZ)
+    for frequency_hz in FREQUENCIES_HZ[seen].tolist():
         angle = 2.0 * np.pi * frequency_hz * t_s
         waves = np.stack([np.cos(angle), np.sin(angle)], axis=1)
         explained, b_mm = _fit(np.hstack([steady, waves]), constants, information, offsets)

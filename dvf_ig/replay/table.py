@@ -162,11 +162,11 @@ def _breathing_rows(result: dict[str, Any]) -> list[tuple[str, str, str]]:
     if found is None:
         return []
     if found["breaths"] is None:
-        text = (
-            f"{found['unfollowed_mm']:.1f} mm with breaths, some {found['per_minute']:.0f} a minute, that "
-            f"nothing follows; no force from {found['from_s']:.1f} s on"
-        )
-        return [("breathing", text, "")]
+        served = "that nothing follows; no force"
+        if found["by_ecg"]:
+            served = "that only the ECG follows; force at end-expiration alone"
+        moved = f"{found['unfollowed_mm']:.1f} mm with breaths, some {found['per_minute']:.0f} a minute"
+        return [("breathing", f"{moved}, {served} from {found['from_s']:.1f} s on", "")]
     behind = f"{abs(found['latency_s']):.2f} s {'behind' if found['latency_s'] > 0 else 'ahead of'} the heart"
     text = f"motion learnt from {found['breaths']} breaths, {found['held_out_mm']:.1f} mm off in others"
     return [("breathing", f"{text}; what follows it is {behind}", "")]

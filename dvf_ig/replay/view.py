@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from dvf_ig.cardiac.respiration import learn_scale
+from dvf_ig.cardiac.respiration import SurrogateScale, learn_scale
 from dvf_ig.core import (
     DvfModel,
     FloatArray,
@@ -67,6 +67,7 @@ def run_payload(run: RunFolder, scenario: Scenario, model: DvfModel) -> dict[str
         frames = _frames(run, scenario, probe_from_image, shape)
     wave = scenario.ecg if isinstance(scenario.ecg, Signal) else None
     breath = scenario.respiration
+    scale = None if breath is None else learn_scale(breath.values)
     scene = scene_payload(
         SceneInput(
             kind="replay",
@@ -75,14 +76,14 @@ def run_payload(run: RunFolder, scenario: Scenario, model: DvfModel) -> dict[str
             fixtures=_fixtures(run),
             image=shape,
             ecg=None if wave is None else (f"ECG {wave.leads[0]}", wave.unit),
-            breathing=None if breath is None else ("breathing", f"{breath.name}, 0 at rest"),
+            breathing=None if breath is None else ("breathing", "of a breath" if scale is not None else ""),
             age_limit_s=MAX_AGE_S,
         )
     )
     series = SeriesInput(
         ticks=_ticks(run, scenario),
         ecg=None if wave is None else SampledSignal(wave.t_s, wave.samples[:, 0]),
-        breathing=None if breath is None else _breath(breath),
+        breathing=None if breath is None else _breath(breath, scale),
         r_peaks_s=run.view.r_peaks_s,
         frames=frames,
         marks=_marks(run.result),
@@ -90,9 +91,8 @@ def run_payload(run: RunFolder, scenario: Scenario, model: DvfModel) -> dict[str
     return {**scene, "series": series_payload(series)}
 
 
-def _breath(recorded: Respiration) -> SampledSignal:
+def _breath(recorded: Respiration, scale: SurrogateScale | None) -> SampledSignal:
     """Scale what follows the breath: 0 at end-expiration, 1 at the usual top; unscaled if none is seen."""
-    scale = learn_scale(recorded.values)
     values = recorded.values[:, 0] if scale is None else scale.rho(recorded.values)
     return SampledSignal(recorded.t_s, values)
 

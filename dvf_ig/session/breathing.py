@@ -1,8 +1,10 @@
 """Breathing in a session: what follows the breath, and from it frames at rest and the pose of the moment.
 
-followed    a recorded channel or marker; the motion of the heart with it is learnt (`breathing_motion`)
-watched     nothing is recorded: no force until heart beats exclude breathing; where they show it, the ECG
-            follows the breath from then on, if it shows the same rate
+    followed   a recorded channel or marker; the motion of the heart with it is learnt (`breathing_motion`)
+    watched    nothing is recorded: no force until heart beats exclude breathing; where they show it, the ECG
+               follows the breath from then on, if it shows the same rate, for force at end-expiration alone
+
+All other parts of a session see the heart at rest, which is end-expiration.
 """
 
 from collections import deque
@@ -59,6 +61,7 @@ class BreathingRecord:
         held_out_mm: its error in breaths that it was not learnt from, as in `BreathingPose`.
         latency_s: how far what follows the breath is behind the heart; negative if it is ahead.
         unfollowed_mm, per_minute: motion and rate of breaths that heart beats show, if nothing follows them.
+        by_ecg: the ECG follows them.
     """
 
     from_s: float
@@ -67,6 +70,7 @@ class BreathingRecord:
     latency_s: float | None = None
     unfollowed_mm: float | None = None
     per_minute: float | None = None
+    by_ecg: bool = False
 
 
 def no_log(_: BreathingRecord) -> None:
@@ -169,7 +173,12 @@ class BreathingTracker:
             return False
         self._from_ecg, self._locked_s = BeatClock(t_s, values, shown), now_s
         self._begin()
+        self._log_found(now_s, found, by_ecg=True)
         return True
+
+    def _log_found(self, from_s: float, found: Oscillation, *, by_ecg: bool = False) -> None:
+        moved_mm = 2.0 * found.amplitude_mm
+        self._log(BreathingRecord(from_s, unfollowed_mm=moved_mm, per_minute=found.per_minute, by_ecg=by_ecg))
 
     def _begin(self) -> None:
         """Begin to learn with the clock of now."""
@@ -179,15 +188,15 @@ class BreathingTracker:
         """Look for breathing in the poses of beats if nothing follows the breath."""
         if self.follows:
             return
-        before = (self._watch.found is None, self._watch.excluded)
-        self._watch.add(middle_s, measurement)
-        found = self._watch.found
-        if before == (found is None, self._watch.excluded):
+        watch = self._watch
+        before = (watch.found is None, watch.excluded, watch.compared > 0)
+        watch.add(middle_s, measurement)
+        found = watch.found
+        if before == (found is None, watch.excluded, True):
             return
         self._watch_changed_s = decided_s
-        if found is not None:
-            moved_mm, per_minute = 2.0 * found.amplitude_mm, found.per_minute
-            self._log(BreathingRecord(decided_s, unfollowed_mm=moved_mm, per_minute=per_minute))
+        if found is not None and before[0]:
+            self._log_found(decided_s, found)
 
     def shifted(self, from_s: float) -> None:
         """Watch for breathing from then on at another place of the heart."""
@@ -196,6 +205,8 @@ class BreathingTracker:
     def advance(self, now_s: float) -> None:
         """Follow the breath until now."""
         self.order.advance(now_s)
+        if self._qrs is not None:
+            self._qrs.forget(now_s)
         while self._waiting and self._waiting[0].t_s <= now_s:
             sample = self._waiting.popleft()
             self._recorded.push(np.array([sample.t_s]), sample.values[None])
@@ -319,9 +330,9 @@ class BreathingTracker:
         if found is not None:
             template = BreathingReason.NOT_FOLLOWED.value
             reason = template.format(mm=2.0 * found.amplitude_mm, per_minute=found.per_minute)
-        elif not self._watch.excluded:
+        elif not self._watch.excluded and self._watch.compared:
             reason = BreathingReason.NOT_EXCLUDED.value
-        return _Moment(changed_s, reason is not None, np.zeros((6, 6)), 0.0, reason)
+        return _Moment(changed_s, not self._watch.excluded, np.zeros((6, 6)), 0.0, reason)
 
 
 def _unknown(reading: BreathReading, tells: bool) -> str | None:

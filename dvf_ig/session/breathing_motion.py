@@ -66,6 +66,11 @@ class FrameBreathing:
         """(n,) frames of the resting heart, or that can be moved to it."""
         return np.asarray(self.known if self.learnt else self.resting)
 
+    @property
+    def known_breath(self) -> BoolArray:
+        """(n,) frames whose place in the breath is known."""
+        return np.asarray(np.isfinite(self.features).all(axis=1))
+
     def part(self, chosen: IntArray | slice) -> "FrameBreathing":
         """Choose frames."""
         return FrameBreathing(
@@ -180,7 +185,7 @@ class LearntMotion:
 
         What it then still finds is added to the mean motion of its frames.
         """
-        good = np.isfinite(frames.features).all(axis=1)
+        good = frames.known_breath
         if not measurement.informative or not good.any():
             return
         beat = BreathBeat(
@@ -210,17 +215,15 @@ class LearntMotion:
     def covariance_mm2(self, features: FloatArray, sigma_rho: float) -> FloatArray:
         """Compute (6, 6) covariance of the motion from rest at (4,) features; zero before a first model.
 
-        In the gate the heart is taken to be at rest, so that the motion that is left is an error.
+        In the gate the heart is taken to be at rest, so that the motion that is left is the error.
         """
         model = self._model
         if model is None:
             return np.zeros((6, 6))
-        covariance = model.covariance_mm2((features - self._rest)[None])[0]
-        covariance += sigma_rho**2 * np.outer(model.b_mm[1], model.b_mm[1])
-        if not self.learnt:
-            xi_mm = self._xi_mm(model, features[None])[0]
-            covariance += np.outer(xi_mm, xi_mm)
-        return np.asarray(covariance)
+        beyond = (features - self._rest)[None]
+        xi_mm = model.xi_mm(beyond)[0]
+        covariance = model.covariance_mm2(beyond)[0] if self.learnt else np.outer(xi_mm, xi_mm)
+        return np.asarray(covariance + sigma_rho**2 * np.outer(model.b_mm[1], model.b_mm[1]))
 
     @property
     def latency_s(self) -> float:

@@ -158,11 +158,10 @@ def gate_recording(
     first, last = (int(i) for i in np.searchsorted(event_s, [from_s, until_s]))
     here = slice(first, last)
     rotations, translations, tracked = smoothed_poses(ultrasound.stream("tracker", "probe"), event_s[here])
+    breath_valid = None
     if recording.breathing is not None:
         breathing = recording.breathing.part(here)
-        tracked = tracked & (
-            np.isfinite(breathing.features).all(axis=1) if every_breath else breathing.usable
-        )
+        breath_valid = breathing.known_breath if every_breath else breathing.usable
         if recording.tested is not None:
             chart = PoseChart(recording.tested, recording.heart.center_mm)
             rotations, translations = moved_to_rest(rotations, translations, breathing.xi_mm, chart)
@@ -184,6 +183,7 @@ def gate_recording(
         pose_valid=tracked,
         beat_valid=beat.regular,
         information=information,
+        breath_valid=breath_valid,
         window=window,
     )
     used = gated.index[subsample(len(gated.index), MAX_FRAMES)]

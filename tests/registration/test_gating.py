@@ -113,17 +113,18 @@ def test_frames_without_information_are_counted_by_what_they_lack() -> None:
 
 
 def test_gate_counts_each_reason_once() -> None:
-    model_phase = np.array([0.00, 0.02, 0.50, 0.51, 0.53, 0.99])
-    good = np.ones(6, dtype=bool)
-    tracked = good.copy()
-    tracked[1] = False
+    model_phase = np.array([0.00, 0.02, 0.50, 0.51, 0.53, 0.99, 0.0])
+    good = np.ones(7, dtype=bool)
+    tracked, resting = good.copy(), good.copy()
+    tracked[1] = resting[1] = resting[6] = False
     gated = gate_frames(
         model_phase,
         np.array([0.0, 0.5]),
         image_valid=good,
         pose_valid=tracked,
-        beat_valid=np.array([True, True, False, True, True, True]),
-        information=FrameInformation(np.ones(6), np.zeros(6, dtype=bool), np.ones(6)),
+        beat_valid=np.array([True, True, False, True, True, True, True]),
+        information=FrameInformation(np.ones(7), np.zeros(7, dtype=bool), np.ones(7)),
+        breath_valid=resting,
         window=0.02,
     )
     np.testing.assert_array_equal(gated.index, [0, 3, 5])
@@ -133,6 +134,7 @@ def test_gate_counts_each_reason_once() -> None:
         "image frozen": 0,
         "image without structure": 0,
         "probe not tracked": 1,
+        "in the moving part of a breath, or before it is known": 1,
         "irregular or unfinished beat": 1,
         "between model phases": 1,
     }

@@ -66,7 +66,10 @@ class Measured:
 
 
 def follow_by_ecg(
-    excursion_mm: float, events: tuple[tuple[str, float], ...] = (), until_s: float = 62.0
+    excursion_mm: float,
+    events: tuple[tuple[str, float], ...] = (),
+    until_s: float = 62.0,
+    log: Callable[[BreathingRecord], None] = no_log,
 ) -> tuple[FloatArray, FloatArray, BoolArray, BreathingTracker]:
     """Follow a breath that nothing records, as `follow` does: beats are compared from 10 s on."""
     rng = np.random.default_rng(4)
@@ -76,7 +79,7 @@ def follow_by_ecg(
     assert breathing is not None
     beats = beat_series(RhythmSpec(), 0.0, until_s, rng, breaths.volume_at)
     ecg = synthetic_ecg(beats, until_s, EcgSpec(), rng, breaths.volume_at)
-    tracker = BreathingTracker(CENTER, ecg_rate_hz=ecg.rate_hz)
+    tracker = BreathingTracker(CENTER, log, ecg.rate_hz)
     tracker.push_ecg(EcgSamples(0.0, ecg.samples))
     peaks, times, errors, withheld = deque(detect_r_peaks(ecg)), [], [], []
     begin_s = peaks[0].t_s
@@ -175,7 +178,7 @@ def test_without_samples_there_is_no_force_until_beats_exclude_breathing() -> No
     assert not tracker.covariance_mm2(5.0).any()
     for k in range(LEAST_BEATS):
         assert tracker.withheld(10.0 + k)
-        assert tracker.reason(10.0 + k) == BreathingReason.NOT_EXCLUDED.value
+        assert tracker.reason(10.0 + k) == (BreathingReason.NOT_EXCLUDED.value if k else None)
         watch_beat(tracker, 9.0 + k, NOISE_MM * rng.standard_normal(6))
     assert not tracker.withheld(30.0)
     assert tracker.reason(30.0) is None
@@ -185,7 +188,8 @@ def test_without_samples_there_is_no_force_until_beats_exclude_breathing() -> No
 def test_the_ecg_follows_a_breath_that_nothing_records_and_force_is_given_at_rest(
     excursion_mm: float,
 ) -> None:
-    times, errors, withheld, tracker = follow_by_ecg(excursion_mm)
+    records: list[BreathingRecord] = []
+    times, errors, withheld, tracker = follow_by_ecg(excursion_mm, log=records.append)
     assert withheld[times < 15.0].all()
     served = ~withheld & (times > 25.0)
     assert 0.15 < served.sum() / (times > 25.0).sum() < 0.45
@@ -193,6 +197,8 @@ def test_the_ecg_follows_a_breath_that_nothing_records_and_force_is_given_at_res
     assert tracker.model is None  # what happens between two beats is not noticed at once
     assert tracker.reason(float(times[-1])) == BreathingReason.BY_ECG.value
     assert tracker.bound_mm(float(times[-1])) > 0.0
+    assert [record.by_ecg for record in records] == [False, True]
+    assert records[0].unfollowed_mm == pytest.approx(excursion_mm, rel=0.4)
 
 
 @pytest.mark.parametrize("event", ["pause", "disconnection", "sigh", "doubled-rate"])

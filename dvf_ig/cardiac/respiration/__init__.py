@@ -1,6 +1,7 @@
 """The clock of breathing: what follows the breath, its state, and its forecast; causal."""
 
 from .beat_clock import BeatClock as BeatClock
+from .beat_clock import breath_rates as breath_rates
 from .beat_clock import breathing_in_beats as breathing_in_beats
 from .breath_clock import LAG_S as LAG_S
 from .breath_clock import PARTING as PARTING
@@ -11,6 +12,7 @@ from .breath_clock import BreathEvent as BreathEvent
 from .breath_clock import BreathReading as BreathReading
 from .breath_clock import BreathState as BreathState
 from .qrs_gain import QrsGain as QrsGain
+from .qrs_gain import beat_values as beat_values
 from .relearning import RELEARN_BREATHS as RELEARN_BREATHS
 from .relearning import RelearningClock as RelearningClock
 from .surrogate import SurrogateScale as SurrogateScale

@@ -19,6 +19,8 @@ from .surrogate import learn_scale
 
 LEAST_BEATS, MOST_BEATS = 18, 45
 """Beats that a clock begins with, and that it remembers."""
+WINDOW_S = 32.0
+"""Time in which a rate is found; such windows overlap by half."""
 LEAST_GAIN = 10.0
 """Least log-likelihood of breathing above drift and noise."""
 STEP_S = 0.05
@@ -58,18 +60,37 @@ class BreathInBeats:
 
 def breathing_in_beats(t_s: FloatArray, values: FloatArray) -> BreathInBeats | None:
     """Find breathing in (n, columns) values of beats: in one column or in all; None if they show none."""
-    spread = np.median(np.abs(values - np.median(values, axis=0)), axis=0)
-    if len(t_s) < LEAST_BEATS or not (spread > 0.0).all():
+    columns = _varying(values)
+    if len(t_s) < LEAST_BEATS or not columns.size:
         return None
-    columns = np.diag(1.0 / spread)
-    _, axes = np.linalg.eigh(np.cov((values @ columns).T).reshape(columns.shape))
+    _, axes = np.linalg.eigh(np.cov((values @ columns).T).reshape(columns.shape[1], -1))
     about_s = strongest_period_s(t_s, _clipped(values @ columns))
     found = []
-    for direction in (*columns, columns @ axes[:, -1]):
+    for direction in (*columns.T, columns @ axes[:, -1]):
         along = _clipped(values @ direction)
         found.append(BreathInBeats(direction, fit_quasi_periodic(t_s, along, about_s)))
     best = max(found, key=lambda one: one.fitted.gain)
     return best if best.fitted.gain >= LEAST_GAIN else None
+
+
+def breath_rates(t_s: FloatArray, values: FloatArray) -> FloatArray:
+    """Compute the rate, 1/min, of the strongest oscillation of (n, columns) values of beats by windows."""
+    good = np.isfinite(values).all(axis=1)
+    t_s, values = t_s[good], values[good]
+    rates = []
+    for begin_s in np.arange(t_s[0], t_s[-1] - WINDOW_S, 0.5 * WINDOW_S) if len(t_s) else ():
+        inside = (t_s >= begin_s) & (t_s < begin_s + WINDOW_S)
+        columns = _varying(values[inside]) if inside.sum() >= LEAST_BEATS else np.empty((0, 0))
+        if columns.size:
+            rates.append(60.0 / strongest_period_s(t_s[inside], _clipped(values[inside] @ columns)))
+    return np.array(rates)
+
+
+def _varying(values: FloatArray) -> FloatArray:
+    """Return (columns, k) scaled unit vectors of the columns that vary."""
+    spread = np.median(np.abs(values - np.median(values, axis=0)), axis=0)
+    varies = np.flatnonzero(spread > 0.0)
+    return np.asarray(np.eye(len(spread))[:, varies] / spread[varies])
 
 
 def _clipped(values: FloatArray) -> FloatArray:

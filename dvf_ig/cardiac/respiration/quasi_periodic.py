@@ -98,7 +98,7 @@ def strongest_period_s(t_s: FloatArray, values: FloatArray) -> float:
     after_s = t_s - t_s.mean()
     steady = np.column_stack([np.ones(len(t_s)), after_s])
     without = _squares(values, steady)
-    explained = {}
+    explained: dict[float, float] = {}
     for frequency_hz in FREQUENCIES_HZ[shortest_s * FREQUENCIES_HZ <= 1.0].tolist():
         angle = 2.0 * np.pi * frequency_hz * after_s
         left = _squares(values, np.column_stack([steady, np.cos(angle), np.sin(angle)]))
