@@ -173,7 +173,7 @@ def test_session_that_follows_the_breath_is_repeated_too(tmp_path: Path) -> None
 
     def chest(t_s: float) -> Message:
         matrix = np.eye(4)
-        matrix[1, 3] = 8.0 * max(0.0, np.sin(1.5 * t_s))
+        matrix[:2, 3] = 100.0, 8.0 * max(0.0, np.sin(1.5 * t_s))
         return pose_message("ChestToTracker", t_s, matrix)
 
     states = recorded(tmp_path, [], 13.0, breath=[arrival(t_s, chest(t_s)) for t_s in times])
