@@ -352,8 +352,12 @@ def _judge(name: str, old: State, new: set[str], counts: dict[str, int]) -> None
     if now == old:
         counts["old"] += 1
     elif (name == EACH_ALONE and now.items() <= old.items()) or (name == LIVE and set(now) in LIVE_STEPS):
-        counts["in part"] = counts.get("in part", 0) + 1
-        counts["damaged"] += name == LIVE and not all(_whole(Path(file)) for file in now)
+        is_whole = name != LIVE or all(_whole(Path(file)) for file in now)
+        begun = (
+            name == LIVE and set(now) == LIVE_STEPS[0]
+        )  # a session that was killed before it began has no heart
+        kind = "in part" if is_whole else "refused by readers" if begun else "damaged"
+        counts[kind] = counts.get(kind, 0) + 1
     elif set(now) == new and not set(now.values()) & set(old.values()):
         counts["new"] += 1
         counts["damaged"] += not all(_whole(Path(name)) for name in now)

@@ -103,6 +103,10 @@ class Disagreement(Enum):
         True,
         "the grey levels (mr) and the labels are the same image; give the MR or CT itself as mr",
     )
+    LABELS_ABSENT = Rule(
+        False,
+        "the labels {values} are named, but no voxel of any phase has them; check the values",
+    )
     LANDMARKS_ARE_THE_SAME = Rule(
         True,
         "the points touched on the patient have the very coordinates of those on the model: both names lead "

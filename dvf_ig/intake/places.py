@@ -30,7 +30,7 @@ BESIDE_MM = 10.0
 """Largest distance from the nearest surface of their own heart or its chambers that three in four landmarks
 have: points on surfaces 1 to 2 mm. On hearts of other patients they have 12 to 38 mm."""
 THREE_IN_FOUR = 0.75
-FEWEST_LANDMARKS = 3
+FEWEST_LANDMARKS, FEWEST_VERTICES = 3, 100
 FAR_MM = 500.0
 """A tool this far away is not in reach of an operating table's middle."""
 MOST_POSES = 200
@@ -153,10 +153,11 @@ def _heart_box(files: SessionFiles) -> Box | None:
 
 def _beside_mm(files: SessionFiles, marked_mm: FloatArray) -> float:
     """Distance that three in four (n, 3) landmarks have from the heart at most; 0 if it cannot be judged."""
-    vertices = [] if files.preop is None else list(heart_vertices(files.preop))
-    if not vertices or len(marked_mm) < FEWEST_LANDMARKS:
+    surfaces = [] if files.preop is None else list(heart_vertices(files.preop))
+    vertices = np.concatenate([np.empty((0, 3)), *surfaces])
+    if len(vertices) < FEWEST_VERTICES or len(marked_mm) < FEWEST_LANDMARKS:
         return 0.0
-    distances_mm = cKDTree(np.concatenate(vertices)).query(marked_mm)[0]
+    distances_mm = cKDTree(vertices).query(marked_mm)[0]
     return float(np.quantile(distances_mm, THREE_IN_FOUR))
 
 

@@ -311,6 +311,21 @@ def test_full_disk_ends_the_record_and_is_told_but_the_session_goes_on() -> None
     assert record.problem in json.loads(text.content.text)["reasons"]  # type: ignore[union-attr]
 
 
+def test_a_disk_that_is_full_before_the_session_begins_is_one_sentence(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Closing the file fails once more, with what it did not take."""
+
+    def full(path: Path, *_: Any) -> Any:
+        path.touch()
+        return open("/dev/full", "wb")
+
+    monkeypatch.setattr(Path, "open", full)
+    with pytest.raises(OutputError, match="No space left"), session_record(tmp_path, attach, print):
+        pass
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_disk_that_is_too_slow_loses_messages_that_are_counted_and_told(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -298,6 +298,14 @@ def untimed_slice(data: Any, number: int, phase: int) -> None:
         del data.TriggerTime
 
 
+def cut_short(data: Any, number: int, phase: int) -> None:
+    data.PixelData = data.PixelData[:-2]
+
+
+def twice(data: Any, number: int, phase: int) -> None:
+    data.PixelData = 2 * data.PixelData
+
+
 def moved_slice(data: Any, number: int, phase: int) -> None:
     if number == 3:
         data.ImagePositionPatient = [float(v) for v in ORIGIN + 3.4 * SPACING[2] * AXES[:, 2]]
@@ -332,6 +340,14 @@ def moved_slice(data: Any, number: int, phase: int) -> None:
         (every(HeartRate=120), (), "800 ms and a heart rate .* of 120 beats"),
         (in_seconds, (), "spans 0.1 % of the RR interval"),
         (set_in(0, PixelSpacing=[1e-9, 1]), (), "pixels have sides"),
+        (set_in(1, RescaleSlope="nan", RescaleIntercept=0), (), "RescaleSlope .* is not a number other than"),
+        (cut_short, (), "holds 94 bytes of pixels, its header states 96"),
+        (twice, (), "holds 192 bytes of pixels, its header states 96"),
+        (every(BitsStored=12), (), r"12 bits \(0028,0101\), the highest of which is 15"),
+        (set_in(1, Modality="US"), (), "2 modalities: MR, US|2 modalities: US, MR"),
+        (set_in(1, ImageType=["ORIGINAL", "PRIMARY", "P", "ND"]), (), r"of another kind \(ImageType P\)"),
+        (every(ImageType=["ORIGINAL", "PRIMARY", "M", "MOSAIC"]), (), "ImageType MOSAIC"),
+        (every(ImageType=["ORIGINAL", "PRIMARY", "M", "ND"]), (), None),
     ],
 )
 @pytest.mark.usefixtures("quick")
