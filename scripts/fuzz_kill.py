@@ -18,6 +18,7 @@ import sys
 import tempfile
 import time
 import traceback
+import uuid
 import zipfile
 from collections.abc import Callable, Iterator
 from contextlib import redirect_stderr, redirect_stdout, suppress
@@ -182,6 +183,7 @@ def _trials(name: str, scene: Path, trials: int, seed: int, answer: int) -> None
                 raise RuntimeError(Path("old.log").read_text()[-400:])
         at_first_write = _Hook(lambda: _forked(name, trials, random.Random(f"{seed} {name}"), answer))
         sys.addaudithook(at_first_write)
+        uuid.uuid4 = at_first_write.before_name(uuid.uuid4)
         code = _run(words.format(n=102, scene=scene), Path("new.log"))
         if at_first_write.waiting:
             raise RuntimeError(f"{code}: {Path('new.log').read_text()[-400:]}")
@@ -196,16 +198,29 @@ def _trials(name: str, scene: Path, trials: int, seed: int, answer: int) -> None
 
 
 class _Hook:
-    """Audit hook (PEP 578) that calls `forked` before the first change below "o", and ends its parent."""
+    """Audit hook (PEP 578) that calls `forked` before the first change below "o", and ends the caller."""
 
     def __init__(self, forked: Callable[[], bool]) -> None:
         self.waiting, self._forked, self._folder = True, forked, Path("o").resolve()
 
     def __call__(self, event: str, arguments: tuple[Any, ...]) -> None:
         if self.waiting and self._changes(event, arguments):
-            self.waiting = False
-            if not self._forked():
-                os._exit(0)
+            self._fork()
+
+    def before_name(self, draw: Callable[[], uuid.UUID]) -> Callable[[], uuid.UUID]:
+        """Fork before a temporary folder is named, so that two processes name two."""
+
+        def forked_draw() -> uuid.UUID:
+            if self.waiting:
+                self._fork()
+            return draw()
+
+        return forked_draw
+
+    def _fork(self) -> None:
+        self.waiting = False
+        if not self._forked():
+            os._exit(0)
 
     def _changes(self, event: str, arguments: tuple[Any, ...]) -> bool:
         if event not in ("open", "os.mkdir", "os.remove", "os.rename", "os.truncate"):

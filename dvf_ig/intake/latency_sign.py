@@ -8,7 +8,7 @@ probe that rests or moves evenly says nothing: the ratio is near 0.
 
 import numpy as np
 
-from dvf_ig.core import FloatArray, ImageMap, PoseStream
+from dvf_ig.core import BoolArray, FloatArray, ImageMap, PoseStream
 
 from .ecg_delay import LEAST_PAIRS, ImageChange, grid_mm, moved_between_mm, residual_of_fit, without_heart
 
@@ -44,7 +44,7 @@ def reversed_log_ratio(
 
 def _moved_mm(
     images: ImageChange, probe: PoseStream, points_mm: FloatArray, lag_s: float
-) -> tuple[FloatArray, FloatArray]:
+) -> tuple[FloatArray, BoolArray]:
     """(n,) mean distance by which the probe moved points between two frames, and whether it was tracked."""
     ends = [probe.at_many(images.t_s + lag_s + part * images.step_s) for part in (-0.5, 0.5)]
     (turns, shifts_mm, seen), (turns_after, shifts_after_mm, seen_after) = ends
