@@ -1,26 +1,35 @@
 """Commands killed, interrupted, or left without a place while they write: their output must be old or new.
 
-A command runs up to the time at which it first makes a temporary file or folder; until then nothing of its
-output is touched. There it is forked repeatedly, and each child is ended at a random time until its end; then
-the output is examined as the next command would see it, and restored. At last the disk is full, then the
-folder is read-only (both need the right to mount), and two processes write at once.
+A command runs up to its first change below the folder of its output. There it is forked repeatedly, and each
+child is ended at a random time until its end; then the output is examined as the next command would see it,
+and restored. At last the disk is full, then the folder is read-only (both need the right to mount), and two
+processes write at once, several times.
 """
 
 import json
 import math
 import os
 import random
+import re
 import shutil
 import signal
 import subprocess
+import sys
 import tempfile
 import time
+import traceback
 import uuid
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import redirect_stderr, redirect_stdout, suppress
+from functools import partial
 from pathlib import Path
+from typing import Any
 
+import numpy as np
+
+from dvf_ig.core.errors import DvfIgError
+from dvf_ig.intake.session_log.read import read_session_log
 from dvf_ig.io.writing.listing import LISTING, read_listing
 from dvf_ig.io.writing.place import TEMPORARY
 
@@ -36,7 +45,7 @@ WRITERS = {
     "{scene}/calibration/nwire.xml --points {scene}/calibration/nwire_points.xml -o o/probe.json",
     "config init": "config init --cine {scene}/preop/mr.nrrd --labels {scene}/preop/labels.nrrd --us "
     "{scene}/ultrasound.igs.mha --ecg csv:{scene}/ecg.csv -o o/SESSION.yaml",
-    "model build": "model build --labels {scene}/preop/labels.nrrd --organ 1,2 -o o/model.npz",
+    "model build": "model build --labels {scene}/preop/labels.nrrd --organ 1,2 -o o/heart.npz",
     "register": "register {scene} -o o/registered",
     "replay": "replay {scene} -o o/run",
     "study": "study calibration --kind watertank --seeds 1 --workers 1 -o o/study",
@@ -50,14 +59,29 @@ WRITERS = {
     "export slicer": "export slicer run --recording {scene} -o o/slicer",
     "export mcap": "export mcap run -o o/run.mcap",
     "export rerun": "export rerun run -o o/run.rrd",
+    "model build --sax --lax": "model build --sax exam/preop/mr.nrrd --labels exam/preop/labels.nrrd "
+    "--lax exam/preop/view_0.nrrd --lax exam/preop/view_1.nrrd -o o/model.npz",
+    "model build --dicom": "model build --dicom dicom/all --labels dicom/labels.nrrd --organ 1,2 "
+    "-o o/model.npz",
+    "study hearts --fit": "study hearts --fit trials -o o/study",
+    "cache --clear": "cache --clear",
+    "serve": "serve {scene} --port 18977 --seconds 3 -o o/live",
 }
 """Command lines, each of which writes below the folder "o"."""
 MADE_BEFORE = {
     "scene": "synth scenario --preset calm --seconds 17 --seed 101 -o scene",
+    "exam": "synth scenario --preset calm --exam sax+lax --seconds 17 --seed 101 -o exam",
     "run": "replay scene -o run",
     "model.npz": "model build --labels scene/preop/labels.nrrd --organ 1,2 -o model.npz",
 }
 """Inputs, made if a chosen command names them."""
+EACH_ALONE = "cache --clear"
+"""Command that removes files which do not depend on each other: any of them may be left."""
+LIVE = "serve"
+PEER = "synth stream scene --port 18977"
+"""Source of the live session, started for each child. Its record is never replaced: there is no old one."""
+LIVE_STEPS = ({"o/live/session-unfinished.mcap"}, {"o/live/session.mcap"})
+"""Files of a live session that was killed: its record up to then, or all of it without the replay's files."""
 PLACES = ("full disk", "read-only folder", "two processes")
 CANNOT_WRITE = 4
 """Exit code of a command that cannot write."""
@@ -71,15 +95,14 @@ def fuzz_kill(trials: int, seed: int, chosen: list[str]) -> int:
     bad = 0
     with tempfile.TemporaryDirectory() as scratch:
         os.chdir(scratch)
-        scene = Path("scene")
-        for made, words in MADE_BEFORE.items():
-            if made == "scene" or any(made in WRITERS[name].split() for name in chosen):
-                if not (pid := os.fork()):
-                    os._exit(_run(words, Path("log")))
-                os.waitpid(pid, 0)
-        Path("breath.csv").write_text(
-            "t_s,chest_mm\n" + "".join(f"{k / 25},{5 * math.sin(k / 15):.3f}\n" for k in range(2000))
-        )
+        os.environ["DVF_IG_CACHE"] = str(Path("cache").resolve())
+        scene, words = Path("scene"), " ".join(WRITERS[name] for name in chosen)
+        for made, command in MADE_BEFORE.items():
+            if made == "scene" or re.search(rf"(^| ){made}\b", words):
+                _in_child(partial(_run, command, Path("log")))
+                if not Path(made).exists():
+                    raise SystemExit(f"{command}: {Path('log').read_text()}")
+        _write_inputs(words)
         for name in chosen:
             read_end, write_end = os.pipe()
             if not (pid := os.fork()):
@@ -92,6 +115,41 @@ def fuzz_kill(trials: int, seed: int, chosen: list[str]) -> int:
             print(f"{name}: {counts}", flush=True)
             bad += sum(counts.get(key, 0) for key in ("mixed", "damaged", "failed", "without a sentence"))
     return bad
+
+
+def _in_child(work: Callable[[], int]) -> None:
+    """Do it in a process of its own and wait for its end."""
+    if not (pid := os.fork()):
+        os._exit(work())
+    os.waitpid(pid, 0)
+
+
+def _write_inputs(words: str) -> None:
+    """Write the inputs that no command makes."""
+    Path("breath.csv").write_text(
+        "t_s,chest_mm\n" + "".join(f"{k / 25},{5 * math.sin(k / 15):.3f}\n" for k in range(2000))
+    )
+    if "dicom" in words:
+        from dicom_toy import write_examination
+
+        write_examination(Path("dicom"))
+    if "trials" in words:
+        Path("trials").mkdir()
+        Path("trials/trials.jsonl").write_text("".join(f"{json.dumps(line)}\n" for line in _hearts()))
+
+
+def _hearts() -> Iterator[dict[str, Any]]:
+    """Trials of 24 hearts whose features predict their errors."""
+    from dvf_ig.registration.evidence.assessment import FEATURES
+
+    rng = np.random.default_rng(5)
+    for heart in range(24):
+        error = float(rng.uniform(0.5, 3.0))
+        features = {name: error * float(rng.uniform(0.8, 1.2)) for name in FEATURES}
+        kind = {"world": "first", "images": "sweep", "quality": "calm", "disturbed": False}
+        judged = {"stop": "CONVERGED", "tre_mm": 0.6 * error, "tre_max_mm": error}
+        scale = {"chi2": 6.0, "covariance_scale": 1.0, "statistics": {"share": error}}
+        yield {"seed": heart, "heart": heart, **kind, **judged, **scale, "features": features}
 
 
 def _run(words: str, log: Path) -> int:
@@ -108,43 +166,94 @@ def _run(words: str, log: Path) -> int:
 
 def _trials(name: str, scene: Path, trials: int, seed: int, answer: int) -> None:
     """Write the old output, run the command until it writes, and then the trials; never returns."""
+    parent = os.getpid()
     try:
-        for folder in ("o", "kept"):
+        for folder in ("o", "kept", "first"):
             shutil.rmtree(folder, ignore_errors=True)
         Path("o").mkdir()
         words = WRITERS[name]
-        if not (pid := os.fork()):
-            os._exit(_run(words.format(n=101, scene=scene), Path("old.log")))
-        os.waitpid(pid, 0)
-        if not _state():
-            raise RuntimeError(Path("old.log").read_text()[-400:])
-        fresh = uuid.uuid4
-
-        def at_first_write() -> uuid.UUID:
-            uuid.uuid4 = fresh
-            if _forked(trials, random.Random(f"{seed} {name}"), answer):
-                return fresh()
-            os._exit(0)
-
-        uuid.uuid4 = at_first_write
-        os._exit(_run(words.format(n=102, scene=scene), Path("new.log")))
+        if name == EACH_ALONE:
+            os.environ["DVF_IG_CACHE"] = str(Path("o").resolve())
+            Path("o/models").mkdir()
+            for k in range(200):
+                Path(f"o/models/{k:064x}.dvf-model").write_bytes(bytes(1000))
+        elif name != LIVE:
+            _in_child(partial(_run, words.format(n=101, scene=scene), Path("old.log")))
+            if not _state():
+                raise RuntimeError(Path("old.log").read_text()[-400:])
+        at_first_write = _Hook(lambda: _forked(name, trials, random.Random(f"{seed} {name}"), answer))
+        sys.addaudithook(at_first_write)
+        uuid.uuid4 = at_first_write.before_name(uuid.uuid4)
+        code = _run(words.format(n=102, scene=scene), Path("new.log"))
+        if at_first_write.waiting:
+            raise RuntimeError(f"{code}: {Path('new.log').read_text()[-400:]}")
+        os._exit(code)
     except (OSError, RuntimeError) as error:
-        os.write(answer, json.dumps({"failed": 1, "why": str(error)}).encode())
+        if os.getpid() == parent:
+            os.write(answer, json.dumps({"failed": 1, "why": str(error)}).encode())
+        else:
+            Path("child.log").write_text(traceback.format_exc())
     finally:  # a child that is interrupted also ends here: the rest belongs to the parent
         os._exit(1)
 
 
-def _forked(trials: int, rng: random.Random, answer: int) -> bool:
+class _Hook:
+    """Audit hook (PEP 578) that calls `forked` before the first change below "o", and ends the caller."""
+
+    def __init__(self, forked: Callable[[], bool]) -> None:
+        self.waiting, self._forked, self._folder = True, forked, Path("o").resolve()
+
+    def __call__(self, event: str, arguments: tuple[Any, ...]) -> None:
+        if self.waiting and self._changes(event, arguments):
+            self._fork()
+
+    def before_name(self, draw: Callable[[], uuid.UUID]) -> Callable[[], uuid.UUID]:
+        """Fork before a temporary folder is named, so that two processes name two."""
+
+        def forked_draw() -> uuid.UUID:
+            if self.waiting:
+                self._fork()
+            return draw()
+
+        return forked_draw
+
+    def _fork(self) -> None:
+        self.waiting = False
+        if not self._forked():
+            os._exit(0)
+
+    def _changes(self, event: str, arguments: tuple[Any, ...]) -> bool:
+        if event not in ("open", "os.mkdir", "os.remove", "os.rename", "os.truncate"):
+            return False
+        if not isinstance(arguments[0], str | bytes | os.PathLike):
+            return False
+        path = Path(os.path.abspath(os.fsdecode(arguments[0])))
+        if not path.is_relative_to(self._folder):
+            return False
+        if event == "open":
+            return bool(arguments[2] & (os.O_WRONLY | os.O_RDWR | os.O_CREAT))
+        return event != "os.mkdir" or not path.exists()
+
+
+def _forked(name: str, trials: int, rng: random.Random, answer: int) -> bool:
     """Return True in a child, which continues; the parent ends each child and reports the findings."""
     shutil.copytree("o", "kept")
+    os.rename(
+        "o", "first"
+    )  # it stays: the command knows files that it read by their numbers, which are used again
+    shutil.copytree("kept", "o")
     old, began = _state(), time.monotonic()
+    peer = _start_peer(name)
     if not (pid := os.fork()):
         return True
     usual = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
+    _end_peer(peer)
     lasts_s, new = time.monotonic() - began, set(_state())
-    counts = {"kills": 0, "old": 0, "new": 0, "refused by readers": 0, "mixed": 0, "damaged": 0}
+    kinds = ("kills", "old", "new", "refused by readers", "mixed", "damaged", "without a sentence")
+    counts: dict[str, Any] = {**dict.fromkeys(kinds, 0), "files": len(new), "exit": usual}
     for number in range(trials):
         old = _put_back()
+        peer = _start_peer(name)
         if not (pid := os.fork()):
             os.setpgid(0, 0)
             signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -152,43 +261,70 @@ def _forked(trials: int, rng: random.Random, answer: int) -> bool:
         with suppress(OSError):
             os.setpgid(pid, pid)
         lasts_s = _end(pid, signal.SIGINT if number % 2 else signal.SIGKILL, rng, lasts_s)
+        _end_peer(peer)
         counts["kills"] += 1
-        _judge(old, new, counts)
-    counts["without a sentence"] = 0
-    for place in PLACES:
+        _judge(name, old, new, counts)
+    for place in PLACES + (PLACES[-1:] * (trials // 4)):
         old = _put_back()
         if (mounted := _mounted(place)) is None:
             counts[f"no right to mount: {place}"] = 1
             continue
-        before, children = _state(), []
+        before, children, peer = _state(), [], _start_peer(name)
         for _ in range(2 if place == "two processes" else 1):
             if not (pid := os.fork()):
                 return True
             children.append(pid)
         codes = [os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) for pid in children]
+        _end_peer(peer)
         if mounted:
-            counts["mixed"] += _state() != before
+            removes = name == EACH_ALONE and place == "full disk"
+            counts["mixed"] += not removes and _state() != before
             subprocess.run(["umount", "o"], check=True)
-            counts["without a sentence"] += codes != [CANNOT_WRITE]
+            counts["without a sentence"] += codes != [usual if removes else CANNOT_WRITE]
         else:
             counts["without a sentence"] += not set(codes) <= {usual, CANNOT_WRITE} or usual not in codes
-            _judge(old, new, counts)
-        counts[place] = codes[0] if len(codes) == 1 else sum(code == usual for code in codes)
+            _judge(name, old, new, counts)
+        if counts["without a sentence"]:
+            logs = [Path(name) for name in ("child.log", "new.log") if Path(name).exists()]
+            counts.setdefault("said", [log.read_text()[-300:] for log in logs])
+        for code in codes:
+            key = f"{place}: {code}"
+            counts[key] = counts.get(key, 0) + 1
     os.write(answer, json.dumps({**counts, "writing lasts s": round(lasts_s, 2)}).encode())
     return False
+
+
+def _start_peer(name: str) -> "subprocess.Popen[bytes] | None":
+    """Start the source of a live session, and wait until it listens; None for other commands."""
+    if name != LIVE:
+        return None
+    command = [sys.executable, "-m", "dvf_ig", *PEER.split()]
+    peer = subprocess.Popen(command, stderr=subprocess.PIPE)
+    if peer.stderr is not None:
+        peer.stderr.readline()
+    return peer
+
+
+def _end_peer(peer: "subprocess.Popen[bytes] | None") -> None:
+    if peer is not None:
+        peer.kill()
+        peer.communicate()
 
 
 def _mounted(place: str) -> bool | None:
     """Return whether a full or read-only disk takes the folder's place; None without the right to mount."""
     if place == "two processes":
         return False
-    options = "size=16k" if place == "full disk" else "size=16k,ro"
-    if subprocess.run(["mount", "-t", "tmpfs", "-o", options, "tmpfs", "o"], check=False).returncode:
+    size = sum(path.stat().st_size + 8192 for path in Path("kept").rglob("*")) + 65536
+    if subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={size}", "tmpfs", "o"], check=False).returncode:
         return None
+    shutil.copytree("kept", "o", dirs_exist_ok=True)
     if place == "full disk":
         with suppress(OSError), Path("o/other").open("wb", buffering=0) as stream:
             while stream.write(bytes(4096)):
                 pass
+    else:
+        subprocess.run(["mount", "-o", "remount,ro", "o"], check=True)
     return True
 
 
@@ -222,7 +358,7 @@ def _swapping() -> bool:
     return any(read_listing(Path(folder)).unfinished for folder, _, _ in os.walk("o"))
 
 
-def _judge(old: State, new: set[str], counts: dict[str, int]) -> None:
+def _judge(name: str, old: State, new: set[str], counts: dict[str, int]) -> None:
     """Count the output as old, new, mixed, or refused by every reader."""
     if _swapping():
         counts["refused by readers"] += 1
@@ -230,6 +366,13 @@ def _judge(old: State, new: set[str], counts: dict[str, int]) -> None:
     now = _state()
     if now == old:
         counts["old"] += 1
+    elif (name == EACH_ALONE and now.items() <= old.items()) or (name == LIVE and set(now) in LIVE_STEPS):
+        is_whole = name != LIVE or all(_whole(Path(file)) for file in now)
+        begun = (
+            name == LIVE and set(now) == LIVE_STEPS[0]
+        )  # a session that was killed before it began has no heart
+        kind = "in part" if is_whole else "refused by readers" if begun else "damaged"
+        counts[kind] = counts.get(kind, 0) + 1
     elif set(now) == new and not set(now.values()) & set(old.values()):
         counts["new"] += 1
         counts["damaged"] += not all(_whole(Path(name)) for name in now)
@@ -264,9 +407,10 @@ def _whole(path: Path) -> bool:
         ".png": lambda data: data.rstrip(b"\0").endswith(b"IEND\xaeB`\x82"),
         ".html": lambda data: data.rstrip().endswith(b"</html>"),
         ".npz": lambda _: zipfile.ZipFile(path).testzip() is None,
+        ".mcap": lambda _: "live" not in path.parts or read_session_log(path) is not None,
     }
     try:
         data = path.read_bytes()
         return checks[path.suffix](data) if path.suffix in checks else len(data) > 0
-    except (ValueError, zipfile.BadZipFile):
+    except (ValueError, zipfile.BadZipFile, DvfIgError):
         return False

@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 
+from .arrays import BoolArray
 from .errors import InvalidInputError
 
 LENGTH_MM = 1e6
@@ -70,6 +71,15 @@ def require_plausible(values: Any, most: float, what: str) -> None:
         raise InvalidInputError(
             f"{what} reaches {float(beyond.max()):.3g}; needed at most {most:g}: check its unit and source"
         )
+
+
+def identities(matrices: Any) -> BoolArray:
+    """Return (n,) True for (n, 4, 4) poses that are exactly the identity.
+
+    Drivers and recorders write it for a marker that they do not see, some with the status OK; no measured
+    pose has sixteen such digits.
+    """
+    return np.asarray((np.asarray(matrices) == np.eye(4)).all(axis=(-2, -1)))
 
 
 def marker_problem(name: str, positions_mm: Any) -> str | None:

@@ -175,6 +175,8 @@ def name_findings(files: SessionFiles) -> Iterator[Finding]:
         yield from _whose_model(heart)
     if files.preop is not None and _mr_is_labels(files.preop.preop):
         yield finding(Disagreement.MR_IS_LABELS, "preop.mr")
+    if heart is not None and (absent := _absent_labels(heart.preop)):
+        yield finding(Disagreement.LABELS_ABSENT, "preop.labels", values=", ".join(map(str, absent)))
     order = None if heart is None else mr_order_finding(heart)
     if order is not None:
         yield order
@@ -211,6 +213,15 @@ def _mr_is_labels(preop: Preop) -> bool:
     if mr is None or labels is None or mr.values.shape != labels.values.shape:
         return False
     return bool(np.array_equal(mr.values[0], labels.values[0]))
+
+
+def _absent_labels(preop: Preop) -> list[int]:
+    """Values of organ and cavity that the label image lacks."""
+    labels = preop.labels if preop.labels is not None else preop.ed_labels
+    if labels is None:
+        return []
+    named = sorted({*preop.organ_labels, *preop.cavity_labels})
+    return [value for value in named if not (labels.values == value).any()]
 
 
 def _same_points(marked: Landmarks, touched: Landmarks) -> bool:

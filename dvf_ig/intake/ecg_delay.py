@@ -130,7 +130,7 @@ def ecg_delay(images: ImageChange, lag_s: float, peaks_s: FloatArray, heart: Cyc
     if np.count_nonzero(inside) < LEAST_PAIRS or not heart.speed.max() > 0:
         return UNKNOWN
     phase, rr_s = beats.phi[inside], float(np.median(beats.rr_s[inside]))
-    change, plain = np.log(images.change[inside]), without_heart(images, inside)
+    change, plain = np.log(images.change[inside]), without_heart(images.moved_mm[inside])
     none = residual_of_fit(plain, change)[0]
     step = images.step_s / rr_s
     speeds = (root_speed(heart, phase + k / SHIFTS, step) for k in range(SHIFTS))
@@ -149,9 +149,8 @@ def delay_drift_s(images: ImageChange, lag_s: float, peaks_s: FloatArray, heart:
     return delays[1].delay_s - delays[0].delay_s if all(one.known for one in delays) else None
 
 
-def without_heart(images: ImageChange, inside: BoolArray) -> FloatArray:
-    """(n, 6) what else makes images change: the probe's motion, and what changes slowly."""
-    moved = images.moved_mm[inside]
+def without_heart(moved: FloatArray) -> FloatArray:
+    """(n, 6) what else makes images change: the probe's motion (n,), mm, and what changes slowly."""
     trend = np.linspace(-1.0, 1.0, len(moved))
     return np.column_stack([np.ones_like(moved), np.sqrt(moved), moved, moved**2, trend, trend**2])
 
@@ -217,7 +216,7 @@ def image_change(
     return ImageChange(
         t_s=0.5 * (recorded.t_s[first] + recorded.t_s[first + 1]),
         change=change[used],
-        moved_mm=_moved_mm(probe, first, _grid_mm(image, shown.shape)),
+        moved_mm=_moved_mm(probe, first, grid_mm(image, shown.shape)),
         step_s=step_s,
     )
 
@@ -240,7 +239,7 @@ def _differences(images: NDArray[np.uint8], blocks: BoolArray) -> FloatArray:
     return out
 
 
-def _grid_mm(image: ImageMap, shape: tuple[int, ...]) -> FloatArray:
+def grid_mm(image: ImageMap, shape: tuple[int, ...]) -> FloatArray:
     """(16, 3) points all over the image, frame "probe"."""
     sides = np.meshgrid(np.linspace(0, shape[1], 4), np.linspace(0, shape[0], 4))
     return image.apply_pixels(np.stack(sides, axis=-1).reshape(-1, 2)).xyz_mm
@@ -249,5 +248,10 @@ def _grid_mm(image: ImageMap, shape: tuple[int, ...]) -> FloatArray:
 def _moved_mm(probe: PoseStream, first: NDArray[np.int64], points_mm: FloatArray) -> FloatArray:
     turn = probe.rotations[first + 1] - probe.rotations[first]
     shift = probe.translations_mm[first + 1] - probe.translations_mm[first]
-    away = np.einsum("nij,pj->npi", turn, points_mm) + shift[:, None]
+    return moved_between_mm(turn, shift, points_mm)
+
+
+def moved_between_mm(turns: FloatArray, shifts_mm: FloatArray, points_mm: FloatArray) -> FloatArray:
+    """(n,) mean distance by which points (p, 3) move, by differences of (n, 3, 3) and (n, 3) poses."""
+    away = np.einsum("nij,pj->npi", turns, points_mm) + shifts_mm[:, None]
     return np.asarray(np.linalg.norm(away, axis=2).mean(axis=1))

@@ -103,6 +103,10 @@ class Disagreement(Enum):
         True,
         "the grey levels (mr) and the labels are the same image; give the MR or CT itself as mr",
     )
+    LABELS_ABSENT = Rule(
+        False,
+        "the labels {values} are named, but no voxel of any phase has them; check the values",
+    )
     LANDMARKS_ARE_THE_SAME = Rule(
         True,
         "the points touched on the patient have the very coordinates of those on the model: both names lead "
@@ -121,6 +125,12 @@ class Disagreement(Enum):
         True,
         "the landmarks marked on the model lie {mm:.0f} mm from the heart, all of them; mark them on this "
         "heart, in mm and LPS",
+    )
+    LANDMARKS_BESIDE_HEART = Rule(
+        False,
+        "a quarter of the landmarks marked on the model lie {mm:.0f} mm or more from its surfaces: the model "
+        "is of another patient or scan than the images that they were marked in, or lacks the parts that "
+        "they are on; check whose model this is",
     )
     INVERSE_START = Rule(
         True,
@@ -182,6 +192,11 @@ class Disagreement(Enum):
         "(time of tracker = time of video + latency, negative if the tracker leads), or the ECG is off by as "
         "much",
     )
+    LATENCY_SIGN_UNLIKELY = Rule(
+        False,
+        "the images change with the probe's motion as if the latency were the reverse of {ms:+.0f} ms: its "
+        "sign seems wrong (time of tracker = time of video + latency, negative if the tracker leads)",
+    )
     CINE_ORDER = Rule(
         True,
         "{order}, and by the images' own cyclic motion the ECG is {ms:.0f} ms {which}: the phases "
@@ -205,14 +220,14 @@ class Disagreement(Enum):
     )
     ECG_LATE = Rule(
         True,
-        "by the images' own cyclic motion the ECG is {ms:.0f} ms {which}; check the latency of the images, "
-        "that the ECG is of this recording, and correct its times if it is",
+        "by the images' own cyclic motion the ECG is {ms:.0f} ms {which}: it is of another recording, or its "
+        "times or the latency of the images are off; if it is of this recording, correct its times",
         ("ecg.start_s",),
     )
     ECG_PERHAPS_LATE = Rule(
         False,
-        "by the images' own cyclic motion the ECG seems to be {ms:.0f} ms {which}; check its clock and the "
-        "latency of the images",
+        "by the images' own cyclic motion the ECG seems to be {ms:.0f} ms {which}; check that it is of this "
+        "recording, its clock and the latency of the images",
     )
     ECG_DRIFTS = Rule(
         False,

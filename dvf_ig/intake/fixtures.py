@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BeforeValidator, Field, TypeAdapter, field_validator
+from pydantic import AfterValidator, BeforeValidator, Field, TypeAdapter, field_validator
 
 from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
 from dvf_ig.io.json_file import read_json
@@ -30,14 +30,27 @@ if TYPE_CHECKING:
 
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-TIME_S, le=TIME_S)]
 """Finite number; no length, time, force or stiffness from a user exceeds a time stamp."""
+SMALLEST_MM = 0.05
+"""Smallest depth or margin other than 0; one in m has 0.001 to 0.02."""
+
+
+def _in_mm(value: float) -> float:
+    if 0.0 < abs(value) < SMALLEST_MM:
+        raise ValueError(f"{value:g} mm is no depth or margin of tissue; it may be in m: give mm")
+    return value
+
+
+Millimetres = Annotated[Number, AfterValidator(_in_mm)]
 BlendName = Literal["force", "distance", "periodic"]
 RetimingName = Literal["uniform", "two-segment"]
 MARGINS = ("off", "fixed", "adaptive")
 
 
 def _margin_choice(value: Any) -> Any:
-    if value in MARGINS or (type(value) in (int, float) and math.isfinite(value)):
+    if value in MARGINS:
         return value
+    if type(value) in (int, float) and math.isfinite(value):
+        return _in_mm(value)
     raise ValueError(f"needed {', '.join(MARGINS)}, or a number of mm")
 
 
@@ -56,7 +69,7 @@ class ForbiddenConfig(_FixtureConfig):
 
     law: Literal["forbidden"] = "forbidden"
     gamma: Number = 1.0
-    depth_mm: Number = 0.0
+    depth_mm: Millimetres = 0.0
     inside: bool = False
     blend: BlendName = "force"
 
@@ -74,7 +87,7 @@ class GuidanceConfig(_FixtureConfig):
     law: Literal["guidance"] = "guidance"
     delta: Number = 3.0
     m: Number = 1.0
-    depth_mm: Number = 0.0
+    depth_mm: Millimetres = 0.0
     blend: BlendName = "force"
 
     def options(self, folder: Path | None = None, frame: str = "mr") -> "FixtureOptions":

@@ -22,6 +22,7 @@ from .ecg_delay import (
     speed_between,
 )
 from .findings import Disagreement, Finding, finding
+from .latency_sign import REVERSED_LOG_RATIO, reversed_log_ratio
 from .own_rhythm import OwnRhythm, best_stretch, own_rhythm
 from .parts import SessionFiles
 from .preop import PreopFiles
@@ -53,12 +54,14 @@ class HeartInImages:
         drift_s: by which it grows within the recording; None if it is not known.
         own: rhythm of the images alone; None if there are too few.
         stretch: factor on the ECG's times that makes them agree, where its beats contradict the images.
+        reversed_latency: log-likelihood ratio of the latency's other sign, by the probe's motion.
     """
 
     delay: EcgDelay
     drift_s: float | None
     own: OwnRhythm | None = None
     stretch: float | None = None
+    reversed_latency: float = 0.0
 
     @property
     def contradicted(self) -> bool:
@@ -104,6 +107,7 @@ def heart_in_images(files: SessionFiles, peaks_s: FloatArray) -> HeartInImages |
         ecg_delay(change, files.latency, peaks_s, heart),
         delay_drift_s(change, files.latency, peaks_s, heart),
         own_rhythm(change, files.latency, peaks_s, heart),
+        reversed_latency=reversed_log_ratio(change, sweep.probe, files.probe, shown.shape, files.latency),
     )
     if seen.own is None or not seen.contradicted:
         return seen
@@ -159,6 +163,9 @@ def cycle_findings(seen: HeartInImages | None, files: SessionFiles) -> Iterator[
     delay = seen.delay
     which = "late" if delay.delay_s > 0 else "early"
     ms = 1e3 * abs(delay.delay_s)
+    sign = isinstance(files.latency, float) and delay.suspicious and _is_sign(delay, files.latency)
+    if isinstance(files.latency, float) and not sign and seen.reversed_latency > REVERSED_LOG_RATIO:
+        yield finding(Disagreement.LATENCY_SIGN_UNLIKELY, "calibration.latency", ms=1e3 * files.latency)
     if seen.own is not None and seen.contradicted:
         if seen.stretch is not None:
             wrong = "short" if seen.stretch > 1.0 else "long"
@@ -169,7 +176,7 @@ def cycle_findings(seen: HeartInImages | None, files: SessionFiles) -> Iterator[
     if delay.suspicious and order is not None:
         yield finding(Disagreement.CINE_ORDER, _key_of_heart(files), order=order, ms=ms, which=which)
         return
-    if delay.suspicious and isinstance(files.latency, float) and _is_sign(delay, files.latency):
+    if sign:
         yield finding(Disagreement.LATENCY_SIGN, "calibration.latency", ms=ms)
     elif delay.suspicious:
         cause = Disagreement.ECG_LATE if delay.certain else Disagreement.ECG_PERHAPS_LATE

@@ -83,7 +83,7 @@ def own_rhythm(images: ImageChange, lag_s: float, peaks_s: FloatArray, heart: Cy
     inside = (t_s >= peaks_s[0]) & (t_s < peaks_s[-1])
     if np.count_nonzero(inside) < LEAST_PAIRS or not heart.speed.max() > 0:
         return None
-    t_s, change, plain = t_s[inside], np.log(images.change[inside]), without_heart(images, inside)
+    t_s, change, plain = t_s[inside], np.log(images.change[inside]), without_heart(images.moved_mm[inside])
     rhythms = []
     for rr_s in RATES_RR_S:
         cycles = (t_s - t_s[0]) / rr_s

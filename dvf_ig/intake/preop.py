@@ -192,6 +192,18 @@ def heart_surfaces(files: PreopFiles) -> Iterator[tuple[str, FloatArray]]:
         yield "preop.surfaces_folder", np.asarray(series.vertices_mm[0])
 
 
+def heart_vertices(files: PreopFiles) -> Iterator[FloatArray]:
+    """Vertices (n, 3) in mm of each surface of the heart at end-diastole; none where only labels show it."""
+    model = files.model
+    if model is not None:
+        yield np.asarray(model.reference[model.ed_phase].vertices_mm)
+        for chamber in model.chambers:
+            yield np.asarray(chamber.surfaces[model.ed_phase].vertices_mm)
+        return
+    for series in files.preop.surfaces:
+        yield np.asarray(series.vertices_mm[0])
+
+
 def _corners_of_labels(preop: Preop) -> FloatArray:
     """(8, 3) corners of the box about the organ's voxels, in the axes of the image; (0, 3) without any."""
     of_cycle, of_phase = preop.labels, preop.ed_labels

@@ -1,5 +1,6 @@
 """Read a session: a session.yaml, a scenario folder, or a session's log, and every file that it names."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -27,6 +28,8 @@ if TYPE_CHECKING:
 
 OF_ANY_SESSION = ("preop", "ultrasound", "calibration.probe", "calibration.latency")
 """Parts without which recordings are none of a session; the ECG may be in the ultrasound."""
+_QUANTITY = re.compile(r"[-+]?[\d.,]+ ?[a-zµ]* \(.*\)")
+"""A number, perhaps with its unit, in place of a file name, and the key that holds it."""
 Purpose = Literal["recording", "live"]
 """Whether recordings are read, or only what a live session begins with."""
 
@@ -208,11 +211,14 @@ def _require_files(config: SessionConfig, folder: Path, named_by: str) -> None:
     """Raise UnreadableFileError if files are missing: one sentence that names them all."""
     missing = [f"{name} ({key})" for key, name in named_files(config) if not is_there(folder / name, key)]
     if missing:
-        home = "; write out ~, your home" if any(name.startswith("~") for name in missing) else ""
+        hint = "; write out ~, your home" if any(name.startswith("~") for name in missing) else ""
+        hint += "; write / for \\" if any("\\" in name for name in missing) else ""
+        if any(_QUANTITY.fullmatch(name) for name in missing):
+            hint += "; a number is written without quotes and unit"
         where = "the working directory" if folder == Path() else str(folder)
         raise UnreadableFileError(
             f"{where} lacks {', '.join(missing)}, which {named_by} names; copy what is missing, or correct "
-            f"its name{home}"
+            f"its name{hint}"
         )
 
 

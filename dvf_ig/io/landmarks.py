@@ -50,6 +50,9 @@ _OF_A_MARKUP = {
 """Fields of Slicer's schema that are read, or do not move a point."""
 LANDMARK_ENDINGS = (".json", ".fcsv", ".tag")
 _MODALITY = re.compile(r"(?<![A-Z])(?:(?P<MR>MRI?|CT)|(?P<US>US|(?i:ultrasound)))(?![A-Za-z])")
+_TAG_NAMES = ("Volumes", "Points")
+_TAG_COMMENT = re.compile(r'("[^"\n]*")|%[^\n]*')
+_TAG_STATEMENT = re.compile(r'(\w+)\s*=((?:"[^"\n]*"|[^";])*);')
 _TAG_ROW = re.compile(r'((?:[-+\d.eE]+\s+)*[-+\d.eE]+)\s*(?:"([^"]*)")?')
 
 
@@ -307,33 +310,68 @@ class _Marks:
 
 
 def _from_tag(path: Path) -> tuple[list[str], list[FloatArray]]:
-    """Read names and one (n, 3) LPS array per volume."""
-    text = read_text(path, "an MNI tag file")
-    volumes = re.search(r"Volumes\s*=\s*([0-9]{1,3})\s*;", text)
-    body = re.search(r"Points\s*=(.*?);", text, re.DOTALL)
-    if not text.startswith("MNI Tag Point File") or volumes is None or body is None:
-        raise UnreadableFileError(f"{path} is not an MNI tag file (no Volumes and Points)")
-    count = int(volumes[1])
+    """Read names and one (n, 3) LPS array per volume.
+
+    Logs names that repeat, points at exactly 0, 0, 0, and weights that differ, which are not used.
+    """
+    stated = _tag_statements(path, read_text(path, "an MNI tag file"))
+    if stated["Volumes"].strip() not in ("1", "2"):
+        raise UnreadableFileError(f"{path}: {stated['Volumes'].strip()[:20]} volumes; needed 1 or 2")
+    count = int(stated["Volumes"])
     names: list[str] = []
     rows: list[list[float]] = []
-    for line in body[1].splitlines():
-        row = _TAG_ROW.fullmatch(line.strip())
-        if row is None and line.strip() and not line.lstrip().startswith("%"):
-            raise UnreadableFileError(f"{path}: '{line.strip()[:60]}' is not a row of numbers and a name")
-        if row is not None:
-            rows.append(_coordinates(path, row[1], 3 * count))
-            names.append(row[2] or str(len(rows)))
-    if count not in (1, 2) or any(len(row) != 3 * count for row in rows):
-        raise UnreadableFileError(f"{path}: {count} volumes; needed 1 or 2 with 3 coordinates each per row")
+    weights: set[float] = set()
+    for line in filter(None, map(str.strip, stated["Points"].splitlines())):
+        row = _TAG_ROW.fullmatch(line)
+        if row is None:
+            raise UnreadableFileError(f"{path}: '{line[:60]}' is not a row of numbers and a name in quotes")
+        xyz, more = _tag_numbers(path, row[1], 3 * count)
+        rows.append(xyz)
+        names.append(row[2] or str(len(rows)))
+        weights.update(more[:1])
+    if len(weights) > 1:
+        log.warning("%s: its points have different weights, which are not used", path)
     if len(set(names)) < len(names):
+        repeated = sorted({name for name in names if names.count(name) > 1})
+        log.warning("%s: the name %s repeats, so that its points are numbered", path, ", ".join(repeated))
         names = [str(i + 1) for i in range(len(rows))]
-    table = np.array(rows).reshape(-1, count, 3) * _TO_LPS["RAS"]
+    table = np.array(rows, dtype=np.float64).reshape(-1, count, 3)
+    _Marks(names, [row[np.abs(row).max(axis=1).argmin()] for row in table]).warn(path)
+    table = table * _TO_LPS["RAS"]
     return names, [table[:, side] for side in range(count)]
 
 
-def _coordinates(path: Path, text: str, count: int) -> list[float]:
-    """Parse the first `count` numbers of a row; ignore what follows (weight, structure, patient)."""
+def _tag_statements(path: Path, text: str) -> dict[str, str]:
+    """Parse the statements `Name = content;`, without comments; semicolons in quotes end none."""
+    first, _, rest = text.lstrip().partition("\n")
+    body = _TAG_COMMENT.sub(lambda match: match[1] or "", rest)
+    stated: dict[str, str] = {}
+    end = 0
+    for match in _TAG_STATEMENT.finditer(body):
+        if body[end : match.start()].strip() or match[1] in stated or match[1] not in _TAG_NAMES:
+            raise UnreadableFileError(
+                f"{path}: '{(body[end : match.start()].strip() or match[1])[:40]}' is not known, or there "
+                f"twice; needed {' and '.join(_TAG_NAMES)} once each, each ended by ';'"
+            )
+        stated[match[1]], end = match[2], match.end()
+    if not first.startswith("MNI Tag Point File") or len(stated) < len(_TAG_NAMES) or body[end:].strip():
+        raise UnreadableFileError(
+            f"{path} is not an MNI tag file, or goes on after its end; needed Volumes and Points, each ended "
+            "by ';'"
+        )
+    return stated
+
+
+def _tag_numbers(path: Path, text: str, count: int) -> tuple[list[float], list[float]]:
+    """Parse the coordinates of a row, and what follows: nothing, or weight, structure and patient."""
     try:
-        return [float(number) for number in text.split()[:count]]
+        numbers = [float(number) for number in text.split()]
     except ValueError as exc:
         raise UnreadableFileError(f"{path}: '{text.strip()[:60]}' is not a row of numbers ({exc})") from exc
+    more = numbers[count:]
+    if len(numbers) < count or len(more) not in (0, 3) or any(one % 1 for one in more[1:]):
+        raise UnreadableFileError(
+            f"{path}: '{text.strip()[:60]}' has {len(numbers)} numbers; needed {count} for {count // 3} "
+            "volumes, with 3 coordinates each, or these and weight, structure and patient: correct Volumes"
+        )
+    return numbers[:count], more

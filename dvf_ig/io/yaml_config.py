@@ -69,6 +69,7 @@ _MESSAGES = {
     "string_too_short": "it is empty",
     "float_type": "needed a number",
     "int_type": "needed a whole number",
+    "tuple_type": "needed a list, such as [1, 2]",
 }
 """Messages that replace pydantic's own, which mention Python types."""
 

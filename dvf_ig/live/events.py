@@ -8,6 +8,7 @@ from statistics import median
 import numpy as np
 
 from dvf_ig.core import FloatArray, InvalidInputError
+from dvf_ig.core.plausible import identities
 from dvf_ig.io import limits
 from dvf_ig.session import Event, RespirationSample, ToolPose
 
@@ -212,6 +213,12 @@ class EventSource:
         return events
 
     def _posed(self, posed: Posed, t_s: float, arrival: Arrival, clock: PeerClock) -> list[Event]:
+        if posed.matrix is not None and identities(posed.matrix):
+            self._refuse(
+                f"a pose of the {posed.role.value} is exactly the identity, as programs send it for a marker "
+                "that they do not see; it counts as lost"
+            )
+            posed = Posed(posed.role, None)
         if posed.role is Role.REFERENCE:
             self._reference = (t_s, posed.matrix)
             return []

@@ -4,7 +4,7 @@ import os
 import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Generic, NamedTuple, Protocol, TypeVar
@@ -232,7 +232,7 @@ def _begun(path: Path, attach: Callable[[LogWriter], None]) -> Iterator[tuple[Lo
         stream = path.open("xb")
     except OSError as exc:
         raise OutputError(f"cannot write {path}: {failure_reason(exc, path)}") from exc
-    with stream:
+    try:
         try:
             log = LogWriter(stream, CHUNK_BYTES)
             attach(log)
@@ -244,6 +244,9 @@ def _begun(path: Path, attach: Callable[[LogWriter], None]) -> Iterator[tuple[Lo
                 raise OutputError(f"cannot write {path}: {failure_reason(exc, path)}") from exc
             raise
         yield log, stream
+    finally:
+        with suppress(OSError):  # of what a full disk did not take, which was reported when it happened
+            stream.close()
 
 
 T = TypeVar("T")

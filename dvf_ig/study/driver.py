@@ -25,7 +25,7 @@ from typing import Any
 from dvf_ig.core.errors import DvfIgError, InvalidInputError, OutputError, UnreadableFileError
 from dvf_ig.io import files_together, output_folder, plain, read_json, write_json, write_text
 from dvf_ig.io.writing.atomic import write_bytes
-from dvf_ig.io.writing.place import file_place
+from dvf_ig.io.writing.place import alone_in, file_place
 
 Settings = dict[str, Any]
 Line = dict[str, Any]
@@ -239,9 +239,10 @@ def run_trials(
         )
     path = file_place(folder / "trials.jsonl")
     _bind_folder(trials, folder)
-    stored, length = _kept_lines(path)
+    with alone_in(folder):
+        stored, length = _kept_lines(path)
+        _continue_at(path, length)
     finished = {line["seed"]: line for line in stored}
-    _continue_at(path, length)
     whole = [seeds[first : first + group_size] for first in range(0, len(seeds), group_size)]
     remaining = [[seed for seed in group if seed not in finished] for group in whole]
     groups = [group for group in remaining if group]
@@ -267,7 +268,7 @@ def _continue_at(path: Path, whole: int) -> None:
 def _append(path: Path, lines: Sequence[Line]) -> None:
     rows = [json.dumps(line, allow_nan=False, ensure_ascii=False) + "\n" for line in lines]
     try:
-        with path.open("ab") as stream:
+        with alone_in(path.parent), path.open("ab") as stream:
             stream.write("".join(rows).encode())
     except OSError as exc:
         raise OutputError(f"cannot write {path}: {exc.strerror or exc}") from exc

@@ -2,7 +2,8 @@
 
 A way is named if the check of the files (`config validate`) or the search for the cause of a refused
 registration (`register`) says what is wrong. A session whose files are refused is replayed all the same:
-the last line of defence is that no force is given on a wrong pose (hazard_s, more than 5 mm off).
+the last line of defence is that no force is given on a wrong pose (hazard_s, more than 5 mm off). `valid_s`
+is the time with a valid pose and phase, `force_s` that in which a force was given.
 
     dvf-ig study preparation --seeds 1 --seed 8101 -o study
 """
@@ -233,14 +234,16 @@ def preparation_trial(settings: Settings, number: int) -> Line:
     found = next((one for one in said if re.search(way.named, one)), "")
     line = {"way": name, "scenario_seed": seed, "named": bool(found), "cause": found or (said or [""])[0]}
     try:
-        result = result_of(run_replay(scenario, model=model))
+        replay = run_replay(scenario, model=model)
     except DvfIgError as error:
-        return {**line, "force_s": 0.0, "hazard_s": 0.0, "tre_mm": None, "ended": str(error)}
-    force_s = settings["seconds"] * result["valid_ticks"] / result["ticks"]
+        nothing = {"valid_s": 0.0, "force_s": 0.0, "hazard_s": 0.0, "tre_mm": None}
+        return {**line, **nothing, "ended": str(error)}
+    result, tick_s = result_of(replay), settings["seconds"] / len(replay.ticks)
     tre = result["tre_mm"]
     return {
         **line,
-        "force_s": force_s,
+        "valid_s": tick_s * result["valid_ticks"],
+        "force_s": tick_s * int(replay.ticks.force_n.any(axis=1).sum()),
         "hazard_s": result["hazard_s"],
         "tre_mm": None if tre is None else tre["median"],
         "ended": result["no_force"] or "",
@@ -272,21 +275,20 @@ def run(settings: PreparationSettings, driver: Driver) -> Result:
 
 
 def _table(lines: Sequence[Line]) -> Rows:
-    head = ("prepared", "seeds", "named", "force s", "hazard s", "TRE mm", "cause")
+    head = ("prepared", "seeds", "named", "valid s", "force s", "hazard s", "TRE mm", "cause")
     return [head, *(_row(name, [line for line in lines if line.get("way") == name]) for name in WAYS)]
 
 
 def _row(name: str, lines: Sequence[Line]) -> tuple[str, ...]:
     """Largest values over the seeds, and the cause that the first one names."""
     if not lines:
-        return (name, "0", "", "", "", "", "")
+        return (name, "0", *("",) * 6)
     errors = [line["tre_mm"] for line in lines if line["tre_mm"] is not None]
     return (
         name,
         str(len(lines)),
         str(sum(line["named"] for line in lines)),
-        f"{max(line['force_s'] for line in lines):.1f}",
-        f"{max(line['hazard_s'] for line in lines):.1f}",
+        *(f"{max(line[key] for line in lines):.1f}" for key in ("valid_s", "force_s", "hazard_s")),
         f"{max(errors):.1f}" if errors else "",
         str(lines[0]["cause"])[:70],
     )

@@ -70,6 +70,13 @@ def labels_of(length_mm: float) -> Change:
     return change
 
 
+def absent_label(parts: SessionFiles) -> SessionFiles:
+    changed = labels_of(100.0)(parts)
+    assert changed.preop is not None
+    preop = replace(changed.preop.preop, organ_labels=(7, 99))
+    return replace(changed, preop=replace(changed.preop, preop=preop))
+
+
 def mr_is_labels(parts: SessionFiles) -> SessionFiles:
     changed = labels_of(100.0)(parts)
     assert changed.preop is not None
@@ -158,6 +165,35 @@ def landmarks(by_mm: float) -> Change:
         return replace(parts, start=replace(parts.start, landmarks_mr=there))
 
     return change
+
+
+def another_heart(parts: SessionFiles) -> SessionFiles:
+    """A ball of many vertices, which the landmarks are nowhere near."""
+    assert parts.preop is not None
+    assert parts.preop.model is not None
+    directions = np.random.default_rng(3).normal(size=(200, 3))
+    ball = 45.0 * directions / np.linalg.norm(directions, axis=1, keepdims=True)
+    mesh = Mesh("mr", ball, np.array([[0, 1, 2]]))
+    model = replace(parts.preop.model, reference=(mesh,) * parts.preop.model.phases)
+    return replace(parts, preop=replace(parts.preop, model=model))
+
+
+def swept(parts: SessionFiles) -> SessionFiles:
+    """A probe whose speed changes, and images that follow it at the latency of the other sign."""
+    assert parts.sweep is not None
+    assert isinstance(parts.latency, float)
+
+    def x_mm(t_s: FloatArray) -> FloatArray:
+        return np.asarray(15.0 * t_s + 4.0 * np.sin(1.7 * t_s) + np.sin(5.1 * t_s))
+
+    probe, t_s = parts.sweep.probe, parts.sweep.recorded.t_s
+    shifts_mm = np.column_stack([x_mm(probe.t_s), np.zeros((len(probe), 2))])
+    images = textures(0.1 * x_mm(t_s - parts.latency), 0.1)
+    moving = replace(probe, translations_mm=shifts_mm)
+    return replace(
+        parts,
+        sweep=replace(parts.sweep, probe=moving, recorded=replace(parts.sweep.recorded, images=images)),
+    )
 
 
 def same_landmarks(parts: SessionFiles) -> SessionFiles:
@@ -264,6 +300,12 @@ CASES: dict[str, tuple[Change, Disagreement, str]] = {
     ),
     "a start of another day": (start_at(-700.0), Disagreement.IMAGES_OFF_HEART, "start.transform"),
     "landmarks of another heart": (landmarks(900.0), Disagreement.LANDMARKS_OFF_HEART, "start.landmarks_mr"),
+    "landmarks of another patient": (
+        another_heart,
+        Disagreement.LANDMARKS_BESIDE_HEART,
+        "start.landmarks_mr",
+    ),
+    "a label that is not there": (absent_label, Disagreement.LABELS_ABSENT, "preop.labels"),
     "one set of landmarks": (
         same_landmarks,
         Disagreement.LANDMARKS_ARE_THE_SAME,
@@ -282,6 +324,11 @@ CASES: dict[str, tuple[Change, Disagreement, str]] = {
     "a latency of the wrong sign": (
         lambda parts: replace(beating()(parts), latency=0.065),
         Disagreement.LATENCY_SIGN,
+        "calibration.latency",
+    ),
+    "a latency of the wrong sign, by the probe": (
+        swept,
+        Disagreement.LATENCY_SIGN_UNLIKELY,
         "calibration.latency",
     ),
     "a cine that begins late": (

@@ -189,6 +189,36 @@ def test_tag_pair(tmp_path: Path) -> None:
         read_landmarks(tmp_path / "a.tag", "mr")
 
 
+def tag(rows: str, more: str = "") -> str:
+    return f"MNI Tag Point File\nVolumes = 1;\n{more}Points =\n{rows};\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "names", "note"),
+    [
+        (tag(' 1 2 3 "a;b"\n 40 5 6 "c%d"'), ("a;b", "c%d"), ""),
+        (tag("% made; by hand\n 1 2 3\n 40 5 6"), ("1", "2"), ""),
+        ("\n" + tag(" 1 2 3\n 40 5 6", more="% Volumes = 2;\n"), ("1", "2"), ""),
+        (
+            tag(' 1 2 3 0 1 1 "a"\n 40 5 6 1 1 1 "b"'),
+            ("a", "b"),
+            "have different weights, which are not used",
+        ),
+        (tag(' 1 2 3 "a"\n 40 5 6 "a"'), ("1", "2"), "the name a repeats"),
+        (tag(' 0 0 0 "a"\n 40 5 6 "b"'), ("a", "b"), "points a are exactly at 0, 0, 0"),
+    ],
+)
+def test_tags_as_programs_write_them(
+    tmp_path: Path, text: str, names: tuple[str, ...], note: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    (tmp_path / "a.tag").write_text(text)
+    back = read_landmarks(tmp_path / "a.tag", "mr")
+    assert back.names == names
+    assert back.points.xyz_mm[1].tolist() == [-40, -5, 6]
+    assert note in caplog.text
+    assert bool(note) == bool(caplog.text)
+
+
 def test_tag_of_one_volume_without_names(tmp_path: Path) -> None:
     (tmp_path / "a.tag").write_text('MNI Tag Point File\nVolumes = 1;\nPoints =\n 1 2 3 ""\n 4 5 6 "";\n')
     back = read_landmarks(tmp_path / "a.tag", "mr")
@@ -213,6 +243,13 @@ def test_tag_of_one_volume_without_names(tmp_path: Path) -> None:
         ("a.tag", "MNI", "not an MNI tag file"),
         ("a.tag", 'MNI Tag Point File\nVolumes = 1;\nPoints =\n 1 2 "x";\n', "3 coordinates each"),
         ("a.tag", "MNI Tag Point File\nVolumes = 1;\nPoints =\n one;\n", "'one' is not a row"),
+        ("a.tag", tag(" 1 2 3 4.5 5.5 6.5"), "has 6 numbers; needed 3 for 1 volumes"),
+        ("a.tag", tag(" 1 2 3 1 -1 -1 7"), "has 7 numbers"),
+        ("a.tag", tag(" 1 2 3") + "Points =\n 4 5 6;\n", "'Points' is not known, or there twice"),
+        ("a.tag", tag(" 1 2 3", more="Units = m;\n"), "'Units' is not known"),
+        ("a.tag", tag(" 1 2 3", more="Volumes = 2;\n"), "'Volumes' is not known, or there twice"),
+        ("a.tag", tag(" 1 2 3") + "left over", "goes on after its end"),
+        ("a.tag", tag(""), "holds no points"),
         ("a.xyz", "", "no landmark ending"),
     ],
 )

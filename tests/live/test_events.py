@@ -327,8 +327,22 @@ def test_a_stamp_that_leaves_no_room_for_answers_is_refused(stamp_s):
     assert "set the sender's clock" in told[0]
 
 
+def test_a_pose_that_is_exactly_the_identity_is_lost_and_named():
+    told: list[str] = []
+    source = EventSource(NAMES, None, told.append)
+    poses = [pose("ToolToTracker", t_s, x_mm) for t_s, x_mm in ((0.1, 1.0), (0.2, 0.0), (1.2, 1.0))]
+    found = [event for one in poses for event in source.events(Arrival(0.0, "plus", one))]
+    found += source.events(Arrival(1.3, "plus", pose("ToolToTracker", 1.3, 1.0)))
+    tracked = [one.event.tracker_from_tool is not None for one in found if isinstance(one.event, ToolPose)]
+    assert tracked == [True, False, True, True]
+    assert told == [
+        "a pose of the tool is exactly the identity, as programs send it for a marker that they do not see; "
+        "it counts as lost"
+    ]
+
+
 def sent_by(source: EventSource, peer: str, arrived_s: float) -> list[ToolPose]:
-    message = Message("ToolToTracker", None, Transform(np.eye(4)))
+    message = Message("ToolToTracker", None, Transform(shifted(1.0)))
     found = source.events(Arrival(arrived_s, peer, message))
     return [e.event for e in found if isinstance(e.event, ToolPose)]
 

@@ -202,7 +202,7 @@ def breathing(t_s: float) -> np.ndarray:
 def breath_message(t_s: float, *, by_marker: bool) -> Message:
     if by_marker:
         matrix = np.eye(4)
-        matrix[1, 3] = 1.5 * breathing(t_s)[3]
+        matrix[:2, 3] = 100.0, 1.5 * breathing(t_s)[3]
         return Message("ChestToTracker", t_s + ORIGIN_S, Transform(matrix))
     return Message("Pressure", t_s + ORIGIN_S, Text(f"{5.0 + breathing(t_s)[3]:.9g}"))
 

@@ -173,7 +173,7 @@ def test_session_that_follows_the_breath_is_repeated_too(tmp_path: Path) -> None
 
     def chest(t_s: float) -> Message:
         matrix = np.eye(4)
-        matrix[1, 3] = 8.0 * max(0.0, np.sin(1.5 * t_s))
+        matrix[:2, 3] = 100.0, 8.0 * max(0.0, np.sin(1.5 * t_s))
         return pose_message("ChestToTracker", t_s, matrix)
 
     states = recorded(tmp_path, [], 13.0, breath=[arrival(t_s, chest(t_s)) for t_s in times])
@@ -309,6 +309,21 @@ def test_full_disk_ends_the_record_and_is_told_but_the_session_goes_on() -> None
     assert isinstance(status.content, Status)
     assert "No space left" in status.content.text
     assert record.problem in json.loads(text.content.text)["reasons"]  # type: ignore[union-attr]
+
+
+def test_a_disk_that_is_full_before_the_session_begins_is_one_sentence(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Closing the file fails once more, with what it did not take."""
+
+    def full(path: Path, *_: Any) -> Any:
+        path.touch()
+        return open("/dev/full", "wb")
+
+    monkeypatch.setattr(Path, "open", full)
+    with pytest.raises(OutputError, match="No space left"), session_record(tmp_path, attach, print):
+        pass
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_disk_that_is_too_slow_loses_messages_that_are_counted_and_told(

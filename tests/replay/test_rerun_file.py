@@ -1,6 +1,7 @@
 """A recording of the Rerun viewer read back by its own reader: a pixel at its place in the MR."""
 
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -8,7 +9,7 @@ import pytest
 from toy_ball import ball_model
 from toy_run import BRIGHT, FIRST, FORCE, LAG_S, LATER, PROBE_FROM_IMAGE, pose_at, run_folder, ticks_csv
 
-from dvf_ig.core import MissingDependencyError
+from dvf_ig.core import MissingDependencyError, OutputError
 from dvf_ig.replay.export.rerun_file import FORCE_MM_PER_N, write_rerun
 from dvf_ig.replay.run_folder import read_ticks
 
@@ -27,6 +28,22 @@ def rows(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[tuple[float
             at = -1.0 if stamp is None else stamp.total_seconds()
             found.setdefault(str(chunk.entity_path), []).append((at, row))
     return {entity: sorted(held, key=lambda one: one[0]) for entity, held in found.items()}
+
+
+def test_a_full_disk_is_one_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Full:
+        def __init__(self, *_: Any, **__: Any) -> None:
+            pass
+
+        def save(self, path: str) -> None:
+            raise RuntimeError("Failed to encode LogMsg: No space left on device (os error 28)")
+
+    package = SimpleNamespace(RecordingStream=Full)
+    monkeypatch.setattr("dvf_ig.replay.export.rerun_file._package", lambda: package)
+    (tmp_path / "ticks.csv").write_text(ticks_csv())
+    with pytest.raises(OutputError, match=r"run\.rrd: Failed to encode LogMsg: No space left"):
+        write_rerun(run_folder(), ball_model(), read_ticks(tmp_path / "ticks.csv"), tmp_path / "run.rrd")
+    assert not (tmp_path / "run.rrd").exists()
 
 
 def matrix(row: dict[str, Any]) -> np.ndarray:

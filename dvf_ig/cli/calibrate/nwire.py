@@ -152,7 +152,7 @@ def nwire_result(
     rows: list[tuple[str, ...]] = [*segmentation_rows(seen, validated)]
     rows += [*_rows(fit, checked[fit.method], result["turned_deg"]), *_variant_rows(result)]
     error_mm = (checked[fit.method] or fit.calibration).summary.mean95
-    return ProbeCalibration(result, rows, error_mm, fit.calibration)
+    return ProbeCalibration(result, rows, error_mm, fit)
 
 
 def _chosen(variants: "NWireVariants", method: str | None) -> "NWireResult":

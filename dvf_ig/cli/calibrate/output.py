@@ -11,7 +11,7 @@ import typer
 from dvf_ig.cli.shell import emit, output_file, warn, wrote
 
 if TYPE_CHECKING:
-    from dvf_ig.calibration import CalibrationErrors, Refusal
+    from dvf_ig.calibration import CalibrationErrors, NWireResult, Refusal, TargetResult
     from dvf_ig.core import FloatArray, ImageMap
 
 OutputOption = Annotated[
@@ -40,22 +40,30 @@ class ProbeCalibration:
     Attributes:
         result: JSON fields; rows: to print.
         error_mm: error that PLUS records.
-        errors: of the calibration's own frames, which are drawn.
+        fit: whose error of each frame is drawn.
     """
 
     result: dict[str, Any]
     rows: list[tuple[str, ...]]
     error_mm: float
-    errors: "CalibrationErrors"
+    fit: "NWireResult | TargetResult[Any]"
 
     def draw(self, png: Path) -> None:
-        """Draw the error of each frame."""
+        """Draw the error of each frame, also of those that were left out of the fit."""
+        import numpy as np
+
+        from dvf_ig.calibration import Rejection
         from dvf_ig.report import write_residual_picture
 
-        errors = self.errors.errors_mm
-        of_frames = errors.reshape(len(errors), -1).mean(axis=1)
-        title = f"Probe image, {self.result['phantom']}: {error_row(self.errors)}"
-        write_residual_picture(png, of_frames, title=marked(self.result, title), x_label="frame")
+        errors, inliers = self.fit.calibration.errors_mm, self.fit.inliers
+        usable = np.array(inliers)
+        usable[[frame for frame, why in self.fit.rejected if why.reason is Rejection.OUTLIER]] = True
+        of_frames = np.full(len(inliers), np.nan)
+        of_frames[usable] = errors.reshape(len(errors), -1).mean(axis=1)
+        title = marked(
+            self.result, f"Probe image, {self.result['phantom']}: {error_row(self.fit.calibration)}"
+        )
+        write_residual_picture(png, of_frames, title=title, used=inliers, x_label="frame")
 
 
 def save(

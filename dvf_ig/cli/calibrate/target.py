@@ -69,7 +69,7 @@ def target_result(
     if checked is not None:
         table.append(("validation", error_row(checked)))
     table += rejected_rows(fit.rejected)
-    return ProbeCalibration(result, table, (checked or fit.held_out).summary.mean95, fit.calibration)
+    return ProbeCalibration(result, table, (checked or fit.held_out).summary.mean95, fit)
 
 
 Solved = tuple[

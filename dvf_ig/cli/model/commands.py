@@ -106,21 +106,28 @@ def _labels(text: str | None, option: str) -> tuple[int, ...]:
 
 def _build(request: "BuildRequest", *, as_json: bool) -> None:
     """Build, check, write and print the model."""
-    from dvf_ig.io import write_model
+    from dvf_ig.io import files_together, write_model
 
     from .sources import model_of
 
-    start = time.perf_counter()
-    model, evidence = model_of(request, as_json=as_json)
+    start, output = time.perf_counter(), request.output
+    built = model_of(request, as_json=as_json)
+    model, evidence = built.model, built.evidence
     seconds = time.perf_counter() - start
     _warn_of_assumptions(model)
     result = _errors(model, CHECK_POINTS, request.seed)
-    write_model(model, request.output)
-    size_mb = file_megabytes(request.output)
+    paths = (output, *built.replaced, *(file.path for file in built.beside))
+    with files_together(output.parent, [path.name for path in paths]) as new:
+        for file in built.beside:
+            file.write(new / file.path.name)
+        write_model(model, new / output.name)
+    size_mb = file_megabytes(output)
     payload = {**model_payload(model, result, request.seed, seconds, size_mb), **evidence}
     rows = model_rows(model, result, seconds, size_mb, evidence.get("anatomical_error_mm"))
     emit(payload, rows, as_json=as_json)
-    wrote(request.output, model.frame)
+    for file in built.beside:
+        wrote(file.path, file.frame)
+    wrote(output, model.frame)
 
 
 @app.command("check")

@@ -1,6 +1,8 @@
 """`dvf-ig model build --image 4D`: from an image and its labels or seeds to the model, with evidence."""
 
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,24 +19,51 @@ if TYPE_CHECKING:
     from dvf_ig.preop import CineModel, SliceShifts
 
 
-def model_from_image(request: BuildRequest, path: Path, *, as_json: bool) -> tuple[DvfModel, dict[str, Any]]:
-    """Build a model: segment from seeds if given, propagate by the motion, fit, and write the evidence.
+@dataclass(frozen=True, slots=True)
+class FileBeside:
+    """File that is written together with the model, in the same folder.
+
+    Attributes:
+        write: called with the path to write.
+        frame: of its coordinates, if it has any.
+    """
+
+    path: Path
+    write: Callable[[Path], None]
+    frame: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class BuiltModel:
+    """A model, and what is printed and written with it.
+
+    Attributes:
+        evidence: added to the printed result.
+        beside: files of evidence.
+        replaced: files of earlier evidence, which go if `beside` does not replace them.
+    """
+
+    model: DvfModel
+    evidence: dict[str, Any]
+    beside: tuple[FileBeside, ...] = ()
+    replaced: tuple[Path, ...] = ()
+
+
+def model_from_image(request: BuildRequest, path: Path, *, as_json: bool) -> BuiltModel:
+    """Build a model: segment from seeds if given, propagate by the motion, and fit.
 
     Args:
         request: request with an image, and labels or seeds.
         path: the image.
-    Returns:
-        the model, and the evidence ("motion" is also written as JSON next to it).
     """
     from dvf_ig.io import require_outputs
     from dvf_ig.preop import cine_options, model_from_cine
 
-    evidence, picture, shifts = _beside(request)
-    require_outputs(request.output, evidence, picture)
+    replaced = _paths_beside(request)
+    require_outputs(request.output, *replaced)
     request, image, views = _images(request, path)
-    if views:
-        require_outputs(shifts)
-    image, preop, labels, truth = _sized(request, image, *_preop(request, path, image))
+    grown = [] if request.labels is not None else [_grown(request, image)]
+    image, preop, labels, truth = _sized(request, image, *_preop(request, path, image, grown))
     options = cine_options(preop, request.motion_options(), request.model_options())
     with progress("motion, then fitting phases") as report:
         result = model_from_cine(
@@ -51,12 +80,14 @@ def model_from_image(request: BuildRequest, path: Path, *, as_json: bool) -> tup
         warn_of_no_blood(f"give --cavity ({describe_labels(image, labels, request.ed_phase)})")
     error = None if truth is None else anatomical_error_mm(result.model, truth, request)
     payload = {**_payload(result, request), "anatomical_error_mm": error}
-    _write_evidence(result, image, views, payload, request)
+    beside = [*(file for _, _, file in grown), *_evidence_files(result, image, views, payload, request)]
     _warn_of_limits(result, request)
     if not as_json:
         emit({}, _phase_rows(result), as_json=False)
         emit({}, _summary_rows(result), as_json=False)
-    return result.model, {"motion": payload, "anatomical_error_mm": error}
+    return BuiltModel(
+        result.model, {"motion": payload, "anatomical_error_mm": error}, tuple(beside), replaced
+    )
 
 
 def _images(request: BuildRequest, path: Path) -> tuple[BuildRequest, VolumeSeries, tuple[VolumeSeries, ...]]:
@@ -103,56 +134,69 @@ def _sized(
     return image, replace(preop, mr=image, ed_labels=labels), labels, truth
 
 
-def _beside(request: BuildRequest) -> tuple[Path, Path, Path]:
+def _paths_beside(request: BuildRequest) -> tuple[Path, Path, Path]:
     """Return the paths of JSON, of the picture, and of that of shifts between slices, next to the model."""
     output = request.output
     return output.with_suffix(".json"), output.with_suffix(".png"), output.with_suffix(".shifts.png")
 
 
-def _write_evidence(
+def _evidence_files(
     result: "CineModel",
     image: VolumeSeries,
     views: tuple[VolumeSeries, ...],
     payload: dict[str, Any],
     request: BuildRequest,
-) -> None:
-    """Write JSON and pictures next to the model."""
+) -> list[FileBeside]:
+    """List JSON and pictures next to the model."""
     from dvf_ig.io import write_sidecar
     from dvf_ig.report import write_motion_picture
     from dvf_ig.report.examination import write_shifts_picture
 
-    evidence, picture, shifts = _beside(request)
-    write_sidecar(evidence, payload, "model")
-    es_phase = int(result.volume_mm3.argmin())
-    write_motion_picture(
-        picture,
-        image,
-        result.surfaces,
-        result.quality,
-        ed_phase=request.ed_phase,
-        es_phase=es_phase,
-        caps=result.model.reference_caps[request.ed_phase] | result.model.unseen(request.ed_phase),
+    evidence, picture, shifts = _paths_beside(request)
+    ed_phase, frame = request.ed_phase, image.grid.frame
+    write_picture = partial(
+        write_motion_picture,
+        image=image,
+        surfaces=result.surfaces,
+        quality=result.quality,
+        ed_phase=ed_phase,
+        es_phase=int(result.volume_mm3.argmin()),
+        caps=result.model.reference_caps[ed_phase] | result.model.unseen(ed_phase),
     )
-    wrote(evidence)
-    wrote(picture, image.grid.frame)
-    if result.shifts is not None:
-        heart_mm = result.surfaces.vertices_mm[request.ed_phase]
-        write_shifts_picture(
-            shifts, image, views[0], result.shifts, ed_phase=request.ed_phase, heart_mm=heart_mm
-        )
-        wrote(shifts, image.grid.frame)
+    files = [
+        FileBeside(evidence, partial(write_sidecar, content=payload, kind="model")),
+        FileBeside(picture, write_picture, frame),
+    ]
+    if result.shifts is None:
+        return files
+    write_shifts = partial(
+        write_shifts_picture,
+        sax=image,
+        view=views[0],
+        shifts=result.shifts,
+        ed_phase=ed_phase,
+        heart_mm=result.surfaces.vertices_mm[ed_phase],
+    )
+    return [*files, FileBeside(shifts, write_shifts, frame)]
 
 
 def _preop(
-    request: BuildRequest, path: Path, image: VolumeSeries
+    request: BuildRequest,
+    path: Path,
+    image: VolumeSeries,
+    grown: list[tuple[Volume, tuple[int, ...], FileBeside]],
 ) -> tuple[Preop, Volume, VolumeSeries | None]:
-    """Combine the image with the labels of its end-diastole, and those of every phase if given."""
+    """Combine the image with the labels of its end-diastole, and those of every phase if given.
+
+    Args:
+        grown: labels grown from seeds, where no others are given.
+    """
     from dvf_ig.io import read_cine_labels, read_label_names
 
     truth: VolumeSeries | None = None
     names: tuple[tuple[int, str], ...] = ()
     if request.labels is None:
-        labels, cavity = _grown(request, image)
+        [(labels, cavity, _)] = grown
     else:
         labels, truth = read_cine_labels(request.labels, image, request.ed_phase)
         cavity, names = request.cavity, read_label_names(request.labels)
@@ -172,8 +216,11 @@ def _preop(
     )
 
 
-def _grown(request: BuildRequest, image: VolumeSeries) -> tuple[Volume, tuple[int, ...]]:
-    """Grow labels from seeds, write them next to the model, and return the cavity's values."""
+def _grown(request: BuildRequest, image: VolumeSeries) -> tuple[Volume, tuple[int, ...], FileBeside]:
+    """Grow labels from seeds, to be written next to the model, and return them and the cavity's values.
+
+    Labels of too few seeds are written at once, as no model follows.
+    """
     from dvf_ig.io import read_seeds, write_volume
     from dvf_ig.preop import seed_shortage, segment_from_seeds
     from dvf_ig.preop.segment.seeded import CAVITY
@@ -184,16 +231,17 @@ def _grown(request: BuildRequest, image: VolumeSeries) -> tuple[Volume, tuple[in
     grey = image.phase(request.ed_phase)
     labels = segment_from_seeds(grey, seeds)
     path = request.output.with_name(f"{request.output.stem}_ed_labels.nii.gz")
-    write_volume(labels, path)
-    wrote(path, labels.grid.frame)
+    file = FileBeside(path, partial(write_volume, labels), labels.grid.frame)
     shortage = seed_shortage(grey, labels, seeds)
     if shortage.told:
+        file.write(path)
+        wrote(path, file.frame)
         raise InvalidInputError(
             f"the seeds are too few: {'; '.join(shortage.told)}. The labels grown from them are in "
             f"{path.name}"
         )
     warn(f"labels grown from seeds are a first segmentation: correct {path.name} and give it as --labels")
-    return labels, (CAVITY,) if len(seeds.cavity) else ()
+    return labels, (CAVITY,) if len(seeds.cavity) else (), file
 
 
 def _warn_of_limits(result: "CineModel", request: BuildRequest) -> None:

@@ -2,31 +2,30 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import typer
 
 from dvf_ig.cli.shell import progress
 from dvf_ig.core import DvfModel, Preop
 
-from .from_image import model_from_image, warn_of_no_blood
+from .from_image import BuiltModel, model_from_image, warn_of_no_blood
 from .request import BuildRequest
 
 
-def model_of(request: BuildRequest, *, as_json: bool) -> tuple[DvfModel, dict[str, Any]]:
-    """Build the model, and the evidence that is added to the output."""
+def model_of(request: BuildRequest, *, as_json: bool) -> BuiltModel:
+    """Build the model, with its evidence if it is made from an image."""
     if request.image is not None:
         return model_from_image(request, request.image, as_json=as_json)
     if request.surfaces is not None:
         model = _from_surfaces(request, request.surfaces)
         if not model.chambers:
             warn_of_no_blood("put LV_ENDOCARDIAL or RV_ENDOCARDIAL in the same folder")
-        return model, {}
+        return BuiltModel(model, {})
     if request.labels is not None:
         model = _from_labels(request, request.labels)
         if not model.chambers:
             warn_of_no_blood("give --cavity")
-        return model, {}
+        return BuiltModel(model, {})
     raise typer.BadParameter("give --surfaces DIR, --labels SERIES, or --image and labels or seeds")
 
 

@@ -10,7 +10,8 @@ from typing import Any
 
 GENERAL = (
     "PatientID SeriesInstanceUID SeriesDescription FrameOfReferenceUID InstanceNumber Rows Columns "
-    "SamplesPerPixel NumberOfFrames NumberOfTemporalPositions CardiacNumberOfImages"
+    "SamplesPerPixel NumberOfFrames NumberOfTemporalPositions CardiacNumberOfImages Modality ImageType "
+    "BitsAllocated BitsStored HighBit"
 )
 """Keywords that a file states once."""
 OF_FRAME = (
@@ -20,6 +21,10 @@ OF_FRAME = (
     "TemporalPositionIdentifier TemporalPositionIndex RescaleSlope RescaleIntercept"
 )
 """Keywords that each frame of an enhanced image may state, or all share."""
+UNKNOWN_LENGTH = 0xFFFFFFFF
+"""Length of compressed pixels, which come in pieces."""
+DEFERRED_BYTES = 4096
+"""Longer values are not read before they are needed."""
 GROUPS = "SharedFunctionalGroupsSequence PerFrameFunctionalGroupsSequence"
 
 
@@ -28,7 +33,9 @@ def read_tags(path: str) -> dict[str, Any]:
     import pydicom
 
     keywords = f"{GENERAL} {OF_FRAME} {GROUPS}".split()
-    data = pydicom.dcmread(path, stop_before_pixels=True, specific_tags=keywords)
+    data = pydicom.dcmread(path, defer_size=DEFERRED_BYTES, specific_tags=[*keywords, "PixelData"])
+    pixels = data.get_item("PixelData")
+    length = None if pixels is None else getattr(pixels, "length", len(pixels.value or b""))
     general = {name: _text(data, name) for name in GENERAL.split() if name in data}
     shared = [data, *_groups(data.get("SharedFunctionalGroupsSequence") or [])]
     frames = data.get("PerFrameFunctionalGroupsSequence")
@@ -36,6 +43,7 @@ def read_tags(path: str) -> dict[str, Any]:
     names = OF_FRAME.split()
     return {
         "general": general,
+        "pixel_bytes": None if length == UNKNOWN_LENGTH else length,
         "enhanced": frames is not None,
         "frames": [
             {n: texts for n in names if (texts := list(dict.fromkeys(_text(g, n) for g in item if n in g)))}

@@ -12,6 +12,8 @@ from dvf_ig.io import limits
 
 from .process import Tags, read_tags
 
+PADDING_BYTES = 15
+"""Most bytes after the pixels of a file."""
 _UNIT = 1e-3
 """Tolerance of the stored axes of an image: unit length and orthogonality."""
 
@@ -24,6 +26,7 @@ class CineImage:
     Attributes:
         path: its file; frame: which of the file's, from 0.
         patient: (0010,0020); series, its name, frame of reference: of the acquisition.
+        modality: (0008,0060); kinds: of the image (0008,0008), for example M for magnitude or P for phase.
         columns, rows: its matrix.
         position_mm: (3,) centre of the first pixel, LPS.
         axes: (2, 3) unit directions of growing column and of growing row, LPS.
@@ -42,6 +45,8 @@ class CineImage:
     series: str
     series_name: str
     frame_of_reference: str
+    modality: str
+    kinds: tuple[str, ...]
     columns: int
     rows: int
     position_mm: FloatArray
@@ -83,6 +88,7 @@ def _images(path: Path, tags: Tags) -> list[CineImage]:
     columns, rows = (_optional(path, general, name) or 0 for name in ("Columns", "Rows"))
     if general.get("SamplesPerPixel", "1") != "1" or not all(0 < n <= limits.AXIS for n in (columns, rows)):
         raise UnreadableFileError(f"{path} is not a grey-level image of a plausible size; export it again")
+    _require_whole_pixels(path, general, tags["pixel_bytes"], int(rows * columns) * len(frames))
     single = [_single(path, number, frame) for number, frame in enumerate(frames)]
     scales = {(one.get("RescaleSlope", "1"), one.get("RescaleIntercept", "0")) for one in single}
     if any(_zero(slope) for slope, _ in scales):
@@ -99,6 +105,22 @@ def _images(path: Path, tags: Tags) -> list[CineImage]:
         _image(path, number, {**general, **one}, enhanced=tags["enhanced"])
         for number, one in enumerate(single)
     ]
+
+
+def _require_whole_pixels(path: Path, general: dict[str, str], stored: int | None, pixels: int) -> None:
+    """Refuse uncompressed pixels of another size than the header states, or aligned in a way of their own."""
+    allocated, bits = (_optional(path, general, name) for name in ("BitsAllocated", "BitsStored"))
+    highest = _optional(path, general, "HighBit")
+    if bits and highest is not None and highest + 1 != bits:
+        raise UnreadableFileError(
+            f"{path}: its pixels have {bits:g} bits (0028,0101), the highest of which is {highest:g} "
+            f"(0028,0102); needed {bits - 1:g}: export it again"
+        )
+    needed = int(pixels * (allocated or 16) / 8)
+    if stored is not None and not needed <= stored <= needed + PADDING_BYTES:
+        raise UnreadableFileError(
+            f"{path} holds {stored} bytes of pixels, its header states {needed}; copy or export it again"
+        )
 
 
 def _single(path: Path, number: int, frame: dict[str, list[str]]) -> dict[str, str]:
@@ -118,7 +140,7 @@ def _single(path: Path, number: int, frame: dict[str, list[str]]) -> dict[str, s
 
 def _zero(text: str) -> bool:
     try:
-        return float(text) == 0.0
+        return not abs(float(text)) > 0.0
     except ValueError:
         return True
 
@@ -159,6 +181,8 @@ def _image(path: Path, frame: int, tags: dict[str, str], *, enhanced: bool) -> C
         series=tags.get("SeriesInstanceUID", ""),
         series_name=tags.get("SeriesDescription", ""),
         frame_of_reference=tags.get("FrameOfReferenceUID", ""),
+        modality=tags.get("Modality", ""),
+        kinds=tuple(tags.get("ImageType", "").upper().split("\\")),
         columns=int(tags["Columns"]),
         rows=int(tags["Rows"]),
         position_mm=position,

@@ -20,6 +20,22 @@ SAME_PLACE_MM = 0.1
 """Slices this close are the same slice; positions have three decimals or more, slices are mm apart."""
 SAME_DIRECTION = 1e-3
 """Largest difference of equal unit vectors: 0.06 degrees, 0.1 mm at the edge of the image."""
+NOT_GREY = frozenset(
+    (
+        "P",
+        "PHASE",
+        "PHASE MAP",
+        "VELOCITY",
+        "VELOCITY MAP",
+        "R",
+        "REAL",
+        "I",
+        "IMAGINARY",
+        "MOSAIC",
+        "LOCALIZER",
+    )
+)
+"""Kinds of images (0008,0008) that are no slice of a cine."""
 UNEVEN = 0.1
 """Allowed variation of the slice spacing as a fraction of it: 1 mm in 10 mm."""
 SAME_RR = 1.2
@@ -94,6 +110,13 @@ def _require_one_acquisition(folder: Path, images: Sequence[CineImage]) -> None:
     _require_one(folder, images, "patients", lambda one: f"'{one.patient}'")
     _require_one(folder, images, "frames of reference", lambda one: one.frame_of_reference)
     _require_one(folder, images, "matrix sizes", lambda one: f"{one.columns} x {one.rows}")
+    _require_one(folder, images, "modalities", lambda one: one.modality)
+    for image in images:
+        if other := NOT_GREY.intersection(image.kinds):
+            raise UnreadableFileError(
+                f"{folder}: {_name(image)} ({image.series_name}) is an image of another kind (ImageType "
+                f"{', '.join(sorted(other))}); keep the cine's own images"
+            )
     first = images[0]
     for image in images:
         turned = np.abs(image.axes - first.axes).max() > SAME_DIRECTION
@@ -119,7 +142,9 @@ def _require_one(
 def _pitch(folder: Path, heights: FloatArray) -> float:
     """Distance of neighbouring slices, mm."""
     if len(heights) < 2:
-        raise UnreadableFileError(f"{folder} holds one slice; needed a stack of short-axis slices")
+        raise UnreadableFileError(
+            f"{folder} holds one slice, as far as its positions tell; needed a stack of short-axis slices, mm"
+        )
     steps = np.diff(heights)
     usual = float(np.sort(steps)[(len(steps) - 1) // 2])
     worst = int(np.abs(steps - usual).argmax())

@@ -66,6 +66,7 @@ _TYPES = {
 _LPS = np.array([-1.0, -1.0, 1.0])
 """Signs that convert NIfTI's RAS to LPS."""
 _GZIP = b"\x1f\x8b"
+_MM = 2
 _UNITS = {1: "m", 3: "micrometres"}
 _TIME_UNITS = {0: "", 8: "s", 16: "ms", 24: "us"}
 _SAME_SIDE = 0.01
@@ -77,7 +78,9 @@ _SAME_MM, _SAME_SHARE = 0.1, 0.1
 def nifti_files(path: Path) -> tuple[Path, ...]:
     """Return the other file of a pair (`.hdr`, `.img`)."""
     other = {".hdr": ".img", ".img": ".hdr"}.get(path.suffix.lower())
-    return () if other is None else (path.with_suffix(other),)
+    if other is None:
+        return ()
+    return (path.with_suffix(other.upper() if path.suffix.isupper() else other),)
 
 
 def read_nifti_header(path: Path) -> ImageHeader:
@@ -191,9 +194,11 @@ def _checked(
     sizes = np.array(fields["pixdim"][1 : min(count, 3) + 1])
     uses_qform, uses_sform = (code > 0 for code in fields["codes"])
     axes = np.array(fields["sform"]).reshape(3, 4)
+    slope, intercept = fields["scaling"]
+    scaling = (0.0, 0.0) if math.isnan(slope) else (slope, intercept)  # nibabel's header without scaling
     placed = [
         fields["pixdim"][0],
-        *fields["scaling"],
+        *scaling,
         *(fields["qform"] if uses_qform else ()),
         *(axes.flat if uses_sform else ()),
     ]
@@ -203,10 +208,16 @@ def _checked(
             "finite or not positive; convert it again"
         )
     unit = int(fields["units"][0]) & 7
-    if unit in _UNITS:
-        raise UnreadableFileError(f"{path}: its unit of length is {_UNITS[unit]}; needed mm: save it in mm")
+    if unit not in (0, _MM):
+        raise UnreadableFileError(
+            f"{path}: its unit of length is {_UNITS.get(unit, f'code {unit}')}; needed mm: save it in mm"
+        )
     needed = math.prod(used) * dtype.itemsize
-    if not math.isfinite(offset) or not (begin if single else 0) <= offset <= limits.HEADER_BYTES:
+    if (
+        not math.isfinite(offset)
+        or offset % 1
+        or not (begin if single else 0) <= offset <= limits.HEADER_BYTES
+    ):
         raise UnreadableFileError(f"{path}: its voxels begin at byte {offset:g}; copy it again")
     if needed > limits.VOXEL_BYTES:
         raise UnreadableFileError(
@@ -227,7 +238,7 @@ def _checked(
         *geometry,
         Storage((), int(offset)),
         times=uniform_times(step, used[3], time_unit, "pixdim[4]") if len(used) == 4 else None,
-        scaling=fields["scaling"],
+        scaling=scaling,
     )
 
 
@@ -247,7 +258,7 @@ def _geometry(
             "differ on which side is left; set its orientation, or convert the scanner's images again"
         )
     if not uses_sform:
-        axes, origin = _qform(fields)
+        axes, origin = _qform(path, fields)
         return origin * _LPS, sides, axes * _LPS[:, None]
     sform = np.array(fields["sform"]).reshape(3, 4)
     length = np.linalg.norm(sform[:, :3], axis=0)
@@ -265,7 +276,7 @@ def _geometry(
     if uses_qform:
         corners = np.array(np.meshgrid(*((0.0, end) for end in ends))).reshape(3, -1)
         by_sform = sform[:, :3] @ corners + sform[:, 3:]
-        axes, origin = _qform(fields)
+        axes, origin = _qform(path, fields)
         by_qform = axes @ (sides[:, None] * corners) + origin[:, None]
         apart = float(np.linalg.norm(by_sform - by_qform, axis=0).max())
         if apart > allowed:
@@ -277,9 +288,18 @@ def _geometry(
     return sform[:, 3] * _LPS, sides, (sform[:, :3] / length) * _LPS[:, None]
 
 
-def _qform(fields: dict[str, tuple[Any, ...]]) -> tuple[FloatArray, FloatArray]:
-    """Return unit axes (3, 3) and origin (3,) of the qform, RAS. Source: nifti1.h, method 2."""
+def _qform(path: Path, fields: dict[str, tuple[Any, ...]]) -> tuple[FloatArray, FloatArray]:
+    """Return unit axes (3, 3) and origin (3,) of the qform, RAS. Source: nifti1.h, method 2.
+
+    Raises:
+        UnreadableFileError: its quaternion is longer than 1.
+    """
     b, c, d = fields["qform"][:3]
+    if (length := math.hypot(b, c, d)) > 1.0 + TOLERANCE:
+        raise UnreadableFileError(
+            f"{path}: the quaternion of its qform has length {length:.3g} without its scalar part; needed at "
+            "most 1: write its geometry again"
+        )
     a = math.sqrt(max(1.0 - (b * b + c * c + d * d), 0.0))
     norm = math.hypot(a, b, c, d)
     turn = Rotation.from_quat(np.array([b, c, d, a]) / norm).as_matrix()

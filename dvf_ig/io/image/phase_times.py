@@ -100,6 +100,11 @@ class PhaseTimes:
         if (fractions := self.fractions(path)) is not None:
             require_whole_cycle(fractions, self.field)
             return CycleTiming(fractions, 1.0, rr_assumed=True)
+        if self.unit and self._scale() is None:
+            log.warning(
+                "%s: %s is in '%s', which is no unit of time: not used", path, self.field, self.unit[:20]
+            )
+            return None
         if count < 2 or (not self._scale() and (np.diff(values) == 1).all()):
             return None
         step = float(np.diff(values).mean())

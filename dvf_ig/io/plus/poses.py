@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from dvf_ig.core.arrays import FloatArray
 from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
-from dvf_ig.core.plausible import marker_problem, period_problem
+from dvf_ig.core.plausible import identities, marker_problem, period_problem
 from dvf_ig.core.recordings.sequence import TrackedSequence
 from dvf_ig.core.recordings.stream import PoseStream
 from dvf_ig.io import limits
@@ -39,7 +39,7 @@ def read_poses(path: Path | str, target: str | None = None, source: str | None =
         path: a PLUS sequence; a folder of text files with one 4×4 each, in natural order of their names; or a
             text table with rows `x y z qx qy qz qw` (or `t x y z qx qy qz qw`), mm and s. A row with the
             names of the columns gives their order and units (`x [m]`, `t_ms`). Rows that are incomplete, nan
-            or all zero are lost poses.
+            or all zero, and poses that are exactly the identity, are lost poses.
         target, source: frames. Without them, the only tracked tool of a sequence is used, relative to the
             reference sensor if one is recorded; for text they name the frames, by default
             tracker_from_tool.
@@ -63,10 +63,15 @@ def recorded_poses(path: Path, target: str | None = None, source: str | None = N
             return _from_sequence(path, read_sequence(path), target, source)
         times, matrices = _read_folder(path) if path.is_dir() else _read_table(path)
         limits.require_times(times, "its column of times")
-        valid = np.asarray(np.isfinite(matrices).all(axis=(1, 2)), dtype=np.bool_)
+        valid = np.isfinite(matrices).all(axis=(1, 2)) & ~identities(matrices)
         limits.require_lengths(matrices[valid], "a pose")
         if not valid.all():
-            log.warning("%s: %d of %d poses were lost (nan, empty or zero)", path, (~valid).sum(), len(valid))
+            log.warning(
+                "%s: %d of %d poses were lost (nan, empty, zero or exactly the identity)",
+                path,
+                (~valid).sum(),
+                len(valid),
+            )
         if problem := period_problem(times):
             log.warning("%s has %s", path, problem)
         rotations, translations = matrices[:, :3, :3], matrices[:, :3, 3]

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from dvf_ig.core.arrays import BoolArray, FloatArray, IntArray
 from dvf_ig.core.errors import UnreadableFileError
-from dvf_ig.core.plausible import period_problem
+from dvf_ig.core.plausible import identities, period_problem
 from dvf_ig.core.recordings.sequence import TrackedSequence
 from dvf_ig.core.recordings.stream import PoseStream
 from dvf_ig.io import limits
@@ -44,8 +44,9 @@ def read_sequence(path: Path | str) -> TrackedSequence:
     sorted. If time runs back further, the recording ends and no later frame is used: stamps before and
     after belong to two clocks. Frames without a time stamp are left out if most have one. All of this is
     logged. Without time stamps `t_s` is the frame index and `has_timestamps` is False. Without status fields
-    a pose counts as OK. A pose whose status is not OK is invalid and its matrix is not checked. Transforms
-    from or to pixel frames (ImageToProbe) are image maps, not poses. Images are turned to MF (`orientation`).
+    a pose counts as OK. A pose whose status is not OK is invalid and its matrix is not checked; so is one
+    that is exactly the identity, whatever its status. Transforms from or to pixel frames (ImageToProbe) are
+    image maps, not poses. Images are turned to MF (`orientation`).
 
     Args:
         path: `.igs.mha`, `.igs.mhd`, `.igs.nrrd`, or the same without `.igs`.
@@ -236,6 +237,16 @@ def _streams(path: Path, raw: RawSequence, t_s: FloatArray, order: IntArray) -> 
             continue
         matrices, valid = _matrices(path, raw, field)
         matrices, valid = matrices[order], valid[order]
+        if (unseen := valid & identities(matrices)).any():
+            log.warning(
+                "%s: %s is exactly the identity in %d of %d frames, as programs write a pose that was not "
+                "tracked, though its status is OK; these poses count as lost",
+                path,
+                field,
+                np.count_nonzero(unseen),
+                len(valid),
+            )
+            valid &= ~unseen
         stream = PoseStream(target, source, t_s, matrices[:, :3, :3], matrices[:, :3, 3], valid)
         streams[stream.name] = stream
     return streams

@@ -54,8 +54,8 @@ class PhaseOffset:
         """The sentence a user reads if it is suspicious."""
         which = "late" if self.offset_s > 0 else "early"
         return (
-            f"ECG and ultrasound disagree: the ECG is {1e3 * abs(self.offset_s):.0f} ms {which}; check its "
-            "clock and latency"
+            f"ECG and ultrasound disagree: the ECG is {1e3 * abs(self.offset_s):.0f} ms {which}; it is of "
+            "another recording, or its clock or the latency is off"
         )
 
 

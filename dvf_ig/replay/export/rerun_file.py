@@ -4,12 +4,14 @@ Entities are nested as frames are: `mr` (LPS, mm) / `tracker` / `probe`, `tool`.
 the tracker's clock. The surfaces through the cycle are on a time line of their own, `phase`.
 """
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from dvf_ig.core import DvfModel, FloatArray, MissingDependencyError, Signal
+from dvf_ig.core import DvfModel, FloatArray, MissingDependencyError, OutputError, Signal
 from dvf_ig.core.arrays import AnyArray
 from dvf_ig.core.errors import install_extra
 from dvf_ig.guidance import Hazard, SupervisorState
@@ -41,7 +43,7 @@ def write_rerun(run: ExportedRun, model: DvfModel, ticks: dict[str, AnyArray], p
     """
     rerun = _package()
     frames = shown_frames(run)
-    with atomic_file(path) as temporary:
+    with atomic_file(path) as temporary, _wrapped(path):
         stream = rerun.RecordingStream("dvf_ig", recording_id=run.scenario.name or "run")
         stream.save(str(temporary))
         stream.log("mr", rerun.ViewCoordinates.LBU, static=True)
@@ -53,6 +55,15 @@ def write_rerun(run: ExportedRun, model: DvfModel, ticks: dict[str, AnyArray], p
         stream.flush()
         stream.disconnect()
     return len(frames.number)
+
+
+@contextmanager
+def _wrapped(path: Path) -> Iterator[None]:
+    """Convert the package's error of writing to an OutputError."""
+    try:
+        yield
+    except RuntimeError as exc:
+        raise OutputError(f"cannot write {path}: {str(exc).splitlines()[-1]}") from exc
 
 
 def _package() -> Any:

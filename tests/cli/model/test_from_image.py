@@ -6,11 +6,14 @@ import numpy as np
 import pytest
 import SimpleITK
 import typer
+from toy_ball import ball_model
 from typer.testing import CliRunner
 
 from dvf_ig.cli.model import commands as model
-from dvf_ig.core import CycleTiming, Grid, Volume, VolumeSeries
+from dvf_ig.cli.model.from_image import BuiltModel, FileBeside
+from dvf_ig.core import CycleTiming, Grid, OutputError, Volume, VolumeSeries
 from dvf_ig.io import read_model, write_timing, write_volume, write_volume_series
+from dvf_ig.preop import check_model
 
 app = typer.Typer()
 app.add_typer(model.app, name="model")
@@ -169,6 +172,26 @@ def test_labels_on_another_grid_are_refused(folder):
     )
     assert result.exit_code == 3
     assert "1.00 mm from the 4-D image's" in " ".join(result.output.split())
+
+
+def test_a_model_and_its_evidence_are_written_together_or_not_at_all(tmp_path, monkeypatch):
+    beside = FileBeside(tmp_path / "heart.json", lambda path: path.write_text("{}"))
+    built = BuiltModel(ball_model(), {}, (beside,), (tmp_path / "heart.png",))
+    monkeypatch.setattr("dvf_ig.cli.model.sources.model_of", lambda *_, **__: built)
+    checked = check_model(ball_model(), points_per_phase=20, rng=np.random.default_rng(0))
+    monkeypatch.setattr(model, "_errors", lambda *_: checked)
+    arguments = ("model", "build", "--surfaces", tmp_path, "-o", tmp_path / "heart.npz")
+
+    def full(*_):
+        raise OutputError("the disk is full")
+
+    with monkeypatch.context() as patch:
+        patch.setattr("dvf_ig.io.write_model", full)
+        result = run(*arguments)
+        assert result.exit_code == 4, result.output
+    assert list(tmp_path.iterdir()) == []
+    assert run(*arguments).exit_code == 0
+    assert {path.name for path in tmp_path.glob("h*")} == {"heart.json", "heart.npz"}
 
 
 def test_a_user_s_own_file_beside_the_model_is_kept(folder, monkeypatch):

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from dicom_toy import dicom_image
 from scipy.spatial.transform import Rotation
 
 from dvf_ig.core import UnreadableFileError
@@ -34,30 +35,14 @@ def value(column: int, row: int, number: int, phase: int) -> int:
 
 def image(number: int, phase: int) -> Any:
     """Slice `number` at `phase`: grey levels say where and when."""
-    from pydicom.uid import ExplicitVRLittleEndian, MRImageStorage, generate_uid
-
-    data = pydicom.Dataset()
-    data.file_meta = pydicom.dataset.FileMetaDataset()
-    data.file_meta.TransferSyntaxUID = ExplicitVRLittleEndian
-    data.file_meta.MediaStorageSOPClassUID = data.SOPClassUID = MRImageStorage
-    uid = generate_uid(entropy_srcs=[f"{number} {phase}"])
-    data.file_meta.MediaStorageSOPInstanceUID = data.SOPInstanceUID = uid
-    data.Modality, data.PatientID, data.PatientName = "MR", "heart-7", "Nobody"
-    data.StudyInstanceUID = generate_uid(entropy_srcs=["study"])
-    data.SeriesInstanceUID = generate_uid(entropy_srcs=[f"series {number}"])
-    data.SeriesDescription, data.FrameOfReferenceUID = "cine sax", generate_uid(entropy_srcs=["frame"])
-    data.InstanceNumber = phase + 1
-    data.TriggerTime = round(RR_MS[number] * (0.02 + phase / PHASES), 3)
-    data.NominalInterval = int(RR_MS[number])
-    data.ImagePositionPatient = [round(float(v), 6) for v in ORIGIN + number * SPACING[2] * AXES[:, 2]]
-    data.ImageOrientationPatient = [round(float(v), 9) for v in AXES[:, :2].T.ravel()]
-    data.PixelSpacing = [SPACING[1], SPACING[0]]
-    data.SliceThickness = 8.0
-    data.Rows, data.Columns = ROWS, COLUMNS
-    data.SamplesPerPixel, data.PhotometricInterpretation = 1, "MONOCHROME2"
-    data.BitsAllocated, data.BitsStored, data.HighBit, data.PixelRepresentation = 16, 16, 15, 0
     row, column = np.mgrid[:ROWS, :COLUMNS]
-    data.PixelData = (column + 10 * row + 100 * number + 1000 * phase).astype("<u2").tobytes()
+    pixels = column + 10 * row + 100 * number + 1000 * phase
+    corner = ORIGIN + number * SPACING[2] * AXES[:, 2]
+    spacing = (float(SPACING[1]), float(SPACING[0]))
+    data = dicom_image(f"{number} {phase}", f"series {number}", pixels, corner, AXES[:, :2].T, spacing)
+    data.PatientID, data.SeriesDescription, data.SliceThickness = "heart-7", "cine sax", 8.0
+    data.InstanceNumber, data.NominalInterval = phase + 1, int(RR_MS[number])
+    data.TriggerTime = round(RR_MS[number] * (0.02 + phase / PHASES), 3)
     return data
 
 
@@ -313,6 +298,14 @@ def untimed_slice(data: Any, number: int, phase: int) -> None:
         del data.TriggerTime
 
 
+def cut_short(data: Any, number: int, phase: int) -> None:
+    data.PixelData = data.PixelData[:-2]
+
+
+def twice(data: Any, number: int, phase: int) -> None:
+    data.PixelData = 2 * data.PixelData
+
+
 def moved_slice(data: Any, number: int, phase: int) -> None:
     if number == 3:
         data.ImagePositionPatient = [float(v) for v in ORIGIN + 3.4 * SPACING[2] * AXES[:, 2]]
@@ -347,6 +340,14 @@ def moved_slice(data: Any, number: int, phase: int) -> None:
         (every(HeartRate=120), (), "800 ms and a heart rate .* of 120 beats"),
         (in_seconds, (), "spans 0.1 % of the RR interval"),
         (set_in(0, PixelSpacing=[1e-9, 1]), (), "pixels have sides"),
+        (set_in(1, RescaleSlope="nan", RescaleIntercept=0), (), "RescaleSlope .* is not a number other than"),
+        (cut_short, (), "holds 94 bytes of pixels, its header states 96"),
+        (twice, (), "holds 192 bytes of pixels, its header states 96"),
+        (every(BitsStored=12), (), r"12 bits \(0028,0101\), the highest of which is 15"),
+        (set_in(1, Modality="US"), (), "2 modalities: MR, US|2 modalities: US, MR"),
+        (set_in(1, ImageType=["ORIGINAL", "PRIMARY", "P", "ND"]), (), r"of another kind \(ImageType P\)"),
+        (every(ImageType=["ORIGINAL", "PRIMARY", "M", "MOSAIC"]), (), "ImageType MOSAIC"),
+        (every(ImageType=["ORIGINAL", "PRIMARY", "M", "ND"]), (), None),
     ],
 )
 @pytest.mark.usefixtures("quick")

@@ -7,13 +7,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from dicom_toy import dicom_image
 from typer.testing import CliRunner
 
 from dvf_ig.cli.main import app
 from dvf_ig.core import UnreadableFileError
 from dvf_ig.io import DicomExamination, read_dicom_examination
 
-pydicom = pytest.importorskip("pydicom", reason="pydicom writes the DICOM images of these tests")
+pytest.importorskip("pydicom", reason="pydicom writes the DICOM images of these tests")
 
 COLUMNS, ROWS, PHASES, SLICES = 20, 16, 9, 5
 SAX = np.array([[1.0, 0.0, 0.0], [0.0, 0.8, 0.6]])
@@ -29,27 +30,10 @@ def image(
     series: str, axes: np.ndarray, middle: np.ndarray, number: int, trigger_ms: float, level: int
 ) -> Any:
     """One image whose middle lies at a point; every pixel has one grey level."""
-    from pydicom.uid import ExplicitVRLittleEndian, MRImageStorage, generate_uid
-
-    data = pydicom.Dataset()
-    data.file_meta = pydicom.dataset.FileMetaDataset()
-    data.file_meta.TransferSyntaxUID = ExplicitVRLittleEndian
-    data.file_meta.MediaStorageSOPClassUID = data.SOPClassUID = MRImageStorage
-    uid = generate_uid(entropy_srcs=[f"{series} {middle} {number} {level}"])
-    data.file_meta.MediaStorageSOPInstanceUID = data.SOPInstanceUID = uid
-    data.Modality, data.PatientID, data.PatientName = "MR", "heart-9", "Nobody"
-    data.StudyInstanceUID = generate_uid(entropy_srcs=["study"])
-    data.SeriesInstanceUID = generate_uid(entropy_srcs=[series])
-    data.SeriesDescription, data.FrameOfReferenceUID = series, generate_uid(entropy_srcs=["frame"])
-    data.InstanceNumber, data.TriggerTime, data.NominalInterval = number, trigger_ms, 900
     corner = middle - PIXEL_MM * (0.5 * (COLUMNS - 1) * axes[0] + 0.5 * (ROWS - 1) * axes[1])
-    data.ImagePositionPatient = [round(float(v), 6) for v in corner]
-    data.ImageOrientationPatient = [round(float(v), 9) for v in axes.ravel()]
-    data.PixelSpacing = [PIXEL_MM, PIXEL_MM]
-    data.Rows, data.Columns = ROWS, COLUMNS
-    data.SamplesPerPixel, data.PhotometricInterpretation = 1, "MONOCHROME2"
-    data.BitsAllocated, data.BitsStored, data.HighBit, data.PixelRepresentation = 16, 16, 15, 0
-    data.PixelData = np.full((ROWS, COLUMNS), level, dtype="<u2").tobytes()
+    key, pixels = f"{series} {middle} {number} {level}", np.full((ROWS, COLUMNS), level)
+    data = dicom_image(key, series, pixels, corner, axes, (PIXEL_MM, PIXEL_MM))
+    data.InstanceNumber, data.TriggerTime, data.NominalInterval = number, trigger_ms, 900
     return data
 
 

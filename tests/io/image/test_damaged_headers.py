@@ -203,6 +203,9 @@ def test_metaimage_headers(tmp_path: Path, changes: dict[str, str | None], sente
         ((268, "f", np.nan), "finite"),
         ((112, "f", np.inf), "finite"),
         ((123, "b", 1), "length is m"),
+        ((123, "b", 5), "length is code 5"),
+        ((108, "f", 352.5), "begin at byte 352.5"),
+        ((252, "2h3f", 1, 0, 0.9, 0.9, 0.0), "quaternion of its qform has length 1.27"),
         ((40, "h", 99), "the sizes"),
         ((42, "h", -2), "the sizes"),
         ((42, "h", 32000), "truncated"),
@@ -230,6 +233,30 @@ def test_nifti_headers(tmp_path: Path, field: tuple[int, str, float], sentence: 
     assert read_volume(nifti(tmp_path / "good.nii", 80, "f", 1.0)).values.shape == (2, 3, 4)
     with pytest.raises(UnreadableFileError, match=sentence):
         read_volume(nifti(tmp_path / "a.nii", *field))
+
+
+def test_a_nifti_scale_that_is_not_set_changes_nothing(tmp_path: Path) -> None:
+    """Headers that nibabel keeps in memory hold NaN."""
+    values = read_volume(nifti(tmp_path / "a.nii", 112, "2f", np.nan, np.nan)).values
+    np.testing.assert_array_equal(values, read_volume(nifti(tmp_path / "b.nii", 112, "2f", 1, 0)).values)
+
+
+def test_a_nifti_pair_in_capitals(tmp_path: Path) -> None:
+    data = nifti(tmp_path / "a.nii", 344, "4s", b"ni1\0").read_bytes()
+    (tmp_path / "B.HDR").write_bytes(data[:108] + bytes(4) + data[112:352])
+    (tmp_path / "B.IMG").write_bytes(VOXELS)
+    for name in ("B.HDR", "B.IMG"):
+        assert read_volume(tmp_path / name).values.shape == (2, 3, 4)
+
+
+def test_a_unit_that_is_no_time_gives_no_times(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    path = nifti(tmp_path / "a.nii", 123, "b", 2 | 32)
+    header = bytearray(path.read_bytes())
+    struct.pack_into("<8h", header, 40, 4, 2, 3, 4, 10, 1, 1, 1)
+    struct.pack_into("<f", header, 92, 0.08)
+    path.write_bytes(header[:352] + 10 * VOXELS)
+    assert read_volume_series(path).timing.timing_assumed
+    assert "pixdim[4] is in 'Hz, ppm or rad', which is no unit of time" in caplog.text
 
 
 @pytest.mark.parametrize("sizes", [(24,), (6, 4), (24, 1)])

@@ -1,6 +1,7 @@
 """Pose streams from sequences, folders and tables."""
 
 import logging
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from dvf_ig.core import InvalidInputError, PoseStream, TrackedSequence, UnreadableFileError
 from dvf_ig.io import read_poses, read_sequence, tracked_probe, write_poses, write_sequence
+from dvf_ig.io.plus.poses import recorded_poses
 
 
 def stream(target: str, source: str, shift: float = 0.0, n: int = 4) -> PoseStream:
@@ -122,6 +124,26 @@ def test_a_sequence_in_metres_is_refused(tmp_path: Path) -> None:
         read_poses(path)
     with pytest.raises(InvalidInputError, match="are in m, not mm"):
         tracked_probe(read_sequence(path))
+
+
+@pytest.mark.parametrize("lost", [(1,), (0, 1, 2, 3)])
+def test_poses_that_are_exactly_the_identity_are_lost(
+    tmp_path: Path, lost: tuple[int, ...], caplog: pytest.LogCaptureFixture
+) -> None:
+    """A sequence whose status is OK, and a folder of matrices."""
+    tracked = stream("tracker", "tool", 5.0)
+    turns, shifts_mm = tracked.rotations.copy(), tracked.translations_mm.copy()
+    turns[list(lost)], shifts_mm[list(lost)] = np.eye(3), 0.0
+    path = write(tmp_path / "a.igs.mha", replace(tracked, rotations=turns, translations_mm=shifts_mm))
+    folder = tmp_path / "poses"
+    folder.mkdir()
+    for n, (turn, shift_mm) in enumerate(zip(turns, shifts_mm, strict=True)):
+        matrix = np.vstack([np.column_stack([turn, shift_mm]), [0, 0, 0, 1]])
+        np.savetxt(folder / f"{n}.txt", matrix)
+    for valid in (read_sequence(path).poses["tracker_from_tool"].valid, recorded_poses(folder).valid):
+        assert np.flatnonzero(~valid).tolist() == list(lost)
+    assert f"exactly the identity in {len(lost)} of 4 frames" in caplog.text
+    assert f"{len(lost)} of 4 poses were lost" in caplog.text
 
 
 @pytest.mark.parametrize(
