@@ -100,6 +100,10 @@ def _pose_rows(result: dict[str, Any]) -> list[tuple[str, str, str]]:
     rows.append(("registration", text, error))
     if usable:
         rows.append(("least constrained", usable[-1]["weakness"], ""))
+        shape = usable[-1]["shape_change"]
+        if shape is not None:
+            follow = "fixtures follow it" if shape["followed"] else "within the margins"
+            rows.append(("shape of the heart", f"{shape['sentence']}; {follow}", ""))
     return rows
 
 

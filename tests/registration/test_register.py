@@ -267,7 +267,7 @@ def test_landmarks_elsewhere_rule_a_pose_out(off_mm: float, stop: Stop) -> None:
     assert named is (stop is Stop.DISAGREEMENT)
 
 
-@pytest.mark.parametrize(("scale_mm", "stop"), [(3.0, Stop.CONVERGED), (5.0, Stop.CHANGED_SHAPE)])
+@pytest.mark.parametrize(("scale_mm", "stop"), [(1.5, Stop.CONVERGED), (3.0, Stop.CHANGED_SHAPE)])
 def test_a_heart_of_another_shape_is_refused_by_name(
     monkeypatch: pytest.MonkeyPatch, scale_mm: float, stop: Stop
 ) -> None:

@@ -15,8 +15,10 @@ def line(number: int, tre_mm: float | None, hazard_s: float) -> dict[str, Any]:
         "scenario_seed": number // 2,
         "tre_mm": None if tre_mm is None else {"median": tre_mm},
         "force_error_n": None if tre_mm is None else {"median": 0.1 * tre_mm},
-        "surface_error_mm": None if tre_mm is None else {"rms": 0.5 * tre_mm, "force_far_off_s": hazard_s},
         "contact": {"served_share": 0.5},
+        "surface_error_mm": None
+        if tre_mm is None
+        else {"rms": 0.5 * tre_mm, "force_far_off_s": 0.2 * hazard_s},
         "hazard_s": hazard_s,
         "hazard_longest_s": hazard_s / 2,
         "withheld_s": 3.0,
@@ -45,7 +47,7 @@ def test_the_worst_seed_gives_the_hazard_and_the_median_the_error() -> None:
     assert (calm.seeds, calm.refused, calm.guided) == (4, 1, 2)
     assert (calm.tre_median_mm, calm.tre_worst_mm) == (2.0, 3.0)
     assert (calm.hazard_s, calm.hazard_longest_s) == (4.0, 2.0)
-    assert (calm.wall_rms_mm, calm.wall_far_off_s) == (1.0, 4.0)
+    assert (calm.wall_rms_mm, calm.wall_far_off_s) == (1.0, 0.8)
     assert calm.valid_share == 0.8
     assert (calm.pose_updates, calm.pose_bound_mm) == (40, 4.0)
     assert calm.pose_bound_covers.value == 0.95

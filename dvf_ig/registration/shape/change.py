@@ -45,7 +45,7 @@ PATCH_MM, PATCH_POINTS = 30.0, 8
 """Edge of a patch of wall whose shift is stated, and the points it needs."""
 LARGEST_SCALE_MM = 3.0
 """Scale of a change from which fixtures do not follow it: of the wall that is then known well enough for a
-force, 1 % is more than 3 mm off (threshold hearts 2101 and 2102)."""
+force, up to 5 % is more than 3 mm off (docs/theory/registration.md)."""
 LARGEST_SLOPE = 0.35
 """Largest ‖Dm‖: beyond it the warped distance is none, and folds are near."""
 LARGEST_SHARED = 0.7

@@ -70,6 +70,8 @@ def _shape_change(shape: ShapeChange | None) -> dict[str, Any] | None:
     if shape is None:
         return None
     return {
+        "sentence": shape.sentence,
+        "followed": shape.followed is not None and shape.refusal is None,
         "wall": shape.wall,
         "outward_mm": shape.shift_mm,
         "sigma_mm": shape.sigma_mm,
