@@ -55,7 +55,7 @@ def cine_preop(
     count = np.ceil((box_mm[1] - box_mm[0] + 2 * protocol.margin_mm) / protocol.spacing_mm).astype(int)
     shape = (int(count[0]), int(count[1]), int(count[2]))
     grid = Grid.axis_aligned("mr", shape, low, protocol.spacing_mm)
-    timing = CycleTiming.uniform(protocol.phases, anatomy.rr_s)
+    timing = CycleTiming(np.arange(protocol.phases) / protocol.phases, anatomy.rr_s)
     shading = coil_shading(grid, protocol.bias, rng)
     noise_rngs = rng.spawn(protocol.phases)
     sigma_px = np.full(3, protocol.psf_fwhm_mm / FWHM_PER_SIGMA / protocol.spacing_mm)

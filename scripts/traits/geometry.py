@@ -208,11 +208,29 @@ TRAITS = {
             _every(r"^\d,([-\d.]+,[-\d.]+,[-\d.]+)", 1e3),
         ),
     ),
+    "tag": Target(
+        "geometry/points.tag",
+        lambda p: io.read_landmarks(p, "mr"),
+        (
+            substituted(
+                r"^Volumes = 1;", "Volumes = 2;", "Volumes = 1;\nVolumes = 2;", "Volumes = 1;\nUnits = m;"
+            ),
+            substituted(
+                r"^( \S+ \S+ \S+)", r"\1 4.5 5.5 6.5", r"\1 1 2 3 4", r"\1 0.5 1 1", r"\1 9", r"\1,5"
+            ),
+            substituted(r"^ \S+ \S+ \S+", " 0 0 0", " nan 1 2", " 1 2"),
+            substituted(r'"(apex|base)"', '"left"', "left", "'left'", '"a"b"'),
+            substituted(r"^Points =", "% by hand; 2024\nPoints =", "Points = 1 2 3;\nPoints ="),
+            substituted(r";\Z", "", ";\n1 2 3;", ";\nPoints =\n 1 2 3;"),
+            _every(r"^ (\S+ \S+ \S+)", 1e-3),
+        ),
+    ),
     "sequence": Target(
         "geometry/sequence.igs.mha",
         _tracked,
         (
             in_text(_gap),
+            substituted(r"(ToTrackerTransform = ).*$", r"\g<1>1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1"),
             _every(r"Timestamp = (.*)$", 1e3),
             _every(r"^Seq_Frame\d+_Timestamp = (.*)$", 1e6),
             substituted(r"(Seq_Frame\d+_Timestamp = )(.*)$", r"\1\g<2>\n\g<1>9.5"),
@@ -303,6 +321,8 @@ def write_seeds(folder: Path) -> None:
     placed = [f"{i},{x},{y},{z},0,0,0,1,1,1,0,{names[i]},,,2,0" for i, (x, y, z) in enumerate(xyz)]
     header = ["# CoordinateSystem = LPS", f"# columns = {columns}"]
     (folder / "points.fcsv").write_text("\n".join([*header, *placed]) + "\n")
+    rows = "\n".join(f' {x} {y} {z} "{name}"' for name, (x, y, z) in zip(names, xyz, strict=True))
+    (folder / "points.tag").write_text(f"MNI Tag Point File\nVolumes = 1;\nPoints =\n{rows};")
     _write_meshes(folder)
     turns = np.tile(np.eye(3), (12, 1, 1))
     stream = PoseStream("tracker", "probe", np.linspace(0.0, 0.55, 12), turns, places[:12], np.ones(12, bool))

@@ -131,6 +131,14 @@ def _other_unit(out: bytearray, rng: random.Random) -> None:
         struct.pack_into(f"<{count}f", out, at, *(scale * v for v in values))
 
 
+def _no_geometry(out: bytearray, rng: random.Random) -> None:
+    """A quaternion that is none, an unknown unit, or voxels that begin within a byte."""
+    form, at, values = rng.choice(
+        (("2h3f", 252, (1, 0, 0.9, 0.9, 0.3)), ("b", 123, (rng.choice((4, 5, 6, 7)),)), ("f", 108, (352.5,)))
+    )
+    struct.pack_into(f"<{form}", out, at, *values)
+
+
 def _step(out: bytearray, rng: random.Random) -> None:
     """Time between phases in ms where s are stated."""
     if struct.unpack_from("<h", out, 40)[0] == 4:
@@ -171,6 +179,10 @@ _TAGS: dict[str, tuple[object, ...]] = {
     "TemporalPositionIdentifier": (1, 7),
     "NumberOfTemporalPositions": (4, 6),
     "NumberOfFrames": (2,),
+    "Modality": ("US", "CT"),
+    "ImageType": (["ORIGINAL", "PRIMARY", "P", "ND"], ["ORIGINAL", "PRIMARY", "LOCALIZER"]),
+    "BitsStored": (8, 12),
+    "PixelData": (bytes(94), bytes(192), bytes(10)),
 }
 
 
@@ -200,7 +212,7 @@ def _dicom(path: Path) -> object:
         return stack_of(path.parent.parent, read_images(sorted(path.parent.parent.glob("*/*"))))
 
 
-_NIFTI = tuple(map(_nifti, (_second_geometry, _without_codes, _fewer_voxels, _other_unit)))
+_NIFTI = tuple(map(_nifti, (_second_geometry, _without_codes, _fewer_voxels, _other_unit, _no_geometry)))
 _FILES: dict[str, tuple[str, tuple[Trait, ...]]] = {
     "volume-nrrd": ("volume.nrrd", _NRRD),
     "series-nrrd": ("series.nrrd", (*_NRRD, _times("ms"), _times("%"))),

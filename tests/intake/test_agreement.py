@@ -24,6 +24,7 @@ from dvf_ig.core import (
     PoseStream,
     Rigid,
     SurfaceSeries,
+    UnreadableFileError,
     VolumeSeries,
 )
 from dvf_ig.intake import read_session
@@ -414,6 +415,21 @@ def test_names_of_surfaces_tell_their_patient(lab: Path, beating_sphere: Surface
     assert Disagreement.OTHER_PATIENT in {one.cause for one in fit_of(read).warnings}
     read = read_session(write(lab, {**SESSION, "patient_id": "P-18", "preop": preop}))
     assert Disagreement.OTHER_PATIENT not in {one.cause for one in fit_of(read).warnings}
+
+
+@pytest.mark.parametrize(
+    ("changes", "advice"),
+    [
+        ({"calibration": {"latency": "0.035 s"}}, "a number is written without quotes and unit"),
+        ({"ecg": "csv:day\\\\ecg.csv"}, "write / for"),
+        ({"preop": {"labels": "~/ed.nrrd"}}, "write out ~, your home"),
+    ],
+)
+def test_a_name_that_is_no_file_is_missing_with_advice(
+    lab: Path, changes: dict[str, Any], advice: str
+) -> None:
+    with pytest.raises(UnreadableFileError, match=advice):
+        read_session(write(lab, {**SESSION, **changes}))
 
 
 def test_every_disagreement_has_its_case() -> None:

@@ -245,6 +245,16 @@ def test_a_margin_is_a_mode_or_a_width(tmp_path: Path, text: str, expected: Marg
         read_fixtures(written(tmp_path, "margin: 9\n"))
 
 
+@pytest.mark.parametrize(
+    "text", ["margin: 0.002\nfixtures: [{law: forbidden}]", "fixtures: [{law: forbidden, depth_mm: -0.004}]"]
+)
+def test_a_margin_or_depth_in_m_is_refused(tmp_path: Path, text: str) -> None:
+    with pytest.raises(
+        UnreadableFileError, match=r"0\.00\d mm is no depth or margin of tissue; it may be in m"
+    ):
+        read_fixtures(written(tmp_path, f"{text}\n"))
+
+
 def test_a_device_is_stated_with_the_fixtures(tmp_path: Path) -> None:
     device = "device: {name: omega.3, continuous_force_n: 12, stiffness_n_per_m: 3000}"
     path = written(tmp_path, f"{device}\ncap_n: 11.0\nfixtures: [{{law: guidance, delta: 20, cap_n: 12}}]\n")

@@ -16,9 +16,9 @@ def test_causes_that_files_alone_show_are_sentences_of_the_check() -> None:
 
 
 def test_the_table_has_the_largest_force_and_error_of_each_way() -> None:
-    line = {"way": "images mirrored", "named": True, "cause": "mirrored", "hazard_s": 0.0}
+    line = {"way": "images mirrored", "named": True, "cause": "mirrored", "valid_s": 4.0, "hazard_s": 0.0}
     lines = [{**line, "force_s": 1.0, "tre_mm": 2.0}, {**line, "force_s": 3.0, "tre_mm": None}]
     rows = {row[0]: row for row in _table(lines)}
-    assert rows["images mirrored"] == ("images mirrored", "2", "2", "3.0", "0.0", "2.0", "mirrored")
+    assert rows["images mirrored"] == ("images mirrored", "2", "2", "4.0", "3.0", "0.0", "2.0", "mirrored")
     assert rows["as it should be"][1] == "0"
     assert len(rows) == 1 + len(WAYS)

@@ -72,10 +72,17 @@ def replay_html(page: ReplayPage) -> str:
         for title, note, figure in sections
         if figure is not None
     )
-    estimates = table(("", "estimate", "error against the ground truth"), page.estimates)
+    estimates = _estimates(page)
     about = f"patient {html.escape(page.patient_id)}, dvf_ig {html.escape(page.version)}"
     head = f"<p class=note>{about}</p>{_verdict(page)}{_warnings(page.warnings)}"
     return html_page(f"Replay of {page.scenario}", f"{head}<h2>Estimates</h2>{estimates}{body}")
+
+
+def _estimates(page: ReplayPage) -> str:
+    """Format the table of estimates, with their errors if any is known."""
+    if any(error for _, _, error in page.estimates):
+        return table(("", "estimate", "error against the ground truth"), page.estimates)
+    return table(("", "estimate"), [row[:2] for row in page.estimates])
 
 
 def _tre_remark(beats: BeatTrace | None) -> str:

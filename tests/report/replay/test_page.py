@@ -104,6 +104,12 @@ def page() -> ReplayPage:
     )
 
 
+@pytest.mark.parametrize("error", ["", "0.1 mm"])
+def test_errors_have_a_column_only_where_the_truth_is_known(error: str) -> None:
+    text = replay_html(replace(page(), estimates=[("tool tip", "(0, 0, 0) mm", error)]))
+    assert ("error against the ground truth" in text) == bool(error)
+
+
 def test_the_page_holds_every_figure_and_is_self_contained() -> None:
     text = replay_html(page())
     assert text.count("data:image/png;base64,") == 7
