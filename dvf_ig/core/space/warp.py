@@ -23,9 +23,6 @@ from .rigid import Rigid
 CELLS = 12
 COEFFICIENTS = CELLS + 3
 """Coefficients along each axis; every warp has as many, so that a servo has their place before it starts."""
-SURE_SIGMA_MM, LARGEST_SIGMA_MM = 2.0 / 1.96, 2.5 / 1.96
-"""Standard deviation of the wall's place up to which a force is whole, and from which there is none: the wall
-lies within 2.5 mm of its estimate in 95 of 100 places."""
 RIGID_SIGMA_MM = 0.8
 """Standard deviation of the surface where no change of shape was estimated: of small changes of shape,
 retiming and the model together. In recordings of tuning hearts 1001–1003 and 1021 errors of the distance are

@@ -8,8 +8,8 @@ import numpy as np
 
 import dvf_ig
 from dvf_ig.core import HEART_RADIUS_MM, DvfModel, Landmarks
-from dvf_ig.core.space.warp import LARGEST_SIGMA_MM
 from dvf_ig.kernels.compiled import thread_count
+from dvf_ig.kernels.warp import LARGEST_SIGMA_MM
 from dvf_ig.registration import RegistrationResult, least_constrained_direction
 from dvf_ig.report.plane_overlay import PlaneOverlay
 from dvf_ig.report.registration import Check, Outcome, RegistrationPage, Transform, registration_html
