@@ -266,7 +266,9 @@ def test_landmarks_elsewhere_rule_a_pose_out(off_mm: float, stop: Stop) -> None:
     assert named is (stop is Stop.DISAGREEMENT)
 
 
-@pytest.mark.parametrize(("seen_mm", "stop"), [(0.7, Stop.CONVERGED), (2.4, Stop.CHANGED_SHAPE)])
+@pytest.mark.parametrize(
+    ("seen_mm", "stop"), [(0.7, Stop.CONVERGED), (2.4, Stop.CHANGED_SHAPE), (4.5, Stop.CHANGED_SHAPE)]
+)
 def test_a_heart_of_another_shape_is_refused_by_name(
     monkeypatch: pytest.MonkeyPatch, seen_mm: float, stop: Stop
 ) -> None:
@@ -280,5 +282,6 @@ def test_a_heart_of_another_shape_is_refused_by_name(
     words = "the left wall lies 4.0 mm further out (± 0.6)"
     assert (words in result.sentence) is (stop is Stop.CHANGED_SHAPE)
     assert words in change.sentence
+    assert ("may be another patient's" in result.sentence) is (seen_mm > 3.5)
     off = replace(result, landmarks_mm=12.0).sentence
     assert ("check the probe calibration first" in off) is (stop is Stop.CHANGED_SHAPE)
