@@ -13,6 +13,9 @@ from .coverage import Coverage
 from .images import RegistrationOptions
 from .start import LANDMARKS_MM, landmarks_disagree
 
+ANOTHER_HEART_MM = 3.5
+"""RMS shift of the seen walls beyond which the model may be another patient's: load and filling move the
+walls of one heart by up to 5 mm, 3 mm RMS."""
 LONG_AXIS = "the long-axis cines of the same examination (preop.views), or "
 """What bounds the pose of a heart of which the MR holds short-axis slices alone."""
 
@@ -125,6 +128,8 @@ class RegistrationResult:
             )
         if self.stop is Stop.CHANGED_SHAPE and self.shape is not None:
             sentence = f"{self.shape.sentence}; {self.shape.refusal}"
+            if self.shape.seen_mm > ANOTHER_HEART_MM:
+                sentence += "; the model may be another patient's"
             if landmarks_disagree(landmarks_mm):
                 sentence += (
                     f". Touched landmarks lie {landmarks_mm:.1f} mm off: check the probe calibration first"

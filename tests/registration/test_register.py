@@ -267,12 +267,15 @@ def test_landmarks_elsewhere_rule_a_pose_out(off_mm: float, stop: Stop) -> None:
     assert named is (stop is Stop.DISAGREEMENT)
 
 
-@pytest.mark.parametrize(("scale_mm", "stop"), [(1.5, Stop.CONVERGED), (3.0, Stop.CHANGED_SHAPE)])
+@pytest.mark.parametrize(
+    ("scale_mm", "seen_mm", "stop"),
+    [(1.5, 2.4, Stop.CONVERGED), (3.0, 2.4, Stop.CHANGED_SHAPE), (3.0, 4.5, Stop.CHANGED_SHAPE)],
+)
 def test_a_heart_of_another_shape_is_refused_by_name(
-    monkeypatch: pytest.MonkeyPatch, scale_mm: float, stop: Stop
+    monkeypatch: pytest.MonkeyPatch, scale_mm: float, seen_mm: float, stop: Stop
 ) -> None:
     warp = Warp("mr", np.zeros(3), 16.0, np.zeros((15, 15, 15, 4), np.float32))
-    change = ShapeChange(warp, scale_mm, 90.0, 2.4, "left", 4.04, 0.3, 0.2, 0.5)
+    change = ShapeChange(warp, scale_mm, 90.0, seen_mm, "left", 4.04, 0.3, 0.2, 0.5)
     monkeypatch.setattr(register_module, "_change_of_shape", lambda problem, fused: change)
     result = _register(_levels(speckle=0.3), toy_pose(), options=RegistrationOptions(starts=0))
     assert result.stop is stop
@@ -280,5 +283,6 @@ def test_a_heart_of_another_shape_is_refused_by_name(
     words = "the left wall lies 4.0 mm further out (± 0.6)"
     assert (words in result.sentence) is (stop is Stop.CHANGED_SHAPE)
     assert words in change.sentence
+    assert ("may be another patient's" in result.sentence) is (seen_mm > 3.5)
     off = replace(result, landmarks_mm=12.0).sentence
     assert ("check the probe calibration first" in off) is (stop is Stop.CHANGED_SHAPE)
