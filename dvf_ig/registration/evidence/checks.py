@@ -106,8 +106,8 @@ poses (below 2 mm, calm and poor images) stands above one of them, 5 are refused
 together, in `assessment`, and 27 of 29 above 3 mm, disturbed trials included. Thirds of the cycle of good
 poses lie up to 2.1 mm apart, so that a motion other than the model's shows from there on."""
 PART_BOUNDARY_MM = 3.0
-"""Limit of `boundary_mm` for a heart that its images cover in part: with long-axis views it is at most 2.2 mm
-in calm sweeps of 14 threshold hearts, and above 3 mm in five of six with poor images or another shape."""
+"""Limit of `boundary_mm` for a heart that its images cover in part: with long-axis views it is at most 1.8 mm
+in calm sweeps of 30 threshold hearts, and up to 7.8 mm with poor images or another shape."""
 
 
 def limits_of_part(limits: Limits) -> Limits:
