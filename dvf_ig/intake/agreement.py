@@ -222,7 +222,8 @@ def _absent_labels(preop: Preop) -> list[int]:
         return []
     named = sorted({*preop.organ_labels, *preop.cavity_labels})
     absent = [value for value in named if not (labels.values == value).any()]
-    return [] if set(preop.organ_labels) <= set(absent) else absent
+    no_organ = bool(preop.organ_labels) and set(preop.organ_labels) <= set(absent)
+    return [] if no_organ else absent
 
 
 def _same_points(marked: Landmarks, touched: Landmarks) -> bool:
