@@ -216,12 +216,14 @@ def _mr_is_labels(preop: Preop) -> bool:
 
 
 def _absent_labels(preop: Preop) -> list[int]:
-    """Values of organ and cavity that the label image lacks."""
+    """Values of organ and cavity that the label image lacks; none if it lacks the organ, which is refused."""
     labels = preop.labels if preop.labels is not None else preop.ed_labels
     if labels is None:
         return []
     named = sorted({*preop.organ_labels, *preop.cavity_labels})
-    return [value for value in named if not (labels.values == value).any()]
+    absent = [value for value in named if not (labels.values == value).any()]
+    no_organ = bool(preop.organ_labels) and set(preop.organ_labels) <= set(absent)
+    return [] if no_organ else absent
 
 
 def _same_points(marked: Landmarks, touched: Landmarks) -> bool:
