@@ -21,6 +21,8 @@ LEAST_BEATS, MOST_BEATS = 18, 45
 """Beats that a clock begins with, and that it remembers."""
 WINDOW_S = 32.0
 """Time in which a rate is found; such windows overlap by half."""
+LEAST_SPREAD = 0.004
+"""Least median distance from the median of QRS gains, and of RR in s: less is noise of ECG and sampling."""
 LEAST_GAIN = 10.0
 """Least log-likelihood of breathing above drift and noise."""
 STEP_S = 0.05
@@ -60,7 +62,7 @@ class BreathInBeats:
 
 def breathing_in_beats(t_s: FloatArray, values: FloatArray) -> BreathInBeats | None:
     """Find breathing in (n, columns) values of beats: in one column or in all; None if they show none."""
-    columns = _varying(values)
+    columns = _varying(values, LEAST_SPREAD)
     if len(t_s) < LEAST_BEATS or not columns.size:
         return None
     _, axes = np.linalg.eigh(np.cov((values @ columns).T).reshape(columns.shape[1], -1))
@@ -80,16 +82,16 @@ def breath_rates(t_s: FloatArray, values: FloatArray) -> FloatArray:
     rates = []
     for begin_s in np.arange(t_s[0], t_s[-1] - WINDOW_S, 0.5 * WINDOW_S) if len(t_s) else ():
         inside = (t_s >= begin_s) & (t_s < begin_s + WINDOW_S)
-        columns = _varying(values[inside]) if inside.sum() >= LEAST_BEATS else np.empty((0, 0))
+        columns = _varying(values[inside], 0.0) if inside.sum() >= LEAST_BEATS else np.empty((0, 0))
         if columns.size:
             rates.append(60.0 / strongest_period_s(t_s[inside], _clipped(values[inside] @ columns)))
     return np.array(rates)
 
 
-def _varying(values: FloatArray) -> FloatArray:
-    """Return (columns, k) scaled unit vectors of the columns that vary."""
+def _varying(values: FloatArray, least_spread: float) -> FloatArray:
+    """Return (columns, k) scaled unit vectors of the columns that vary by more."""
     spread = np.median(np.abs(values - np.median(values, axis=0)), axis=0)
-    varies = np.flatnonzero(spread > 0.0)
+    varies = np.flatnonzero(spread > least_spread)
     return np.asarray(np.eye(len(spread))[:, varies] / spread[varies])
 
 
