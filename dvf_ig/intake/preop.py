@@ -193,9 +193,14 @@ def heart_surfaces(files: PreopFiles) -> Iterator[tuple[str, FloatArray]]:
 
 
 def heart_vertices(files: PreopFiles) -> Iterator[FloatArray]:
-    """Vertices (n, 3) in mm of each surface of the heart at end-diastole; none where only labels show it."""
+    """Vertices (n, 3) in mm of each surface of the heart at end-diastole.
+
+    None where only labels show it, or where no slice shows a part of it, on which landmarks may lie.
+    """
     model = files.model
     if model is not None:
+        if model.seen is not None:
+            return
         yield np.asarray(model.reference[model.ed_phase].vertices_mm)
         for chamber in model.chambers:
             yield np.asarray(chamber.surfaces[model.ed_phase].vertices_mm)

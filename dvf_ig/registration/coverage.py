@@ -34,13 +34,13 @@ class Coverage:
     Attributes:
         share: of the points on its surface, 0 to 1.
         missing_mm: (3,) middle of what is not imaged, in the model's frame; NaN if nothing is missing.
-        middle_mm: (3,) middle of the covered part.
+        surface_mm: (k, 3) points on the surface of the covered part.
         views: whether long-axis views show the heart beyond the ends of a stack.
     """
 
     share: float
     missing_mm: FloatArray
-    middle_mm: FloatArray
+    surface_mm: FloatArray
     views: bool = False
 
     @property
@@ -50,7 +50,7 @@ class Coverage:
         if not np.isfinite(self.missing_mm).all():
             return seen
         x, y, z = self.missing_mm
-        away = self.missing_mm - self.middle_mm
+        away = self.missing_mm - self.surface_mm.mean(axis=0)
         away = away / max(float(np.linalg.norm(away)), 1e-12)
         words = [ends[int(part > 0)] for part, ends in zip(away, TOWARDS, strict=True) if abs(part) > MOSTLY]
         side = f" towards the patient's {' and '.join(words)}" if words else ""
@@ -128,7 +128,7 @@ class CoveredPart:
         return Coverage(
             float(hit.mean()),
             np.full(3, np.nan) if hit.all() else self.surface_mm[~hit].mean(axis=0),
-            self.surface_mm.mean(axis=0),
+            self.surface_mm,
             self.views,
         )
 

@@ -242,4 +242,5 @@ def _estimate_of(result: RegistrationResult) -> PoseEstimate:
         result.center_mm,
         result.matched,
         None if result.shape is None else result.shape.followed,
+        None if result.coverage is None else result.coverage.surface_mm,
     )

@@ -21,7 +21,7 @@ leaves P as it is.
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.optimize import minimize_scalar
@@ -38,7 +38,7 @@ from dvf_ig.core import (
 )
 from dvf_ig.registration.lc2.lc2 import Lc2
 from dvf_ig.registration.lc2.optimise import PRIOR_SIGMA_MM, GaussianPrior, OptimiserOptions, optimise
-from dvf_ig.registration.pose_chart import PoseChart, covariance_to_mm
+from dvf_ig.registration.pose_chart import PoseChart, covariance_to_mm, rigid_motion
 
 WEIGHT_TOLERANCE = 1e-3
 """Tolerance of ω: the determinant is flat at its minimum."""
@@ -112,6 +112,7 @@ class PoseEstimate:
         shape_step: the pose is shape_step ∘ that at which images match best, which a change of the heart's
             shape has pulled aside (`registration.shape`); None if they are the same.
         warp: change of the heart's shape at `pose`; None if the last registration found none.
+        square_of_targets: (6, 6) M, the mean square distance by which ξ moves the targets is ξᵀMξ.
     """
 
     pose: Rigid
@@ -120,6 +121,7 @@ class PoseEstimate:
     shared_mm2: FloatArray
     shape_step: Rigid | None = None
     warp: Warp | None = None
+    square_of_targets: FloatArray = field(default_factory=lambda: np.diag(MEAN_SQUARE_OF_COORDINATES))
 
     @classmethod
     def from_registration(
@@ -130,16 +132,22 @@ class PoseEstimate:
         center_mm: FloatArray,
         matched: Rigid | None = None,
         warp: Warp | None = None,
+        targets_mm: FloatArray | None = None,
     ) -> "PoseEstimate":
         """From a registration's covariances in rad², mm²: beats improve the noise alone.
 
         Args:
             matched: where its images match best; None: at the pose.
             warp: change of the heart's shape at the pose.
+            targets_mm: (n, 3) that the error is stated over, target frame; None: of the heart's box.
         """
         step = None if matched is None else pose @ matched.inverse()
         noise, all_errors = covariance_to_mm(noise_covariance), covariance_to_mm(covariance)
-        return cls(pose, noise, center_mm, all_errors, step, warp)
+        if targets_mm is None:
+            return cls(pose, noise, center_mm, all_errors, step, warp)
+        motion = rigid_motion(targets_mm, center_mm)
+        square = np.einsum("nki,nkj->ij", motion, motion) / len(targets_mm)
+        return cls(pose, noise, center_mm, all_errors, step, warp, square)
 
     @property
     def matched_pose(self) -> Rigid:
@@ -153,14 +161,13 @@ class PoseEstimate:
 
     @property
     def pose_bound_mm(self) -> float:
-        """95 % quantile of the RMS error over the targets of the heart's box, by `total_mm2`.
+        """95 % quantile of the RMS error over the targets, by `total_mm2`.
 
         A registration's `tre_bound_mm` is on the largest error over them instead.
 
-
         Source: Satterthwaite 1946 (a quadratic form as a scaled χ² of the same mean and variance).
         """
-        weighted = MEAN_SQUARE_OF_COORDINATES[:, None] * self.total_mm2
+        weighted = self.square_of_targets @ self.total_mm2
         mean, square = float(np.trace(weighted)), float(np.sum(weighted * weighted.T))
         return math.sqrt(square / mean * float(chi2.ppf(0.95, mean * mean / square)))
 

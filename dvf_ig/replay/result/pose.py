@@ -1,13 +1,13 @@
 """The pose over a replay: beats, drift, when and why it was withheld, and whether its stated bounds held."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from itertools import groupby
 from typing import Any
 
 import numpy as np
 
-from dvf_ig.core import FloatArray, Rigid
+from dvf_ig.core import FloatArray, Landmarks, Rigid
 from dvf_ig.guidance import Hazard
 from dvf_ig.registration import PoseChart, target_errors_mm
 from dvf_ig.replay.engine import Replay
@@ -215,8 +215,9 @@ def bound_fields(replay: Replay) -> dict[str, float | None] | None:
 def pose_bound_fields(replay: Replay) -> dict[str, float | None] | None:
     """Compute the median bound of the pose in use, and the share of pose updates at which it held.
 
-    The bound is that on the RMS error over the heart, which the pose states at each of its updates; a
-    registration's is on the largest error (`bound_fields`). None without a pose; without a truth no share.
+    The bound is that on the RMS error over the heart or its covered surface, which the pose states at each of
+    its updates; a registration's is on the largest error (`bound_fields`). None without a pose; without a
+    truth no share.
     """
     ticks, truth = replay.ticks, replay.scenario.truth
     at = np.searchsorted(ticks.t_s, [from_s for from_s, _ in replay.poses])
@@ -226,6 +227,10 @@ def pose_bound_fields(replay: Replay) -> dict[str, float | None] | None:
         return None
     bounds, coverage = ticks.pose_bound_mm[at], None
     if truth is not None:
+        covered = replay.heart.covered
+        if covered is not None and truth.breathing is None:
+            names = tuple(str(k) for k in range(len(covered.surface)))
+            truth = replace(truth, targets=Landmarks(names, covered.surface))
         errors_mm = pose_errors_mm(ticks.mr_from_tracker[at], ticks.t_s[at], truth)
         coverage = float(np.mean(np.sqrt((errors_mm**2).mean(axis=1)) <= bounds))
     return {"median": float(np.median(bounds)), "coverage": coverage, "updates": len(at)}

@@ -350,6 +350,7 @@ def moved_slice(data: Any, number: int, phase: int) -> None:
         (every(ImageType=["ORIGINAL", "PRIMARY", "M", "ND"]), (), None),
     ],
 )
+@pytest.mark.filterwarnings("ignore:Invalid value for VR DS")
 @pytest.mark.usefixtures("quick")
 def test_what_is_no_stack_is_refused_in_one_sentence(
     tmp_path: Path,

@@ -8,6 +8,7 @@ from toy_heart import CENTER_MM, toy_mr, toy_pose, toy_slices
 
 from dvf_ig.core import HEART_RADIUS_MM, Rigid, mean_displacement_mm
 from dvf_ig.registration import BeatMeasurement, Lc2, PoseChart, PoseEstimate, channels_from_mr, measure_beat
+from dvf_ig.registration.pose_chart import covariance_from_mm
 from dvf_ig.registration.tracking.pose_estimate import PROCESS_NOISE_MM, TARGET_RADIUS_MM
 
 MR = toy_mr()
@@ -163,3 +164,13 @@ def test_a_beat_is_informative_where_it_shows_the_heart_and_not_where_it_shows_n
         measurement = measure_beat(Lc2(blind, MODEL, patch_mm=13.0, pitch_mm=3.0), TRUTH, CENTER_MM)
         assert not measurement.informative
         assert measurement.log_likelihood_ratio < 5.0
+
+
+def test_the_bound_is_over_the_targets_that_are_given() -> None:
+    turning = np.diag([4.0, 4.0, 4.0, 0.0, 0.0, 0.0])
+    near = CENTER_MM + 0.2 * HEART_RADIUS_MM * np.vstack([np.eye(3), -np.eye(3)])
+    covariance = covariance_from_mm(turning)
+    nothing = np.zeros((6, 6))
+    heart = PoseEstimate.from_registration(TRUTH, covariance, nothing, CENTER_MM)
+    part = PoseEstimate.from_registration(TRUTH, covariance, nothing, CENTER_MM, targets_mm=near)
+    assert part.pose_bound_mm == pytest.approx(heart.pose_bound_mm * 0.2 * HEART_RADIUS_MM / TARGET_RADIUS_MM)
