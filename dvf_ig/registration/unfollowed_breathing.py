@@ -94,7 +94,7 @@ class OscillationWatch:
         self.found: Oscillation | None = None
         """Breathing that the last beats show; None if they show none."""
         self.excluded = False
-        """Whether LEAST_BEATS beats were compared, and have shown no breathing since."""
+        """Whether LEAST_BEATS beats or more exclude breathing; after MOST_BEATS, whether they show none."""
         self.compared = 0
         """Beats that were compared with a pose."""
         self._center_mm = center_mm
@@ -113,7 +113,8 @@ class OscillationWatch:
             self.excluded = not breathes
         elif self.compared >= LEAST_BEATS and not self.excluded:
             first = strongest_oscillation(tuple(self._beats), SUSPECT_CYCLES)
-            self.excluded = first is None or not first.is_suspect(len(self._beats))
+            suspect = first is not None and first.is_suspect(len(self._beats))
+            self.excluded = not suspect or self.compared >= MOST_BEATS
 
     def _add(self, middle_s: float, measurement: BeatMeasurement) -> None:
         """Remember a beat that tells where the heart is."""

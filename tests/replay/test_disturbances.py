@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from data_synth.heart.heart_spec import HeartSpec
 from data_synth.mr.cine import cine_preop
 from data_synth.scenario.presets import ScenarioSpec
 from data_synth.scenario.recording import ImagedHeart, phantom_scenario
@@ -31,8 +32,9 @@ def studied(imaged: ImagedHeart) -> ImagedHeart:
     return replace(imaged, preop=cine_preop(imaged.anatomy, noise))
 
 
-def disturbed(studied: ImagedHeart, preset: str, seconds: float) -> Scenario:
-    spec = ScenarioSpec(preset=preset, motion="paper5mm", seconds=seconds, seed=77)
+def disturbed(studied: ImagedHeart, preset: str, seconds: float, seed: int = 77) -> Scenario:
+    heart = HeartSpec(anatomy_seed=77, motion_seed=77)
+    spec = ScenarioSpec(preset=preset, motion="paper5mm", seconds=seconds, seed=seed, heart=heart)
     return phantom_scenario(spec, imaged=studied)
 
 
@@ -83,7 +85,8 @@ def test_force_stops_when_the_patient_moves_and_returns_when_the_pose_is_found_a
 def test_after_the_marker_slips_on_the_probe_no_force_is_given_again(
     studied: ImagedHeart, coarse_model: DvfModel
 ) -> None:
-    replay = run_replay(disturbed(studied, "probe-slip", 24.0), model=coarse_model, seed=0)
+    # of another seed than the shared heart, whose views exclude breathing only after the slip
+    replay = run_replay(disturbed(studied, "probe-slip", 24.0, seed=78), model=coarse_model, seed=0)
     end_s = float(replay.ticks.t_s[-1])
     slipped_s = truth_of(replay).later_probe_from_image[0][0]
     assert replay.ticks.valid[between(replay, 0.0, slipped_s)].any()
