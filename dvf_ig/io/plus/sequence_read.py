@@ -45,8 +45,9 @@ def read_sequence(path: Path | str) -> TrackedSequence:
     after belong to two clocks. Frames without a time stamp are left out if most have one. All of this is
     logged. Without time stamps `t_s` is the frame index and `has_timestamps` is False. Without status fields
     a pose counts as OK. A pose whose status is not OK is invalid and its matrix is not checked; so is one
-    that is exactly the identity, whatever its status. Transforms from or to pixel frames (ImageToProbe) are
-    image maps, not poses. Images are turned to MF (`orientation`).
+    that is exactly the identity, whatever its status, but for a reference that always is: it is the tracker.
+    Transforms from or to pixel frames (ImageToProbe) are image maps, not poses. Images are turned to MF
+    (`orientation`).
 
     Args:
         path: `.igs.mha`, `.igs.mhd`, `.igs.nrrd`, or the same without `.igs`.
@@ -237,7 +238,8 @@ def _streams(path: Path, raw: RawSequence, t_s: FloatArray, order: IntArray) -> 
             continue
         matrices, valid = _matrices(path, raw, field)
         matrices, valid = matrices[order], valid[order]
-        if (unseen := valid & identities(matrices)).any():
+        unseen = valid & identities(matrices)
+        if unseen.any() and not (source == "reference" and unseen.all()):
             log.warning(
                 "%s: %s is exactly the identity in %d of %d frames, as programs write a pose that was not "
                 "tracked, though its status is OK; these poses count as lost",

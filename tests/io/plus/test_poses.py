@@ -146,6 +146,13 @@ def test_poses_that_are_exactly_the_identity_are_lost(
     assert f"{len(lost)} of 4 poses were lost" in caplog.text
 
 
+def test_a_reference_that_is_always_the_identity_is_the_tracker(tmp_path: Path) -> None:
+    tracked = stream("tracker", "reference", 5.0)
+    still = np.tile(np.eye(3), (4, 1, 1))
+    path = write(tmp_path / "a.igs.mha", replace(tracked, rotations=still, translations_mm=np.zeros((4, 3))))
+    assert read_sequence(path).poses["tracker_from_reference"].valid.all()
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
