@@ -155,7 +155,7 @@ def test_register_writes_a_transform_that_evaluate_reads(
     page = outline_of((out / "report.html").read_text(encoding="utf-8"))
     assert page.faults == []
     assert len(page.images) == 21
-    assert len({image["src"] for image in page.images}) == 20
+    assert len({image["src"] for image in page.images}) == 21
     said = " ".join(page.texts)
     assert "This registration may be used" in said
     assert f"{payload['moved_mm']:.1f} mm" in said
