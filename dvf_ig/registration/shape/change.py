@@ -10,7 +10,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from dvf_ig.core import RIGID_SIGMA_MM, FloatArray, Rigid, Warp, read_only_arrays
+from dvf_ig.core import FloatArray, Rigid, Warp, read_only_arrays
 from dvf_ig.core.space.warp import CELLS, knots
 from dvf_ig.kernels.boundary import DistanceSplines, boundary_distances
 from dvf_ig.registration.boundary.fit import Boundary
@@ -43,6 +43,9 @@ WALL_MM = (-12.0, 2.0)
 WALL_PLACES = 700
 PATCH_MM, PATCH_POINTS = 30.0, 8
 """Edge of a patch of wall whose shift is stated, and the points it needs."""
+LARGEST_RIGID_MM = 1.0
+"""RMS shift of the seen walls up to which fixtures stay rigid: hearts 1.2 mm different, which margins hold,
+show up to 0.85 mm, and following them brings the wall no nearer to the truth (docs/decisions/0042)."""
 LARGEST_SCALE_MM = 3.0
 """Scale of a change from which fixtures do not follow it: of the wall that is then known well enough for a
 force, up to 5 % is more than 3 mm off (docs/theory/registration.md)."""
@@ -85,8 +88,8 @@ class ShapeChange:
 
     @property
     def followed(self) -> Warp | None:
-        """The warp that fixtures follow; None of a change within the margins of an unchanged heart."""
-        return self.warp if self.seen_mm > RIGID_SIGMA_MM else None
+        """The warp that fixtures follow; None of a change that a rigid heart may have."""
+        return self.warp if self.seen_mm > LARGEST_RIGID_MM else None
 
     @property
     def refusal(self) -> str | None:

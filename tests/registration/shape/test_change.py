@@ -144,7 +144,7 @@ def test_fixtures_follow_what_the_margins_of_an_unchanged_heart_do_not_hold() ->
     change = _change(1, pressed=1.0)
     assert change is not None
     assert change.followed is change.warp
-    small = replace(change, seen_mm=0.79, scale_mm=5.0)
+    small = replace(change, seen_mm=0.99, scale_mm=5.0)
     assert (small.followed, small.refusal) == (None, None)
 
 
