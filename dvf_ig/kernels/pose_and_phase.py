@@ -97,14 +97,14 @@ def _warped_tick(
     """Compute `guided_tick` through a warp; `fixture` holds the pose at `t_s`. Not inlined: it is rare."""
     q = transformed(fixture, xyz_mm[0], xyz_mm[1], xyz_mm[2])
     at, slope, variance, moving = warp_at(warps, packed, t_s, q)
-    if known_share(variance) == 0.0:
+    share = known_share(variance)
+    if share == 0.0:
         output = no_output(code.UNSEEN)
     elif status == code.OK:
         output = force_at(coefficients, fixture, at, phase[0], slope)
     else:
         output = wall_without_phase(coefficients, fixture, at, slope)
     status, force, d, gradient, rate = output
-    share = known_share(variance)
     out[3], turned = through_warp(slope, d, gradient)
     out[0], out[1], out[2] = rotated_back(fixture, (share * force[0], share * force[1], share * force[2]))
     out[4], out[5], out[6] = rotated_back(fixture, turned)

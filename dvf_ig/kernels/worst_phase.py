@@ -44,7 +44,7 @@ from .lanes import Float64x4, fma, pack, scale, unpack
 from .laws import SIGMOID
 from .spline import Cell, find_cell
 from .vectors import Vector
-from .warp import Slope, warped
+from .warp import Slope, through_warp
 
 SMOOTHING_MM = 0.25
 """τ, the pitch between frames in Ren 2008: 20 phases that coincide widen a wall by 0.75 mm."""
@@ -73,18 +73,13 @@ def _field_at_phase(
 
 @inlined
 def force_of_phase(f: FloatArray, field: Float64x4, slope: Slope) -> Float64x4:
-    """Compute (0, force) of one phase's field; through a warp the law takes the stretched distance.
-
-    A warp stretches the distance by |∇d|/|∇d'| to first order.
-    """
+    """Compute (0, force) of one phase's field; through a warp the law takes the stretched distance."""
     if slope is None:
         return scale(force_per_gradient_of_field(f, field), field)
     d, gx, gy, gz = unpack(field)
-    turned = warped(slope, field)
-    _, hx, hy, hz = unpack(turned)
-    norm = math.sqrt(hx * hx + hy * hy + hz * hz)
-    stretch = math.sqrt(gx * gx + gy * gy + gz * gz) / norm
-    return scale(force_per_gradient(f, d * stretch - f[DEPTH], norm), turned)
+    d, (x, y, z) = through_warp(slope, d, (gx, gy, gz))
+    norm = math.sqrt(x * x + y * y + z * z)
+    return scale(force_per_gradient(f, d - f[DEPTH], norm), pack(0.0, x, y, z))
 
 
 @kernel

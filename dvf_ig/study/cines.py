@@ -34,6 +34,8 @@ from dvf_ig.preop import (
 from dvf_ig.study.driver import Driver, Result, Rows, Study, option
 from dvf_ig.study.statistics import number_text
 
+VOXEL_HELP = "Voxel size where the header has lost it, three numbers of mm, for example 1.5,1.5,10."
+
 
 @dataclass(frozen=True, kw_only=True)
 class CinesSettings:
@@ -44,9 +46,7 @@ class CinesSettings:
         "ventricle, 2 myocardium, 3 left ventricle) and frames.json."
     )
     patients: str | None = option("Only folders that end so: 002,003 (default: all).", None)
-    voxel_mm: tuple[float, float, float] | None = option(
-        "Voxel size where the header has lost it, three numbers of mm, for example 1.5,1.5,10.", None
-    )
+    voxel_mm: tuple[float, float, float] | None = option(VOXEL_HELP, None)
 
 
 CINE, ED, ES, FRAMES = "cine_4d.nii.gz", "ed_labels.nii.gz", "es_labels.nii.gz", "frames.json"

@@ -32,7 +32,7 @@ from dvf_ig.replay import Replay, result_of, run_replay
 from dvf_ig.replay.result.errors import true_contact
 from dvf_ig.replay.result.score import CONTACT_MM, pose_errors_mm
 from dvf_ig.session.pose_states import ELSEWHERE_BEATS
-from dvf_ig.study.cines import labelled_cines, read_labelled_cine
+from dvf_ig.study.cines import VOXEL_HELP, labelled_cines, read_labelled_cine
 from dvf_ig.study.driver import (
     Driver,
     Line,
@@ -70,9 +70,7 @@ class ReplaySettings:
     motion: Motion = option("How far the heart moves.", Motion.paper5mm)
     heart: HeartKind = option("One heart for all seeds, or another for each.", HeartKind.standard)
     cines: Path | None = option("Folder of patients as for `study cines`, whose hearts are replayed.", None)
-    voxel_mm: tuple[float, float, float] | None = option(
-        "Voxel size of cines whose header has lost it, three numbers of mm, for example 1.5,1.5,10.", None
-    )
+    voxel_mm: tuple[float, float, float] | None = option(VOXEL_HELP, None)
     seconds: float = option("Length of each intervention.", 60.0)
     seeds: int = seeds_option(10)
     seed: int = seed_option(1)

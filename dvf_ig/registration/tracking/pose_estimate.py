@@ -143,11 +143,12 @@ class PoseEstimate:
         """
         step = None if matched is None else pose @ matched.inverse()
         noise, all_errors = covariance_to_mm(noise_covariance), covariance_to_mm(covariance)
+        estimate = cls(pose, noise, center_mm, all_errors, step, warp)
         if targets_mm is None:
-            return cls(pose, noise, center_mm, all_errors, step, warp)
+            return estimate
         motion = rigid_motion(targets_mm, center_mm)
         square = np.einsum("nki,nkj->ij", motion, motion) / len(targets_mm)
-        return cls(pose, noise, center_mm, all_errors, step, warp, square)
+        return replace(estimate, square_of_targets=square)
 
     @property
     def matched_pose(self) -> Rigid:

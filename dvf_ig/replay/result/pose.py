@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from dvf_ig.core import FloatArray, Landmarks, Rigid
+from dvf_ig.core import FloatArray, Landmarks, Rigid, ScenarioTruth
 from dvf_ig.guidance import Hazard
 from dvf_ig.registration import PoseChart, target_errors_mm
 from dvf_ig.replay.engine import Replay
@@ -187,6 +187,14 @@ def age_fields(ticks: Ticks) -> dict[str, float] | None:
     return {"median": float(np.median(age_s)), "max": float(age_s.max())} if len(age_s) else None
 
 
+def _stated_targets(replay: Replay, truth: ScenarioTruth) -> Landmarks:
+    """Points over which bounds are stated: the targets, or the covered surface of a heart imaged in part."""
+    covered = replay.heart.covered
+    if covered is None:
+        return truth.targets
+    return Landmarks(tuple(str(k) for k in range(len(covered.surface))), covered.surface)
+
+
 def bound_fields(replay: Replay) -> dict[str, float | None] | None:
     """Compute the median of the stated bounds, and the share of them that held at every target.
 
@@ -202,10 +210,9 @@ def bound_fields(replay: Replay) -> dict[str, float | None] | None:
         return None
     truth, coverage = replay.scenario.truth, None
     if truth is not None:
-        covered = replay.heart.covered
-        targets = truth.targets.points if covered is None else covered.surface
+        targets = _stated_targets(replay, truth)
         within = [
-            target_errors_mm(pose, truth.mr_from_tracker_at(t_s), targets).max() <= bound
+            target_errors_mm(pose, truth.mr_from_tracker_at(t_s), targets.points).max() <= bound
             for t_s, pose, bound in stated
         ]
         coverage = float(np.mean(within))
@@ -227,10 +234,8 @@ def pose_bound_fields(replay: Replay) -> dict[str, float | None] | None:
         return None
     bounds, coverage = ticks.pose_bound_mm[at], None
     if truth is not None:
-        covered = replay.heart.covered
-        if covered is not None and truth.breathing is None:
-            names = tuple(str(k) for k in range(len(covered.surface)))
-            truth = replace(truth, targets=Landmarks(names, covered.surface))
+        if truth.breathing is None:
+            truth = replace(truth, targets=_stated_targets(replay, truth))
         errors_mm = pose_errors_mm(ticks.mr_from_tracker[at], ticks.t_s[at], truth)
         coverage = float(np.mean(np.sqrt((errors_mm**2).mean(axis=1)) <= bounds))
     return {"median": float(np.median(bounds)), "coverage": coverage, "updates": len(at)}
