@@ -17,7 +17,7 @@ from .dynamic import force_at, force_tick, rotated_back, transformed
 from .fixture_field import POSE, WITHOUT_RATE, no_output
 from .place import Columns, Phase, phase_at, pose_at, status_at
 from .vectors import Vector, cross, dot, vector_at
-from .warp import known_share, through_warp, warp_at
+from .warp import known_share, output_through, warp_at
 from .worst_phase import is_wall, wall_without_phase
 
 DISTANCE_RATE = 8
@@ -104,16 +104,16 @@ def _warped_tick(
         output = force_at(coefficients, fixture, at, phase[0], slope)
     else:
         output = wall_without_phase(coefficients, fixture, at, slope)
-    status, force, d, gradient, rate = output
-    out[3], turned = through_warp(slope, d, gradient)
-    out[0], out[1], out[2] = rotated_back(fixture, (share * force[0], share * force[1], share * force[2]))
-    out[4], out[5], out[6] = rotated_back(fixture, turned)
+    (status, force, d, gradient, rate), by_warp = output_through(output, slope, share, moving)
+    out[0], out[1], out[2] = rotated_back(fixture, force)
+    out[3] = d
+    out[4], out[5], out[6] = rotated_back(fixture, gradient)
     if len(out) > WITHOUT_RATE:
         out[WITHOUT_RATE] = rate
     if len(out) > DISTANCE_SIGMA:
         pose = pose_at(packed, t_s)
         by_place, sigma = distance_rate_and_sigma(packed, pose, phase, xyz_mm, vector_at(out, 4), rate)
-        out[DISTANCE_RATE] = by_place - dot(gradient, moving)
+        out[DISTANCE_RATE] = by_place - by_warp
         out[DISTANCE_SIGMA] = math.sqrt(sigma * sigma + variance)
     return status
 

@@ -8,6 +8,7 @@ import math
 from typing import Any
 
 from .compiled import inlined
+from .fixture_field import Output
 from .lanes import Float64x4, fma, load_row, pack, scale, unpack
 from .spline import cubic_weights, knot_cell
 from .vectors import Vector, dot
@@ -125,6 +126,15 @@ def through_warp(slope: Slope, distance_mm: float, gradient: Vector) -> tuple[fl
     x, y, z = warped_vector(slope, gradient)
     stretch = math.sqrt(dot(gradient, gradient) / (x * x + y * y + z * z))
     return distance_mm * stretch, (x, y, z)
+
+
+@inlined
+def output_through(output: Output, slope: Slope, share: float, moving: Vector) -> tuple[Output, float]:
+    """Turn the output at q' into that at q, with a share of its force; also −∂d/∂t by the warp's motion."""
+    status, force, d, gradient, rate = output
+    d, turned = through_warp(slope, d, gradient)
+    force = (share * force[0], share * force[1], share * force[2])
+    return (status, force, d, turned, rate), dot(gradient, moving)
 
 
 @inlined

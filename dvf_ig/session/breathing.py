@@ -26,6 +26,7 @@ from dvf_ig.cardiac.respiration import (
     RelearningClock,
     breathing_in_beats,
 )
+from dvf_ig.cardiac.respiration.beat_clock import MOST_BEATS
 from dvf_ig.core import FloatArray, PoseMotion, read_only_arrays
 from dvf_ig.registration import (
     MEAN_SQUARE_OF_COORDINATES,
@@ -41,8 +42,6 @@ from .clocks import StampOrder
 from .events import EcgSamples, RespirationSample
 from .reasons import BreathingReason
 
-REMEMBERED_BEATS = 45
-"""Beats whose ECG may show the breath."""
 SAME_RATE_PER_MIN = 2.4
 """Rates of ECG and heart beats differ by no more: two steps of the watch."""
 LEAST_EXCURSION_MM = 2.0 * GONE_MM
@@ -113,7 +112,7 @@ class BreathingTracker:
         self._from_ecg: BeatClock | None = None
         self._locked_s = -inf
         self._qrs = None if ecg_rate_hz is None else QrsGain(ecg_rate_hz)
-        self._beats: deque[tuple[float, FloatArray]] = deque(maxlen=REMEMBERED_BEATS)
+        self._beats: deque[tuple[float, FloatArray]] = deque(maxlen=MOST_BEATS)
         self._changed = False  # for good, and not learnt again yet
         self._motion = LearntMotion(center_mm, self._recorded.clock)
         self._watch = OscillationWatch(center_mm)

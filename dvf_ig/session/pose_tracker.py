@@ -14,6 +14,7 @@ from math import inf
 from dvf_ig.cardiac import RPeak
 from dvf_ig.core import PoseMotion, Rigid, WarpMotion
 from dvf_ig.registration import PoseEstimate, RegistrationResult, TipSighting
+from dvf_ig.registration.unfollowed_breathing import LEAST_BEATS
 
 from .beat_evaluation import BeatEvaluation, ComparableBeat, at_pose, evaluation_of
 from .breathing import BreathingTracker
@@ -36,7 +37,7 @@ from .reasons import Doubt, Refusal, Refused
 from .registration_plan import RegistrationPlan
 from .work import FinishedBeat, FinishedRegistration, UltrasoundSource, WorkQueue
 
-REMEMBERED_BEATS = 12
+REMEMBERED_BEATS = LEAST_BEATS
 """Last beats: a new candidate is compared with those that began after its frames, and the first one also with
 those before, as many as exclude breathing."""
 

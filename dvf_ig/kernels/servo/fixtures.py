@@ -19,7 +19,7 @@ from dvf_ig.kernels.path import path_force
 from dvf_ig.kernels.place import Columns, phase_at, pose_at, status_at
 from dvf_ig.kernels.pose_and_phase import distance_rate_and_sigma
 from dvf_ig.kernels.vectors import Vector, dot
-from dvf_ig.kernels.warp import Slope, known_share, through_warp, warp_at, warped_vector
+from dvf_ig.kernels.warp import Slope, known_share, output_through, warp_at, warped_vector
 from dvf_ig.kernels.worst_phase import worst_phase_force
 
 NO_RATE = (0.0, 0.0, 0.0)
@@ -114,12 +114,12 @@ def _warped_forces(
     share = known_share(variance)
     if share == 0.0:
         return no_output(code.UNSEEN), variance, 0.0
-    status, force, d, gradient, rate = _forces(bound, at, phi, slope, forces)
+    output = _forces(bound, at, phi, slope, forces)
     for i in range(len(forces)):
         for k in range(3):
             forces[i, k] *= share
-    d, turned = through_warp(slope, d, gradient)
-    return (status, force, d, turned, rate), variance, dot(gradient, moving)
+    output, by_warp = output_through(output, slope, share, moving)
+    return output, variance, by_warp
 
 
 @kernel
@@ -131,10 +131,8 @@ def _warped_wall(
     share = known_share(variance)
     if share == 0.0:
         return no_output(code.UNSEEN), variance, 0.0
-    status, force, d, gradient, rate = worst_phase_force(of_model, f, at, slope)
-    force = (share * force[0], share * force[1], share * force[2])
-    d, turned = through_warp(slope, d, gradient)
-    return (status, force, d, turned, rate), variance, dot(gradient, moving)
+    output, by_warp = output_through(worst_phase_force(of_model, f, at, slope), slope, share, moving)
+    return output, variance, by_warp
 
 
 @inlined
