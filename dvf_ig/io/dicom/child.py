@@ -11,7 +11,7 @@ from typing import Any
 GENERAL = (
     "PatientID SeriesInstanceUID SeriesDescription FrameOfReferenceUID InstanceNumber Rows Columns "
     "SamplesPerPixel NumberOfFrames NumberOfTemporalPositions CardiacNumberOfImages Modality ImageType "
-    "BitsAllocated BitsStored HighBit"
+    "BitsAllocated BitsStored HighBit SOPClassUID"
 )
 """Keywords that a file states once."""
 OF_FRAME = (
@@ -25,14 +25,14 @@ UNKNOWN_LENGTH = 0xFFFFFFFF
 """Length of compressed pixels, which come in pieces."""
 DEFERRED_BYTES = 4096
 """Longer values are not read before they are needed."""
-GROUPS = "SharedFunctionalGroupsSequence PerFrameFunctionalGroupsSequence"
+SEQUENCES = "SharedFunctionalGroupsSequence PerFrameFunctionalGroupsSequence ModalityLUTSequence"
 
 
 def read_tags(path: str) -> dict[str, Any]:
     """Read the stated tags of a file by keyword, and those of each of its frames: every differing value."""
     import pydicom
 
-    keywords = f"{GENERAL} {OF_FRAME} {GROUPS}".split()
+    keywords = f"{GENERAL} {OF_FRAME} {SEQUENCES}".split()
     data = pydicom.dcmread(path, defer_size=DEFERRED_BYTES, specific_tags=[*keywords, "PixelData"])
     pixels = data.get_item("PixelData")
     length = None if pixels is None else getattr(pixels, "length", len(pixels.value or b""))
@@ -43,6 +43,8 @@ def read_tags(path: str) -> dict[str, Any]:
     names = OF_FRAME.split()
     return {
         "general": general,
+        "pixels": pixels is not None,
+        "table": "ModalityLUTSequence" in data,
         "pixel_bytes": None if length == UNKNOWN_LENGTH else length,
         "enhanced": frames is not None,
         "frames": [

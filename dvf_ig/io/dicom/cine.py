@@ -101,7 +101,9 @@ def dicom_patient_id(folder: Path) -> str:
 
 
 def _stack(folder: Path, *, timed: bool) -> tuple[CineStack, list[CineImage]]:
-    images = read_images(dicom_files(folder))
+    images, left_out = read_images(dicom_files(folder))
+    for one in left_out:
+        log.warning("%s: %s was left out (%d files): %s", folder, one.series, one.images, one.reason)
     return stack_of(folder, images, timed=timed), images
 
 

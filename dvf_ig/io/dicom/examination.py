@@ -20,7 +20,7 @@ from dvf_ig.io.provenance import record_file
 from dvf_ig.io.reading import reading
 
 from .cine import WHAT, dicom_files, whole_numbers
-from .header import CineImage, read_images
+from .header import CineImage, LeftOut, read_images
 from .process import read_pixels
 from .stack import SAME_PLACE_MM, CineStack, choose_clock, cycle_timing, ordered_phases, stack_of
 
@@ -32,21 +32,6 @@ ACROSS = 0.5
 """Largest cosine between the normals of a long-axis view and of the stack: 60 to 90 degrees."""
 SAME_AXES = 0.02
 """Largest difference of the axes of parallel slices: 1 degree."""
-
-
-@dataclass(frozen=True, slots=True)
-class LeftOut:
-    """A series that is no part of the examination's cines.
-
-    Attributes:
-        series: its name, or its number.
-        images: how many it has.
-        reason: why it was left out, as a user reads it.
-    """
-
-    series: str
-    images: int
-    reason: str
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -96,7 +81,7 @@ def is_examination(folder: Path) -> bool:
         UnreadableFileError: a header that cannot be read.
     """
     with reading(folder, WHAT):
-        return len(_by_geometry(read_images(dicom_files(folder)))) > 1
+        return len(_by_geometry(read_images(dicom_files(folder))[0])) > 1
 
 
 def read_dicom_examination(folder: Path, frame: str = "mr") -> DicomExamination:
@@ -109,7 +94,7 @@ def read_dicom_examination(folder: Path, frame: str = "mr") -> DicomExamination:
             stack; says of every series why it is none.
     """
     with reading(folder, WHAT):
-        images = read_images(dicom_files(folder))
+        images, no_images = read_images(dicom_files(folder))
         patients = list(dict.fromkeys(image.patient for image in images))
         if len(patients) > 1:
             raise UnreadableFileError(
@@ -117,6 +102,7 @@ def read_dicom_examination(folder: Path, frame: str = "mr") -> DicomExamination:
                 "examination of one"
             )
         cines, left_out = _cines(images)
+        left_out += no_images
         sax, rest, refused = _short_axis(folder, cines, images, frame)
         if sax is None:
             every = "; ".join(f"{one.series}: {one.reason}" for one in (*refused, *left_out))

@@ -1,5 +1,6 @@
 """Headers of cine images, classic (one image a file) or enhanced: position, time in the cycle, patient."""
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,10 +13,33 @@ from dvf_ig.io import limits
 
 from .process import Tags, read_tags
 
+_CLASS = "1.2.840.10008.5.1.4.1.1."
+"""First part of the classes of files (0008,0016)."""
+SLICES_OF = tuple(f"{_CLASS}{number}" for number in (2, 4))
+"""Classes of slices, CT and MR, and first parts of those of enhanced ones: without pixels one is damaged."""
+SECONDARY_CAPTURES = f"{_CLASS}7"
+"""First part of the classes of screen shots and scanned pages: they have no place in the body."""
+NO_SLICES = {"SEG": "a segmentation: convert it to NIfTI or NRRD labels"}
+"""Modalities (0008,0060) with pixels that are no grey levels."""
 PADDING_BYTES = 15
 """Most bytes after the pixels of a file."""
 _UNIT = 1e-3
 """Tolerance of the stored axes of an image: unit length and orthogonality."""
+
+
+@dataclass(frozen=True, slots=True)
+class LeftOut:
+    """Images, or files without any, that are no part of a cine.
+
+    Attributes:
+        series: its name, or its number.
+        images: how many it has.
+        reason: why it was left out, as a user reads it.
+    """
+
+    series: str
+    images: int
+    reason: str
 
 
 @read_only_arrays
@@ -65,20 +89,52 @@ class CineImage:
         return np.asarray(np.cross(self.axes[0], self.axes[1]))
 
 
-def read_images(files: Sequence[Path]) -> list[CineImage]:
+def read_images(files: Sequence[Path]) -> tuple[list[CineImage], list[LeftOut]]:
     """Read the headers of DICOM files, without their pixels, one per frame in the order of the files.
 
+    Reports, segmentations, colour pictures and screen shots, which an archive exports along, are left out.
+
     Raises:
-        UnreadableFileError: a file cannot be read, holds colours or several frames without positions, states
-            something twice with different values, or has no position.
+        UnreadableFileError: a file cannot be read, holds several frames without positions, states something
+            twice with different values, or has no position; or every file was left out.
     """
-    return [
-        image for file, tags in zip(files, read_tags(files), strict=True) for image in _images(file, tags)
-    ]
+    images: list[CineImage] = []
+    others: Counter[tuple[str, str]] = Counter()
+    for path, tags in zip(files, read_tags(files), strict=True):
+        general = tags["general"]
+        if reason := _no_slice(tags):
+            name = general.get("SeriesDescription") or general.get("SeriesInstanceUID") or path.name
+            others[name, reason] += 1
+        else:
+            images += _images(path, tags)
+    left_out = [LeftOut(name, count, reason) for (name, reason), count in others.items()]
+    if not images:
+        every = "; ".join(f"{one.series}: {one.reason}" for one in left_out)
+        raise UnreadableFileError(f"{files[0].parent} holds no DICOM image of a cine ({every})")
+    return images, left_out
+
+
+def _no_slice(tags: Tags) -> str:
+    """Say why a file cannot be a slice of grey levels; "" if it may be one."""
+    general = tags["general"]
+    modality, kind = general.get("Modality", ""), general.get("SOPClassUID", "")
+    if not tags["pixels"] and kind and not any(f"{kind}.".startswith(f"{one}.") for one in SLICES_OF):
+        return f"{modality or 'files'} without pixels"
+    if modality in NO_SLICES:
+        return NO_SLICES[modality]
+    if general.get("SamplesPerPixel", "1") != "1":
+        return "colour pictures"
+    return "screen shots" if kind.startswith(SECONDARY_CAPTURES) else ""
 
 
 def _images(path: Path, tags: Tags) -> list[CineImage]:
     general, frames = tags["general"], tags["frames"]
+    if not tags["pixels"]:
+        raise UnreadableFileError(f"{path} holds no pixels; copy or export it again")
+    if tags["table"]:
+        raise UnreadableFileError(
+            f"{path}: its grey levels go through a table (0028,3000), which is not read; convert it to NIfTI"
+        )
     stated = general.get("NumberOfFrames") or "1"
     if stated != str(len(frames)):
         raise UnreadableFileError(
@@ -86,11 +142,19 @@ def _images(path: Path, tags: Tags) -> list[CineImage]:
             "convert the folder to NIfTI, for example with dcm2niix, and give its times as timing.json"
         )
     columns, rows = (_optional(path, general, name) or 0 for name in ("Columns", "Rows"))
-    if general.get("SamplesPerPixel", "1") != "1" or not all(0 < n <= limits.AXIS for n in (columns, rows)):
+    if not all(0 < n <= limits.AXIS for n in (columns, rows)):
         raise UnreadableFileError(f"{path} is not a grey-level image of a plausible size; export it again")
     _require_whole_pixels(path, general, tags["pixel_bytes"], int(rows * columns) * len(frames))
     single = [_single(path, number, frame) for number, frame in enumerate(frames)]
-    scales = {(one.get("RescaleSlope", "1"), one.get("RescaleIntercept", "0")) for one in single}
+    _require_one_scale(path, single)
+    return [
+        _image(path, number, {**general, **one}, enhanced=tags["enhanced"])
+        for number, one in enumerate(single)
+    ]
+
+
+def _require_one_scale(path: Path, frames: Sequence[dict[str, str]]) -> None:
+    scales = {(one.get("RescaleSlope", "1"), one.get("RescaleIntercept", "0")) for one in frames}
     if any(_zero(slope) for slope, _ in scales):
         raise UnreadableFileError(
             f"{path}: its RescaleSlope (0028,1053) is not a number other than 0; export it again"
@@ -101,10 +165,6 @@ def _images(path: Path, tags: Tags) -> list[CineImage]:
             f"{path}: its frames have different rescale slopes and intercepts ({texts}); convert it to "
             "classic DICOM, or to NIfTI"
         )
-    return [
-        _image(path, number, {**general, **one}, enhanced=tags["enhanced"])
-        for number, one in enumerate(single)
-    ]
 
 
 def _require_whole_pixels(path: Path, general: dict[str, str], stored: int | None, pixels: int) -> None:

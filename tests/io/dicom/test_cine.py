@@ -126,7 +126,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def stack(folder: Path) -> CineStack:
-    return stack_of(folder, read_images(sorted(path for path in folder.rglob("*") if path.is_file())))
+    return stack_of(folder, read_images(sorted(path for path in folder.rglob("*") if path.is_file()))[0])
 
 
 @pytest.mark.usefixtures("quick")
@@ -302,6 +302,15 @@ def cut_short(data: Any, number: int, phase: int) -> None:
     data.PixelData = data.PixelData[:-2]
 
 
+def through_a_table(data: Any, number: int, phase: int) -> None:
+    data.ModalityLUTSequence = [pydicom.Dataset()]
+
+
+def report(data: Any, number: int, phase: int) -> None:
+    data.Modality, data.SOPClassUID = "SR", "1.2.840.10008.5.1.4.1.1.88.22"
+    del data.PixelData
+
+
 def twice(data: Any, number: int, phase: int) -> None:
     data.PixelData = 2 * data.PixelData
 
@@ -342,6 +351,8 @@ def moved_slice(data: Any, number: int, phase: int) -> None:
         (set_in(0, PixelSpacing=[1e-9, 1]), (), "pixels have sides"),
         (set_in(1, RescaleSlope="nan", RescaleIntercept=0), (), "RescaleSlope .* is not a number other than"),
         (cut_short, (), "holds 94 bytes of pixels, its header states 96"),
+        (through_a_table, (), r"go through a table \(0028,3000\)"),
+        (report, (), "no DICOM image of a cine .*SR without pixels"),
         (twice, (), "holds 192 bytes of pixels, its header states 96"),
         (every(BitsStored=12), (), r"12 bits \(0028,0101\), the highest of which is 15"),
         (set_in(1, Modality="US"), (), "2 modalities: MR, US|2 modalities: US, MR"),

@@ -55,6 +55,18 @@ def examined(folder: Path, *parts: list[Any]) -> Path:
     return folder
 
 
+def beside_images() -> list[Any]:
+    """What an archive exports along with the slices."""
+    names = ("report", "segmentation", "colours", "screen")
+    report, segmentation, colours, screen = (image(name, SAX, MIDDLE, 1, 0.0, 0) for name in names)
+    del report.PixelData, report.Rows, report.Columns, report.ImagePositionPatient
+    report.SOPClassUID = "1.2.840.10008.5.1.4.1.1.88.22"
+    report.Modality, segmentation.Modality, colours.SamplesPerPixel = "SR", "SEG", 3
+    del screen.ImagePositionPatient, screen.ImageOrientationPatient
+    screen.SOPClassUID = "1.2.840.10008.5.1.4.1.1.7"
+    return [report, segmentation, colours, screen]
+
+
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     turned = np.array([[0.0, 0.8, 0.6], NORMAL])
@@ -71,6 +83,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         cine("view b", turned, MIDDLE, 650),
         flow,
         beside,
+        beside_images(),
     )
 
 
@@ -126,6 +139,10 @@ def test_every_other_series_is_left_out_with_a_reason(found: DicomExamination) -
     assert "1 images a slice" in reasons["enhancement 0"]
     assert "two images of trigger time" in reasons["flow"]
     assert "the stack is whole without it" in reasons["beside"]
+    assert "SR without pixels" in reasons["report"]
+    assert "a segmentation" in reasons["segmentation"]
+    assert reasons["colours"] == "colour pictures"
+    assert reasons["screen"] == "screen shots"
 
 
 def test_a_folder_without_a_stack_says_what_it_holds(tmp_path: Path) -> None:
