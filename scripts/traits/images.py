@@ -179,7 +179,13 @@ _TAGS: dict[str, tuple[object, ...]] = {
     "TemporalPositionIdentifier": (1, 7),
     "NumberOfTemporalPositions": (4, 6),
     "NumberOfFrames": (2,),
-    "Modality": ("US", "CT"),
+    "Modality": ("US", "CT", "SEG"),
+    "PhotometricInterpretation": ("MONOCHROME1", "PALETTE COLOR"),
+    "SamplesPerPixel": (3,),
+    "SOPClassUID": ("1.2.840.10008.5.1.4.1.1.7",),
+    "Rows": (4, 16),
+    "HighBit": (11,),
+    "RescaleSlope": (0,),
     "ImageType": (["ORIGINAL", "PRIMARY", "P", "ND"], ["ORIGINAL", "PRIMARY", "LOCALIZER"]),
     "BitsStored": (8, 12),
     "PixelData": (bytes(94), bytes(192), bytes(10)),
@@ -209,7 +215,7 @@ def _dicom(path: Path) -> object:
     from dvf_ig.io.dicom.stack import stack_of
 
     with patch("dvf_ig.io.dicom.header.read_tags", lambda files: [read_tags(str(file)) for file in files]):
-        return stack_of(path.parent.parent, read_images(sorted(path.parent.parent.glob("*/*"))))
+        return stack_of(path.parent.parent, read_images(sorted(path.parent.parent.glob("*/*")))[0])
 
 
 _NIFTI = tuple(map(_nifti, (_second_geometry, _without_codes, _fewer_voxels, _other_unit, _no_geometry)))

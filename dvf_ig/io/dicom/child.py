@@ -10,8 +10,8 @@ from typing import Any
 
 GENERAL = (
     "PatientID SeriesInstanceUID SeriesDescription FrameOfReferenceUID InstanceNumber Rows Columns "
-    "SamplesPerPixel NumberOfFrames NumberOfTemporalPositions CardiacNumberOfImages Modality ImageType "
-    "BitsAllocated BitsStored HighBit SOPClassUID"
+    "SamplesPerPixel PhotometricInterpretation NumberOfFrames NumberOfTemporalPositions "
+    "CardiacNumberOfImages Modality ImageType BitsAllocated BitsStored HighBit SOPClassUID"
 )
 """Keywords that a file states once."""
 OF_FRAME = (

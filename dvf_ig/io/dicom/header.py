@@ -21,6 +21,7 @@ SECONDARY_CAPTURES = f"{_CLASS}7"
 """First part of the classes of screen shots and scanned pages: they have no place in the body."""
 NO_SLICES = {"SEG": "a segmentation: convert it to NIfTI or NRRD labels"}
 """Modalities (0008,0060) with pixels that are no grey levels."""
+_LEVELS = "PhotometricInterpretation"
 PADDING_BYTES = 15
 """Most bytes after the pixels of a file."""
 _UNIT = 1e-3
@@ -122,7 +123,7 @@ def _no_slice(tags: Tags) -> str:
         return f"{modality or 'files'} without pixels"
     if modality in NO_SLICES:
         return NO_SLICES[modality]
-    if general.get("SamplesPerPixel", "1") != "1":
+    if general.get("SamplesPerPixel", "1") != "1" or general.get(_LEVELS, "").startswith("PALETTE"):
         return "colour pictures"
     return "screen shots" if kind.startswith(SECONDARY_CAPTURES) else ""
 
@@ -134,6 +135,10 @@ def _images(path: Path, tags: Tags) -> list[CineImage]:
     if tags["table"]:
         raise UnreadableFileError(
             f"{path}: its grey levels go through a table (0028,3000), which is not read; convert it to NIfTI"
+        )
+    if general.get(_LEVELS) == "MONOCHROME1":
+        raise UnreadableFileError(
+            f"{path}: its high grey levels are dark ({_LEVELS} MONOCHROME1); export it as MONOCHROME2"
         )
     stated = general.get("NumberOfFrames") or "1"
     if stated != str(len(frames)):
