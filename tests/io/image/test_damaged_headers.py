@@ -421,6 +421,8 @@ def test_labels_are_whole_numbers(tmp_path: Path) -> None:
     path = meta(tmp_path / "a.mha", {"ElementType": "MET_FLOAT"}, np.full(24, 0.25, "<f4").tobytes())
     with pytest.raises(UnreadableFileError, match=r"holds 0\.25; needed labels"):
         read_labels(path)
+    with pytest.raises(UnreadableFileError, match=r"holds -1; needed labels, 0 or more"):
+        read_labels(meta(path, {"ElementType": "MET_CHAR"}, b"\xff" * 24))
 
 
 @pytest.mark.parametrize("name", ["a.nii", "a.mha"])
@@ -502,3 +504,21 @@ def test_segments_with_damaged_numbers(tmp_path: Path) -> None:
     path = nrrd(tmp_path / "a.seg.nrrd", {"space origin": "(1,2,3)\nSegment0_LabelValue:=x"})
     with pytest.raises(UnreadableFileError, match="Segment0_LabelValue is 'x'"):
         read_label_names(path)
+
+
+def test_every_segment_of_a_header_is_read_or_named(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Numbers with a gap, as a deleted segment leaves; the header of Slicer 4.10 and before; no segment."""
+
+    def segments(keys: str, base: dict[str, str] = NRRD, voxels: bytes = b"\1\2\3" + bytes(21)) -> list[int]:
+        path = nrrd(tmp_path / "a.seg.nrrd", {"space origin": f"(1,2,3)\n{keys}"}, voxels, base)
+        return np.bincount(read_labels(path)[0].values.ravel(), minlength=4).tolist()
+
+    gap = "Segment0_ID:=a\nSegment0_LabelValue:=1\nSegment2_ID:=c\nSegment2_Name:=lv\nSegment2_LabelValue:="
+    assert segments(f"{gap}2") == [22, 1, 1, 0]
+    assert "1 voxels of layer 0 have a value of no segment" in caplog.text
+    assert segments(f"{gap}4") == [23, 1, 0, 0]
+    assert "segment 'lv' is empty" in caplog.text
+    layers = b"\1" + bytes(24) + b"\1" + bytes(22)
+    assert segments("Segment0_ID:=a\nSegment1_ID:=b", NRRD_4D, layers) == [22, 1, 1, 0]
+    with pytest.raises(UnreadableFileError, match="fractional segmentation; needed binary labels"):
+        segments("Segment0_ID:=a\nSegmentation_MasterRepresentation:=Fractional labelmap")
