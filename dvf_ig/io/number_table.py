@@ -32,6 +32,7 @@ class NumberTable:
         units: of the columns as their names state them ("x [m]", "t_ms"), "" if not stated.
         values: (rows, columns); NaN for empty cells and for nan, null or missing.
         lines: line number of each row in the file.
+        comments: lines before the rows that are comments, without their marks.
         texts: cells of each column of words, by its name in lower case.
     """
 
@@ -39,6 +40,7 @@ class NumberTable:
     units: tuple[str, ...]
     values: FloatArray
     lines: tuple[int, ...]
+    comments: tuple[str, ...] = ()
     texts: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
 
@@ -70,7 +72,7 @@ def read_number_table(path: Path, what: str) -> NumberTable:
             )
     plain = tuple("" if part is None else part[1] for part in parts)
     texts = {name.lower(): cells for name, cells in table.texts.items()}
-    return NumberTable(plain if headings else None, tuple(units), values, table.lines, texts)
+    return NumberTable(plain if headings else None, tuple(units), values, table.lines, table.comments, texts)
 
 
 def scaled(path: Path, table: NumberTable, columns: Sequence[int], factors: dict[str, float]) -> FloatArray:

@@ -1,6 +1,7 @@
 """Read points for evaluation: a table of x, y, z, or a list of points from 3D Slicer."""
 
 import logging
+import re
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,8 @@ from .reading import reading
 log = logging.getLogger(__name__)
 
 _IN_MM = {"mm": 1.0, "cm": 10.0, "m": 1e3}
+_SPACE = re.compile(r"\b(RAS|LAS|RPI)\b")
+_UNIT = re.compile(r"\bunits?\s*[=:]\s*(cm|m|um|(centi|micro)?met(er|re)s?|inch(es)?)\b", re.IGNORECASE)
 _AXES = {"x": (0, 1.0), "y": (1, 1.0), "z": (2, 1.0), "l": (0, 1.0), "p": (1, 1.0), "s": (2, 1.0)} | {
     "r": (0, -1.0),
     "a": (1, -1.0),
@@ -49,6 +52,12 @@ def read_points(path: Path | str, frame: str) -> Points:
 
 def _from_table(path: Path) -> FloatArray:
     table = read_number_table(path, "points: rows of x, y, z in mm")
+    words = " ".join(table.comments)
+    if (said := _SPACE.search(words) or _UNIT.search(words)) is not None:
+        raise UnreadableFileError(
+            f"{path}: a comment says '{said[0].strip()}', and points are read as LPS in mm; name the columns "
+            "instead, as in R,A,S or x_m,y_m,z_m"
+        )
     names = table.names or ("x", "y", "z")
     at = [i for i, name in enumerate(names) if name in _AXES]
     axes = [_AXES[names[i]] for i in at]

@@ -97,6 +97,7 @@ class Table:
         mark: mark between cells.
         lines: line number of each row.
         preamble: lines before the rows that are no comments.
+        comments: lines before the rows that are comments, without their marks.
         texts: cells of each column of words, by its name; `columns` and `values` are without these.
     """
 
@@ -107,6 +108,7 @@ class Table:
     mark: str
     lines: tuple[int, ...]
     preamble: tuple[str, ...]
+    comments: tuple[str, ...] = ()
     texts: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
 
@@ -196,7 +198,7 @@ def _parsed(path: Path, text: str, least: int, what: str) -> Table:
         )
     stated_hz = _stated_hz(path, [*comments, *(line for _, line in preamble)])
     numbers = tuple(number for number, _ in rows)
-    return Table(columns, values, clocks, stated_hz, mark, numbers, tuple(line for _, line in preamble))
+    return Table(columns, values, clocks, stated_hz, mark, numbers, tuple(line for _, line in preamble), tuple(comments))
 
 
 def first_rows(text: str, rows: int) -> str | None:
