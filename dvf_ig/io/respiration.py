@@ -91,6 +91,11 @@ def example(path: Path) -> str:
     return f"name it: {path.name}#CHANNEL"
 
 
+def names_breathing(name: str) -> bool:
+    """Return whether a channel is named as what follows the breath."""
+    return _BREATH.search(name) is not None and _RATE.search(name) is None
+
+
 def split_respiration(spec: str) -> EcgName:
     """Split what names a recording of breathing; prefix and field are empty if they are not given."""
     kind, _, rest = spec.partition(":")

@@ -4,6 +4,7 @@ MetaImage (`.mha`, `.mhd` with a separate data file) and NRRD (`.nrrd`, `.nhdr`)
 per-frame fields are named Seq_FrameNNNN_<field>. `sequence_read` interprets the fields.
 """
 
+import logging
 import re
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,6 +18,8 @@ from dvf_ig.io import limits
 from dvf_ig.io.file_within import file_within
 from dvf_ig.io.inflate import inflated, require_size
 from dvf_ig.io.reading import read_bytes
+
+log = logging.getLogger(__name__)
 
 _FRAME_FIELD = re.compile(r"Seq_Frame([0-9]{1,9})_(\S+)")
 _TRANSFORM = re.compile(r"[A-Z][A-Za-z0-9]*To[A-Z][A-Za-z0-9]*Transform")
@@ -105,8 +108,12 @@ class _Header:
                 "record again"
             )
 
-    def repeat_transforms(self, frames: int) -> None:
-        """Give the transforms of the whole file, as of a calibrated image, to each frame without its own."""
+    def complete(self, frames: int) -> None:
+        """Give each frame the transforms of the whole file, and its unfiltered time stamp for want of another."""
+        unfiltered = self.frame_fields.get("UnfilteredTimestamp", {})
+        if not self.frame_fields.get("Timestamp") and len(unfiltered) == frames:
+            log.warning("%s has no Timestamp; its UnfilteredTimestamp is used", self.path)
+            self.frame_fields["Timestamp"] = unfiltered
         for name in [name for name in self.fields if _TRANSFORM.fullmatch(name)]:
             own = self.frame_fields.setdefault(name, {})
             if not own:
@@ -158,7 +165,7 @@ def _read_metaimage(path: Path, data: bytes, read_pixels: bool) -> RawSequence:
     columns, rows, frames = _layout(path, sizes, fields.get("Kinds", "").split())
     header.require_frames(frames)
     if frames <= len(data):
-        header.repeat_transforms(frames)
+        header.complete(frames)
     _require_nothing_skipped(path, fields, ("HeaderSize",))
     expected = columns * rows * frames
     if expected == 0 or not read_pixels:
@@ -200,7 +207,7 @@ def _read_nrrd(path: Path, data: bytes, read_pixels: bool) -> RawSequence:
     columns, rows, frames = _layout(path, sizes, fields.get("kinds", "").split())
     header.require_frames(frames)
     if frames <= len(data):
-        header.repeat_transforms(frames)
+        header.complete(frames)
     _require_nothing_skipped(path, fields, ("line skip", "lineskip", "byte skip", "byteskip"))
     expected = columns * rows * frames
     if expected == 0 or not read_pixels:

@@ -111,9 +111,6 @@ def indexed_sequence(path: Path, raw: RawSequence) -> tuple[TrackedSequence, Int
 def _times(path: Path, raw: RawSequence) -> tuple[FloatArray, bool]:
     """Return (frames,) time stamps, NaN for frames without; the frame index if the file has none."""
     texts, bare = raw.frame_fields.get("Timestamp", {}), raw.bare
-    if not texts and len(unfiltered := raw.frame_fields.get("UnfilteredTimestamp", {})) == raw.frames:
-        log.warning("%s has no Timestamp; its UnfilteredTimestamp is used", path)
-        texts = unfiltered
     if bare.sum() >= MOST_BARE * raw.frames:
         raise UnreadableFileError(
             f"{path}: {bare.sum()} of {raw.frames} frames have no Timestamp (first: frame {bare.argmax()}); "
