@@ -164,7 +164,9 @@ def _table(path: Path, rate_hz: float | None) -> Table:
         unit = "s" if at in table.clocks else header[at].unit
         return _seconds(path, times, header[at], unit, rate_hz), names, values[:, kept]
     if None not in (table.rate_hz, rate_hz) and table.rate_hz != rate_hz:
-        raise UnreadableFileError(f"{path} states {table.rate_hz:g} Hz, but --rate is {rate_hz:g} Hz; omit it")
+        raise UnreadableFileError(
+            f"{path} states {table.rate_hz:g} Hz, but --rate is {rate_hz:g} Hz; omit it"
+        )
     if (rate_hz := table.rate_hz or rate_hz) is None:
         raise UnreadableFileError(
             f"{path} has no column of times (t_s, time or timestamp) among {', '.join(names)[:60]}; give its "
@@ -173,9 +175,7 @@ def _table(path: Path, rate_hz: float | None) -> Table:
     return np.arange(len(values)) / rate_hz, names, values
 
 
-def _seconds(
-    path: Path, times: FloatArray, column: Column, unit: str, rate_hz: float | None
-) -> FloatArray:
+def _seconds(path: Path, times: FloatArray, column: Column, unit: str, rate_hz: float | None) -> FloatArray:
     """Convert times to s by their unit; without one, steps too long for a breath need a rate.
 
     Raises:

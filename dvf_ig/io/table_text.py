@@ -198,7 +198,16 @@ def _parsed(path: Path, text: str, least: int, what: str) -> Table:
         )
     stated_hz = _stated_hz(path, [*comments, *(line for _, line in preamble)])
     numbers = tuple(number for number, _ in rows)
-    return Table(columns, values, clocks, stated_hz, mark, numbers, tuple(line for _, line in preamble), tuple(comments))
+    return Table(
+        columns,
+        values,
+        clocks,
+        stated_hz,
+        mark,
+        numbers,
+        tuple(line for _, line in preamble),
+        tuple(comments),
+    )
 
 
 def first_rows(text: str, rows: int) -> str | None:

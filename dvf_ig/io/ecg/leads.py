@@ -131,7 +131,11 @@ def _by_kind(source: Path | str, channels: Sequence[Channel], *, declared: bool)
                 settings=("ecg.lead",),
             )
         if candidates:
-            if len(channels) > 1 or kind == "cardiac" or not _NO_NAME.fullmatch(channels[candidates[0]].label):
+            if (
+                len(channels) > 1
+                or kind == "cardiac"
+                or not _NO_NAME.fullmatch(channels[candidates[0]].label)
+            ):
                 log.warning(
                     "%s: no channel is named as an ECG; %s is taken as one, which a pulse wave must not be",
                     source,

@@ -51,7 +51,9 @@ def segments_of(path: Path, fields: Mapping[str, str]) -> tuple[Segment, ...]:
         stated = f"Segment{n}_LabelValue" in fields
         default = {"Layer": "0" if stated else str(order), "LabelValue": "1"}
         layer, value = (
-            whole_numbers(path, f"Segment{n}_{name}", fields.get(f"Segment{n}_{name}") or other, 0, MOST_VALUE)
+            whole_numbers(
+                path, f"Segment{n}_{name}", fields.get(f"Segment{n}_{name}") or other, 0, MOST_VALUE
+            )
             for name, other in default.items()
         )
         segments.append(Segment(fields.get(f"Segment{n}_Name") or f"segment {n}", layer[0], value[0]))
@@ -105,5 +107,8 @@ def _warn_of_unnamed(path: Path, layers: AnyArray, segments: tuple[Segment, ...]
         named = [0, *(segment.value for segment in segments if segment.layer == number)]
         if unnamed := np.count_nonzero(~np.isin(layer, named)):
             log.warning(
-                "%s: %d voxels of layer %d have a value of no segment, and are left out", path, unnamed, number
+                "%s: %d voxels of layer %d have a value of no segment, and are left out",
+                path,
+                unnamed,
+                number,
             )

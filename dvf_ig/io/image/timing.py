@@ -88,9 +88,7 @@ def timing_from_document(path: Path, document: Any) -> CycleTiming:
             f"{path}: needed numbers for fractions and rr_s, and true or false for what is assumed, no texts"
         )
     try:
-        timing = CycleTiming(
-            np.array(fractions, dtype=np.float64), float(document["rr_s"]), *assumed
-        )
+        timing = CycleTiming(np.array(fractions, dtype=np.float64), float(document["rr_s"]), *assumed)
         if timing.rr_s < 1 and abs(_end(timing) - timing.rr_s) < _SAME * timing.rr_s:
             log.warning(
                 "%s: its fractions would end the cycle at %.3g, as times in s of its rr_s do; they are read as "

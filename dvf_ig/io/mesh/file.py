@@ -26,7 +26,9 @@ log = logging.getLogger(__name__)
 
 DECODERS = {".obj": decode_obj, ".stl": decode_stl, ".ply": decode_ply, ".vtp": decode_vtp}
 _SPACE = re.compile(r"SPACE\s*=\s*([A-Za-z]+)|(?i:coordinate ?system|space)\s*[=:]\s*(RAS|LPS)\b")
-_UNIT = re.compile(r"\bunits?\s*[=:]?\s*(mm|cm|m|um|inch(?:es)?|(?:milli|centi|micro)?met(?:er|re)s?)\b", re.IGNORECASE)
+_UNIT = re.compile(
+    r"\bunits?\s*[=:]?\s*(mm|cm|m|um|inch(?:es)?|(?:milli|centi|micro)?met(?:er|re)s?)\b", re.IGNORECASE
+)
 _MILLIMETRES = ("mm", "millimeter", "millimeters", "millimetre", "millimetres")
 _TO_LPS = np.array([-1.0, -1.0, 1.0])
 

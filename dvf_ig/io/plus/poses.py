@@ -236,7 +236,9 @@ def _columns(path: Path, table: NumberTable) -> list[int]:
         raise UnreadableFileError(f"{path} has two columns of times ({', '.join(names)[:70]}); delete one")
     other = [
         name or "without a name"
-        for name, quantity in zip((*names, *table.texts), (*quantities, *(None for _ in table.texts)), strict=True)
+        for name, quantity in zip(
+            (*names, *table.texts), (*quantities, *(None for _ in table.texts)), strict=True
+        )
         if quantity is None and name not in _VALID
     ]
     if other:

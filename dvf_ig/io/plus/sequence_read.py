@@ -36,7 +36,16 @@ neighbours, 0.08 s apart in the slowest streams (12 frames/s); a restarted clock
 
 _B_MODE = "BRIGHTNESS"
 _STATUSES = {
-    *("OK", "INVALID", "MISSING", "OUT_OF_VIEW", "OUT_OF_VOLUME", "SWITCH_OFF", "REQUEST_TIMEOUT", "DISABLED"),
+    *(
+        "OK",
+        "INVALID",
+        "MISSING",
+        "OUT_OF_VIEW",
+        "OUT_OF_VOLUME",
+        "SWITCH_OFF",
+        "REQUEST_TIMEOUT",
+        "DISABLED",
+    ),
     *("NOT_AVAILABLE", "UNKNOWN", "BAD_TRANSFORM_FIT", "DATA_BUFFER_LIMIT", "ALGORITHM_LIMIT", "FELL_BEHIND"),
     *("PROCESSING_ERROR", "NO_SIGNAL", ""),
 }
