@@ -78,8 +78,8 @@ def _affine_text(path: Path, text: str) -> FloatArray | None:
     counts = all(len(c) in _CENTER.get(kind, (3,)) for kind, c in zip(simple, centers, strict=False))
     if len(simple) > 1 and kinds[0] != "CompositeTransform":
         raise UnreadableFileError(
-            f"{path} holds {len(simple)} transforms and does not say that they are applied one after the other "
-            "(CompositeTransform); keep the one that is meant"
+            f"{path} holds {len(simple)} transforms and does not say that they are applied one after the "
+            "other (CompositeTransform); keep the one that is meant"
         )
     if other := [kind for kind in simple if _NOT_LINEAR.search(kind)]:
         raise UnreadableFileError(f"{path} holds a {other[0]}, which is not linear; needed a rigid transform")

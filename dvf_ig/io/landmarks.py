@@ -261,7 +261,8 @@ def _from_fcsv(path: Path) -> tuple[list[str], FloatArray]:
         for row in csv.reader(line for line in lines if line.strip() and not line.startswith("#")):
             if len(row) == 1 and ";" in row[0]:
                 raise UnreadableFileError(
-                    f"{path}: its cells are separated by semicolons, as a spreadsheet saves them; needed commas"
+                    f"{path}: its cells are separated by semicolons, as a spreadsheet saves them; needed "
+                    "commas"
                 )
             name = (row[label] if label < len(row) and row[label] else row[0]).strip()
             state = row[status] if status < len(row) else ""

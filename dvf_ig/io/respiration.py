@@ -186,8 +186,8 @@ def _seconds(path: Path, times: FloatArray, column: Column, unit: str, rate_hz: 
         step_s = step / IN_ONE_SECOND[unit.lower()]
         if not _STEP_S[0] <= step_s <= _STEP_S[1]:
             raise UnreadableFileError(
-                f"{path}: its times step by {step:g} {unit} (column '{name}'), which shows no breath; correct "
-                "the unit in the header"
+                f"{path}: its times step by {step:g} {unit} (column '{name}'), which shows no breath; "
+                "correct the unit in the header"
             )
         return times / IN_ONE_SECOND[unit.lower()]
     if step <= _MOST_STEP_S:

@@ -141,12 +141,6 @@ def _of_segments(header: Path, lines: list[str], rate_hz: float, stated: int | N
     if not all(segments):
         shown = next(line for line, match in zip(lines, segments, strict=True) if match is None)
         raise UnreadableFileError(f"{header}: the line of a segment is '{shown[:60]}'; copy it again")
-    names = [match[1] for match in segments if match is not None]
-    if "~" in names and not any(match is not None and match[2] == "0" for match in segments[:1]):
-        raise UnreadableFileError(
-            f"{header} has a gap ('~') and no layout segment, which states the leads during a gap (WFDB "
-            "header(5)); add one, or give its segments one by one"
-        )
     lengths = {match[1]: int(match[2]) for match in segments if match is not None}
     total = sum(int(match[2]) for match in segments if match is not None)
     if stated is not None and total != stated:
@@ -156,6 +150,11 @@ def _of_segments(header: Path, lines: list[str], rate_hz: float, stated: int | N
     if total > MOST_GAPS * present:
         raise UnreadableFileError(
             f"{header} states {total} samples, but its segments hold {present}; copy it again"
+        )
+    if "~" in lengths and not any(match is not None and match[2] == "0" for match in segments[:1]):
+        raise UnreadableFileError(
+            f"{header} has a gap ('~') and no layout segment, which states the leads during a gap (WFDB "
+            "header(5)); add one, or give its segments one by one"
         )
     files: list[Path] = []
     for segment, length in lengths.items():

@@ -133,7 +133,7 @@ def read_metaimage_header(path: Path) -> ImageHeader:
 
 
 def _times(path: Path, fields: dict[str, str], sizes: tuple[int, ...]) -> PhaseTimes | None:
-    """Return the time stamps of the volumes (PLUS), else equal steps along the fourth axis, without a unit."""
+    """Return PLUS's time stamps of the volumes, else equal steps along the fourth axis, without a unit."""
     stamps = [fields.get(f"Seq_Frame{i:04d}_Timestamp") for i in range(sizes[3])]
     stated = [stamp for stamp in stamps if stamp is not None]
     if stated:

@@ -163,7 +163,7 @@ def _times(path: Path, fields: dict[str, str], axis: int, count: int) -> PhaseTi
 
 
 def _numbered(path: Path, name: str, labels: list[str], unit: str) -> list[PhaseTimes]:
-    """Return the numbers in labels such as "frame 40" or "40 %"; without one number in each they are no times."""
+    """Return the numbers in labels such as "frame 40" or "40 %", if each holds one."""
     found = [re.findall(r"\d+(?:\.\d+)?", label) for label in labels]
     if not labels or any(len(numbers) != 1 for numbers in found):
         log.warning("%s: %s are texts without one number each: they do not order its volumes", path, name)

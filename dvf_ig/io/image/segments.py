@@ -50,11 +50,10 @@ def segments_of(path: Path, fields: Mapping[str, str]) -> tuple[Segment, ...]:
     for order, n in enumerate(sorted(numbers)):
         stated = f"Segment{n}_LabelValue" in fields
         default = {"Layer": "0" if stated else str(order), "LabelValue": "1"}
+        texts = {f"Segment{n}_{name}": other for name, other in default.items()}
         layer, value = (
-            whole_numbers(
-                path, f"Segment{n}_{name}", fields.get(f"Segment{n}_{name}") or other, 0, MOST_VALUE
-            )
-            for name, other in default.items()
+            whole_numbers(path, name, fields.get(name) or other, 0, MOST_VALUE)
+            for name, other in texts.items()
         )
         segments.append(Segment(fields.get(f"Segment{n}_Name") or f"segment {n}", layer[0], value[0]))
     return tuple(segments)

@@ -91,8 +91,8 @@ def timing_from_document(path: Path, document: Any) -> CycleTiming:
         timing = CycleTiming(np.array(fractions, dtype=np.float64), float(document["rr_s"]), *assumed)
         if timing.rr_s < 1 and abs(_end(timing) - timing.rr_s) < _SAME * timing.rr_s:
             log.warning(
-                "%s: its fractions would end the cycle at %.3g, as times in s of its rr_s do; they are read as "
-                "shares of the cycle",
+                "%s: its fractions would end the cycle at %.3g, as times in s of its rr_s do; they are read "
+                "as shares of the cycle",
                 path,
                 _end(timing),
             )
@@ -131,7 +131,8 @@ def _from_triggers(path: Path, entry: dict[str, Any]) -> CycleTiming:
         rr_s = np.array(entry["RR_ms"], dtype=np.float64) / 1000.0
         if rr_s.shape != trigger_s.shape[:1]:
             raise UnreadableFileError(
-                f"{path}: trigger_ms has {len(trigger_s)} slices, RR_ms {rr_s.size}; needed one RR interval each"
+                f"{path}: trigger_ms has {len(trigger_s)} slices, RR_ms {rr_s.size}; needed one RR interval "
+                "each"
             )
         fractions = (trigger_s / rr_s[:, None]).mean(axis=0)
     except (KeyError, TypeError, ValueError, OverflowError) as exc:

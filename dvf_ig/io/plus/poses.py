@@ -34,7 +34,7 @@ _NAMES = {
 """Names of the columns of a pose in the tables of trackers, in the order of a table without names."""
 _VALID = ("valid", "is_valid", "visible", "tracked", "status", "state", "quality_ok")
 _GOOD = ("1", "ok", "true", "yes", "valid", "visible", "tracked", "enabled", "good")
-"""Columns that say whether a pose was measured, and the words for one that was; other numbers than 0 are, too."""
+"""Columns that say whether a pose was measured (a number: not 0), and the words for one that was."""
 _TOOL = ("tool", "tool_id", "name", "marker", "sensor", "port", "handle", "body", "id", "child_frame_id")
 """Columns that say whose pose a row is."""
 log = logging.getLogger(__name__)
@@ -196,8 +196,8 @@ def _marked_valid(path: Path, table: NumberTable) -> BoolArray:
         several = sorted(set(map(str, cells)))
         if name in _TOOL and 1 < len(several) < 0.5 * len(cells):
             raise UnreadableFileError(
-                f"{path} holds poses of several tools (column '{name}': {', '.join(several)[:60]}); write one "
-                "file per tool"
+                f"{path} holds poses of several tools (column '{name}': {', '.join(several)[:60]}); write "
+                "one file per tool"
             )
         if name in _VALID and name in table.texts:
             valid &= [cell.lower() in _GOOD for cell in table.texts[name]]
@@ -234,13 +234,8 @@ def _columns(path: Path, table: NumberTable) -> list[int]:
         return [*([-1] if count == 7 else []), *range(count)]
     if quantities.count("t") > 1:
         raise UnreadableFileError(f"{path} has two columns of times ({', '.join(names)[:70]}); delete one")
-    other = [
-        name or "without a name"
-        for name, quantity in zip(
-            (*names, *table.texts), (*quantities, *(None for _ in table.texts)), strict=True
-        )
-        if quantity is None and name not in _VALID
-    ]
+    other = [name for name, quantity in zip(names, quantities, strict=True) if quantity is None]
+    other = [name or "without a name" for name in (*other, *table.texts) if name not in _VALID]
     if other:
         log.warning("%s: the columns %s are not part of a pose and are left out", path, ", ".join(other))
     return [quantities.index(quantity) if quantity in quantities else -1 for quantity in _NAMES]

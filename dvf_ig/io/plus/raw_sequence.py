@@ -109,7 +109,7 @@ class _Header:
             )
 
     def complete(self, frames: int) -> None:
-        """Give each frame the transforms of the whole file, and its unfiltered time stamp for want of another."""
+        """Give each frame the transforms of the whole file, and its unfiltered stamp if it has no other."""
         unfiltered = self.frame_fields.get("UnfilteredTimestamp", {})
         if not self.frame_fields.get("Timestamp") and len(unfiltered) == frames:
             log.warning("%s has no Timestamp; its UnfilteredTimestamp is used", self.path)
@@ -120,7 +120,8 @@ class _Header:
                 own.update(dict.fromkeys(range(frames), self.fields[name]))
             elif set(own.values()) != {self.fields[name]}:
                 raise UnreadableFileError(
-                    f"{self.path}: its header states {name[:60]} for all frames, and another for some; correct it"
+                    f"{self.path}: its header states {name[:60]} for all frames, and another for some; "
+                    "correct it"
                 )
 
     def require_frames(self, frames: int) -> None:

@@ -234,5 +234,5 @@ def test_a_digital_range_upside_down_is_named(tmp_path: Path) -> None:
 def test_a_gap_without_a_layout_is_named(tmp_path: Path) -> None:
     wfdb_record(tmp_path, "r 1 250 2000\nr.dat 16 200 16 0 0 0 0 II\n")
     (tmp_path / "m.hea").write_text("m/3 1 250 4500\nr 2000\n~ 500\nr 2000\n")
-    with pytest.raises(UnreadableFileError, match="has a gap .'~'. and no layout segment"):
+    with pytest.raises(UnreadableFileError, match=r"has a gap .'~'. and no layout segment"):
         read_ecg(f"wfdb:{tmp_path / 'm'}")

@@ -26,7 +26,8 @@ NAMES = {
     "|ECG Lead II|EEG EKG1-REF|mod.V1|ECG1-ECG2|Shimmer_ECG_LL-RA_24BIT_CAL|A-S|V,|-aVR|ecg_raw|EcgData"
     "|Elektrokardiogramm",
     "other": "PLETH PPG SpO2 ABP ART CVP RESP RSP EDA EMG EOG Trigger Marker Status HR|Heart Rate|Resp. Imp."
-    "|ECG Trigger|ECG quality|ECG_R_Peaks|ecgRate|EEG C4-A1|Pulse|Airflow|EDF Annotations|ECG_P_Onsets|ST-II|ECG Pacer",
+    "|ECG Trigger|ECG quality|ECG_R_Peaks|ecgRate|EEG C4-A1|Pulse|Airflow|EDF Annotations|ECG_P_Onsets"
+    "|ST-II|ECG Pacer",
     "unknown": "signal 0|Ch1|Channel 2|X|CS12",
     "cardiac": "cardiac",
 }

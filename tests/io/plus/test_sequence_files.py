@@ -308,7 +308,8 @@ def test_what_a_header_states_for_all_frames(tmp_path: Path, caplog: pytest.LogC
 
 
 def test_image_type_of_an_nrrd_sequence(tmp_path: Path) -> None:
-    path = write(tmp_path / "a.igs.nrrd")
-    path.write_bytes(path.read_bytes().replace(b"BRIGHTNESS", b"RF_REAL   "))
+    header = "NRRD0005\ntype: uchar\ndimension: 3\nsizes: 4 3 1\nkinds: domain domain list\nencoding: raw\n"
+    path = tmp_path / "a.igs.nrrd"
+    path.write_bytes(f"{header}ultrasound image type:=RF_REAL\n\n".encode() + bytes(12))
     with pytest.raises(UnreadableFileError, match="its images are RF_REAL"):
         read_sequence(path)
