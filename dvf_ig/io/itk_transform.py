@@ -4,6 +4,7 @@ ITK crashes or hangs on some damaged files, so it reads in a separate process wi
 """
 
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -19,6 +20,7 @@ from .reading import read_bytes
 _AFFINE = ("AffineTransform", "MatrixOffsetTransformBase")
 _CENTER = {"TranslationTransform": (0,), "IdentityTransform": (0,), "Euler3DTransform": (3, 4)}
 """Numbers of FixedParameters of types that do not have a centre of three."""
+_NOT_LINEAR = re.compile(r"BSpline|Displacement|Velocity|Kernel|Spline|Warp|Polynomial", re.IGNORECASE)
 _TEXT = b"#Insight"
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 _SECONDS, _MEMORY_BYTES = 20, 2 << 30
@@ -74,6 +76,15 @@ def _affine_text(path: Path, text: str) -> FloatArray | None:
     parameters = [_numbers(path, words) for name, words in rows if name == "Parameters"]
     centers = [_numbers(path, words) for name, words in rows if name == "FixedParameters"]
     counts = all(len(c) in _CENTER.get(kind, (3,)) for kind, c in zip(simple, centers, strict=False))
+    if len(simple) > 1 and kinds[0] != "CompositeTransform":
+        raise UnreadableFileError(
+            f"{path} holds {len(simple)} transforms and does not say that they are applied one after the "
+            "other (CompositeTransform); keep the one that is meant"
+        )
+    if other := [kind for kind in simple if _NOT_LINEAR.search(kind)]:
+        raise UnreadableFileError(f"{path} holds a {other[0]}, which is not linear; needed a rigid transform")
+    if any("_2_2" in words[0] for name, words in rows if name == "Transform" and words):
+        raise UnreadableFileError(f"{path} holds a transform of 2-D images; needed a rigid one in 3-D")
     if not simple or not len(simple) == len(parameters) == len(centers) or not counts or text[-1] != "\n":
         raise UnreadableFileError(
             f"{path} is cut off or damaged: {len(kinds)} transforms, {len(parameters)} lines of Parameters, "

@@ -237,7 +237,7 @@ def markup_points(path: Path, kinds: tuple[str, ...] = _POINTS) -> tuple[list[st
 
 
 def _from_fcsv(path: Path) -> tuple[list[str], FloatArray]:
-    lines = read_text(path, "3D Slicer fiducials").splitlines()
+    lines = [_of_spreadsheet(line) for line in read_text(path, "3D Slicer fiducials").splitlines()]
     header = [line[1:].split("=", 1) for line in lines if line.startswith("#") and "=" in line]
     stated = [(key.strip(), value.strip()) for key, value in header]
     fields = dict(stated)
@@ -259,15 +259,28 @@ def _from_fcsv(path: Path) -> tuple[list[str], FloatArray]:
         status, shown = _status_column(columns), [columns.index(c) for c in ("vis", "sel") if c in columns]
         marks = _Marks()
         for row in csv.reader(line for line in lines if line.strip() and not line.startswith("#")):
+            if len(row) == 1 and ";" in row[0]:
+                raise UnreadableFileError(
+                    f"{path}: its cells are separated by semicolons, as a spreadsheet saves them; needed "
+                    "commas"
+                )
             name = (row[label] if label < len(row) and row[label] else row[0]).strip()
             state = row[status] if status < len(row) else ""
             seen = all(float(row[i]) != 0 for i in shown if i < len(row) and row[i])
             if marks.is_placed(name, _FCSV_STATUS.get(state.strip(), state), is_shown=seen):
                 marks.add(name, np.array([float(row[i]) for i in at]) * signs)
     except (ValueError, IndexError, csv.Error) as exc:
+        if isinstance(exc, UnreadableFileError):
+            raise
         raise UnreadableFileError(f"{path} is not a 3D Slicer fiducial list ({exc})") from exc
     marks.warn(path)
     return marks.names, np.array(marks.rows).reshape(-1, 3)
+
+
+def _of_spreadsheet(line: str) -> str:
+    """Return a header line without the quotes and empty cells that a spreadsheet adds to it."""
+    plain = line.strip('"')
+    return plain.rstrip(",; ") if plain.startswith("#") else line
 
 
 def _status_column(columns: list[str]) -> int:

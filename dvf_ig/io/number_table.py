@@ -1,8 +1,8 @@
 """Read a text table of numbers: any usual separator, with or without names of the columns."""
 
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -11,9 +11,12 @@ from dvf_ig.core import read_only_arrays
 from dvf_ig.core.arrays import FloatArray
 from dvf_ig.core.errors import UnreadableFileError
 
+from .clock_times import past_midnight
 from .reading import read_text
-from .table_text import parse_table
+from .table_text import IN_ONE_SECOND, parse_table
 
+_BAD_FLOAT = -3.697314e28
+"""Number that trackers of NDI give for a value that they could not measure."""
 LARGEST = 1e12
 """Largest number in a table; squares of larger ones may overflow."""
 _NAME = re.compile(r"(.*?)[ _]*(?:[\[(]([^\])]*)[\])]|(?<=[ _])(mm|cm|m|um|s|ms|us|ns|px|deg|rad))?")
@@ -29,12 +32,16 @@ class NumberTable:
         units: of the columns as their names state them ("x [m]", "t_ms"), "" if not stated.
         values: (rows, columns); NaN for empty cells and for nan, null or missing.
         lines: line number of each row in the file.
+        comments: lines before the rows that are comments, without their marks.
+        texts: cells of each column of words, by its name in lower case.
     """
 
     names: tuple[str, ...] | None
     units: tuple[str, ...]
     values: FloatArray
     lines: tuple[int, ...]
+    comments: tuple[str, ...] = ()
+    texts: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
 
 def read_number_table(path: Path, what: str) -> NumberTable:
@@ -48,19 +55,24 @@ def read_number_table(path: Path, what: str) -> NumberTable:
             decimal marks or separators.
     """
     table = parse_table(path, read_text(path, what), least=1, what=what)
-    if len(table.preamble) > (table.columns is not None) or table.clocks:
-        line = table.preamble[0] if table.preamble else "a time of day"
-        raise UnreadableFileError(f"{path}: '{line[:40]}' is not a number; needed {what}")
-    for number, row in zip(table.lines, table.values, strict=True):
-        if (np.abs(row) > LARGEST).any():
-            raise UnreadableFileError(
-                f"{path}, line {number}: a number is beyond {LARGEST:g}; check the unit, or export it again"
-            )
+    if len(table.preamble) > (table.columns is not None):
+        raise UnreadableFileError(f"{path}: '{table.preamble[0][:40]}' is not a number; needed {what}")
     headings = [column.heading.lower() for column in table.columns or ()]
     parts = [_NAME.fullmatch(name) for name in headings or [""] * table.values.shape[1]]
-    units = tuple("" if part is None else (part[2] or part[3] or "").strip() for part in parts)
+    units = ["" if part is None else (part[2] or part[3] or "").strip() for part in parts]
+    values = np.where(np.isclose(table.values, _BAD_FLOAT, rtol=1e-6), np.nan, table.values)
+    for at in table.clocks:
+        values[:, at], units[at] = past_midnight(values[:, at]), "s"
+    lengths = [at for at, unit in enumerate(units) if unit not in IN_ONE_SECOND]
+    for number, row in zip(table.lines, values[:, lengths], strict=True):
+        if (np.abs(row) > LARGEST).any():
+            raise UnreadableFileError(
+                f"{path}, line {number}: a number is beyond {LARGEST:g}; check its unit (a time in ns: name "
+                "the column t_ns), or export it again"
+            )
     plain = tuple("" if part is None else part[1] for part in parts)
-    return NumberTable(plain if headings else None, units, table.values, table.lines)
+    texts = {name.lower(): cells for name, cells in table.texts.items()}
+    return NumberTable(plain if headings else None, tuple(units), values, table.lines, table.comments, texts)
 
 
 def scaled(path: Path, table: NumberTable, columns: Sequence[int], factors: dict[str, float]) -> FloatArray:

@@ -1,5 +1,7 @@
 """Read points for evaluation: a table of x, y, z, or a list of points from 3D Slicer."""
 
+import logging
+import re
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +16,11 @@ from .landmarks import LANDMARK_ENDINGS, named_points
 from .number_table import read_number_table, scaled
 from .reading import reading
 
+log = logging.getLogger(__name__)
+
 _IN_MM = {"mm": 1.0, "cm": 10.0, "m": 1e3}
+_SPACE = re.compile(r"\b(RAS|LAS|RPI)\b")
+_UNIT = re.compile(r"\bunits?\s*[=:]\s*(cm|m|um|(centi|micro)?met(er|re)s?|inch(es)?)\b", re.IGNORECASE)
 _AXES = {"x": (0, 1.0), "y": (1, 1.0), "z": (2, 1.0), "l": (0, 1.0), "p": (1, 1.0), "s": (2, 1.0)} | {
     "r": (0, -1.0),
     "a": (1, -1.0),
@@ -46,14 +52,23 @@ def read_points(path: Path | str, frame: str) -> Points:
 
 def _from_table(path: Path) -> FloatArray:
     table = read_number_table(path, "points: rows of x, y, z in mm")
+    words = " ".join(table.comments)
+    if (said := _SPACE.search(words) or _UNIT.search(words)) is not None:
+        raise UnreadableFileError(
+            f"{path}: a comment says '{said[0].strip()}', and points are read as LPS in mm; name the columns "
+            "instead, as in R,A,S or x_m,y_m,z_m"
+        )
     names = table.names or ("x", "y", "z")
-    axes = [_AXES.get(name, (-1, 0.0)) for name in names]
-    if table.values.shape[1] != 3 or sorted(axis for axis, _ in axes) != [0, 1, 2]:
+    at = [i for i, name in enumerate(names) if name in _AXES]
+    axes = [_AXES[names[i]] for i in at]
+    if len(names) != table.values.shape[1] or sorted(axis for axis, _ in axes) != [0, 1, 2]:
         raise UnreadableFileError(
             f"{path} has {table.values.shape[1]} columns ({', '.join(names)[:60]}); needed x,y,z in mm"
         )
-    for line, row in zip(table.lines, table.values, strict=True):
+    if other := [name or "without a name" for name in (*names, *table.texts) if name not in _AXES]:
+        log.warning("%s: the columns %s are no coordinates and are left out", path, ", ".join(other))
+    for line, row in zip(table.lines, table.values[:, at], strict=True):
         if not np.isfinite(row).all():
             raise UnreadableFileError(f"{path}, line {line}: a cell is empty or nan; needed x,y,z in mm")
-    stored = scaled(path, table, (0, 1, 2), _IN_MM) * [sign for _, sign in axes]
+    stored = scaled(path, table, at, _IN_MM) * [sign for _, sign in axes]
     return stored[:, np.argsort([axis for axis, _ in axes])]

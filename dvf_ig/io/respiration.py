@@ -8,14 +8,16 @@ import numpy as np
 
 from dvf_ig.core.arrays import FloatArray
 from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
+from dvf_ig.core.plausible import marker_problem
 from dvf_ig.core.recordings.respiration import Respiration
 from dvf_ig.core.recordings.signal import Signal
 from dvf_ig.io import limits
+from dvf_ig.io.clock_times import past_midnight
 from dvf_ig.io.ecg.trigger import EcgName
 from dvf_ig.io.ecg.wfdb import read_wfdb_signals
 from dvf_ig.io.plus.poses import read_poses
 from dvf_ig.io.reading import read_text, reading
-from dvf_ig.io.table_text import parse_table
+from dvf_ig.io.table_text import IN_ONE_SECOND, Column, parse_table
 from dvf_ig.io.writing.atomic import write_text
 
 log = logging.getLogger(__name__)
@@ -25,7 +27,13 @@ Table = tuple[FloatArray, tuple[str, ...], FloatArray]
 """Times (n,) s, names of k columns, values (n, k) with NaN for empty cells."""
 
 _BREATH = re.compile(r"resp|rsp|breath|thor|abdom|chest|volume|pressure|paw|flow|cvp", re.IGNORECASE)
-_TIME = re.compile(r"(t|time|times|timestamp|elapsed)[\W_]*(s|sec|ms)?\W*", re.IGNORECASE)
+_COORDINATE = re.compile(r"(?:[tp]|pos_|position_)?([xyz])(?:[ _]*[\[(]?(mm|cm|m)[\])]?)?", re.IGNORECASE)
+_IN_MM = {"mm": 1.0, "cm": 10.0, "m": 1e3}
+_RATE = re.compile(r"rate|/min|bpm", re.IGNORECASE)
+"""Name or unit of a number of breaths per minute, which does not follow the breath."""
+_TIME = re.compile(r"t|times?|timestamps?|stamp|elapsed( time)?|seconds|zeit|uhrzeit", re.IGNORECASE)
+_STEP_S = (1e-4, 2.0)
+"""Shortest and longest step of times in a stated unit."""
 _MOST_STEP_S = 0.5
 """Slower samples than 2 Hz do not show a breath; longer steps of times without a unit may be ms."""
 
@@ -61,15 +69,31 @@ def read_respiration(spec: str, rate_hz: float | None = None) -> Respiration:
             return _samples(path, t_s, signals[at][:, None], channels[at].label)
         t_s, names, values = _table(path, rate_hz)
         if kind == "marker":
-            axes = [choose_channel(path, names, axis) for axis in "xyz"]
-            return _samples(path, t_s, values[:, axes], path.stem)
+            xyz_mm = _marker(path, names, values)
+            if problem := marker_problem(path.stem, xyz_mm[np.isfinite(xyz_mm).all(axis=1)]):
+                raise InvalidInputError(problem)
+            return _samples(path, t_s, xyz_mm, path.stem)
         at = choose_channel(path, names, channel or None, example(path))
         return _samples(path, t_s, values[:, [at]], names[at])
+
+
+def _marker(path: Path, names: tuple[str, ...], values: FloatArray) -> FloatArray:
+    """Return (n, 3) positions of a marker, mm, by the names of their columns: x, tx, pos_x, "x (mm)", x_m."""
+    parts = [_COORDINATE.fullmatch(name) for name in names]
+    plain = tuple(names[i] if part is None else part[1].lower() for i, part in enumerate(parts))
+    at = [choose_channel(path, plain, axis) for axis in "xyz"]
+    scale = [_IN_MM[(part[2] or "mm").lower()] if (part := parts[i]) is not None else 1.0 for i in at]
+    return values[:, at] * scale
 
 
 def example(path: Path) -> str:
     """Say how a channel of a file is named."""
     return f"name it: {path.name}#CHANNEL"
+
+
+def names_breathing(name: str) -> bool:
+    """Return whether a channel is named as what follows the breath."""
+    return _BREATH.search(name) is not None and _RATE.search(name) is None
 
 
 def split_respiration(spec: str) -> EcgName:
@@ -86,6 +110,8 @@ def split_respiration(spec: str) -> EcgName:
 def _samples(path: Path, t_s: FloatArray, values: FloatArray, name: str) -> Respiration:
     good = np.isfinite(values).all(axis=1) & np.isfinite(t_s)
     t_s, values = t_s[good], values[good]
+    if len(values) and not np.ptp(values, axis=0).any():
+        raise UnreadableFileError(f"{path}: '{name}' never changes; needed what follows the breath")
     limits.require_times(t_s, "its times")
     latest = np.maximum.accumulate(np.concatenate([[-np.inf], t_s]))[:-1]
     later = t_s > latest
@@ -108,7 +134,12 @@ def choose_channel(source: object, names: tuple[str, ...], wanted: str | None, a
         if wanted not in names:
             raise UnreadableFileError(f"{source} has no channel '{wanted}'; it has {', '.join(names)}")
         return names.index(wanted)
-    likely = [i for i, name in enumerate(names) if _BREATH.search(name)] or list(range(len(names)))
+    likely = [i for i, name in enumerate(names) if _BREATH.search(name)]
+    likely = [i for i in likely if not _RATE.search(names[i])] or likely or list(range(len(names)))
+    if names and all(_RATE.search(name) for name in names):
+        raise UnreadableFileError(
+            f"{source} has only {', '.join(names)[:60]}, breaths per minute; needed what follows each breath"
+        )
     if len(likely) != 1:
         shown = ", ".join(names[i] for i in likely) or "no channel at all"
         raise UnreadableFileError(f"{source} has {shown}, of which one must be breathing; {advice}")
@@ -120,13 +151,23 @@ def _table(path: Path, rate_hz: float | None) -> Table:
     table = parse_table(path, read_text(path, "a table of breathing"))
     if table.columns is None:
         raise UnreadableFileError(f"{path}: needed a header that names its columns")
-    header, values = [column.heading for column in table.columns], table.values
-    at = next((i for i, name in enumerate(header) if _TIME.fullmatch(name)), None)
+    if table.texts:
+        log.warning("%s: the columns %s hold words and are left out", path, ", ".join(table.texts))
+    header, values = table.columns, table.values
+    at = next((i for i, column in enumerate(header) if _TIME.fullmatch(column.name)), None)
+    if at is None:
+        at = next(iter(table.clocks), None)
     kept = [i for i in range(len(header)) if i != at]
-    names = tuple(header[i] for i in kept)
+    names = tuple(header[i].heading for i in kept)
     if at is not None:
-        return _seconds(path, values[:, at], header[at], rate_hz), names, values[:, kept]
-    if rate_hz is None:
+        times = past_midnight(values[:, at]) if at in table.clocks else values[:, at]
+        unit = "s" if at in table.clocks else header[at].unit
+        return _seconds(path, times, header[at], unit, rate_hz), names, values[:, kept]
+    if None not in (table.rate_hz, rate_hz) and table.rate_hz != rate_hz:
+        raise UnreadableFileError(
+            f"{path} states {table.rate_hz:g} Hz, but --rate is {rate_hz:g} Hz; omit it"
+        )
+    if (rate_hz := table.rate_hz or rate_hz) is None:
         raise UnreadableFileError(
             f"{path} has no column of times (t_s, time or timestamp) among {', '.join(names)[:60]}; give its "
             "sampling rate with --rate"
@@ -134,18 +175,22 @@ def _table(path: Path, rate_hz: float | None) -> Table:
     return np.arange(len(values)) / rate_hz, names, values
 
 
-def _seconds(path: Path, times: FloatArray, name: str, rate_hz: float | None) -> FloatArray:
-    """Convert times to s by the unit in their name; without one, steps too long for a breath need a rate.
+def _seconds(path: Path, times: FloatArray, column: Column, unit: str, rate_hz: float | None) -> FloatArray:
+    """Convert times to s by their unit; without one, steps too long for a breath need a rate.
 
     Raises:
         UnreadableFileError: no unit, long steps, and no rate, or one that fits neither s nor ms.
     """
-    match = _TIME.fullmatch(name)
-    unit = match[2].lower() if match is not None and match[2] else ""
-    step = float(np.nanmedian(np.diff(times)))
-    if unit == "ms":
-        return times / 1000.0
-    if unit or step <= _MOST_STEP_S:
+    step, name = float(np.nanmedian(np.diff(times))), column.heading
+    if unit.lower() in IN_ONE_SECOND:
+        step_s = step / IN_ONE_SECOND[unit.lower()]
+        if not _STEP_S[0] <= step_s <= _STEP_S[1]:
+            raise UnreadableFileError(
+                f"{path}: its times step by {step:g} {unit} (column '{name}'), which shows no breath; "
+                "correct the unit in the header"
+            )
+        return times / IN_ONE_SECOND[unit.lower()]
+    if step <= _MOST_STEP_S:
         return times
     if rate_hz is None:
         raise UnreadableFileError(

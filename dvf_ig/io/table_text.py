@@ -1,12 +1,15 @@
 """Split a text table into names, units and numbers, and read what its preamble states.
 
+Columns of words, such as a status, are kept apart from the numbers.
+
 A preamble is all that comes before the first row of numbers: comments, lines "key=value" or "key,value", the
 names of the columns, their units. A line that is none of these is an error, as is any but numbers after it.
 """
 
 import json
 import re
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -94,6 +97,8 @@ class Table:
         mark: mark between cells.
         lines: line number of each row.
         preamble: lines before the rows that are no comments.
+        comments: lines before the rows that are comments, without their marks.
+        texts: cells of each column of words, by its name; `columns` and `values` are without these.
     """
 
     columns: tuple[Column, ...] | None
@@ -103,6 +108,8 @@ class Table:
     mark: str
     lines: tuple[int, ...]
     preamble: tuple[str, ...]
+    comments: tuple[str, ...] = ()
+    texts: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
 
 def parse_table(path: Path, text: str, *, least: int = 2, what: str = "numbers only") -> Table:
@@ -115,6 +122,45 @@ def parse_table(path: Path, text: str, *, least: int = 2, what: str = "numbers o
         UnreadableFileError: a line that is not understood, commas that may be decimal marks or separators, or
             two statements of a rate that differ.
     """
+    try:
+        return _parsed(path, text, least, what)
+    except UnreadableFileError:
+        apart = _without_words(text)
+        if apart is None:
+            raise
+    numbers, texts = apart
+    table = _parsed(path, numbers, least, what)
+    rows = len(table.values)
+    return replace(table, texts={name: tuple(cells[-rows:]) for name, cells in texts.items()})
+
+
+def _without_words(text: str) -> tuple[str, dict[str, list[str]]] | None:
+    """Take the columns out of a text that mostly hold words; None if none does, or none has a name."""
+    lines = text.split("\n")
+    filled = [i for i, line in enumerate(lines) if line.strip()]
+    if not filled:
+        return None
+    mark = _separator([lines[i] for i in filled if not lines[i].lstrip().startswith(_COMMENT)])
+    cells = {i: _cells(lines[i].lstrip("#% \t") if i != filled[-1] else lines[i], mark) for i in filled}
+    width = len(cells[filled[-1]])
+    table = [i for i in filled if len(cells[i]) == width]
+    rows = table[1:]
+    if width < 2 or len(rows) < 2 or any(_is_plain_number(cell) for cell in cells[table[0]]):
+        return None
+    words = [
+        at
+        for at in range(width)
+        if sum(not _is_number(cells[i][at], mark) for i in rows)
+        > 0.5 * sum(cells[i][at].lower() not in _EMPTY for i in rows)
+    ]
+    if not words or len(words) == width:
+        return None
+    for i in table:
+        lines[i] = mark.join(cell for at, cell in enumerate(cells[i]) if at not in words)
+    return "\n".join(lines), {cells[table[0]][at]: [cells[i][at] for i in rows] for at in words}
+
+
+def _parsed(path: Path, text: str, least: int, what: str) -> Table:
     numbered = [(n, line.rstrip(" \r")) for n, line in enumerate(text.split("\n"), 1) if line.strip()]
     forced = re.fullmatch(r'"?sep=(.)"?', numbered[0][1]) if numbered else None
     numbered = numbered[1:] if forced else numbered
@@ -152,7 +198,16 @@ def parse_table(path: Path, text: str, *, least: int = 2, what: str = "numbers o
         )
     stated_hz = _stated_hz(path, [*comments, *(line for _, line in preamble)])
     numbers = tuple(number for number, _ in rows)
-    return Table(columns, values, clocks, stated_hz, mark, numbers, tuple(line for _, line in preamble))
+    return Table(
+        columns,
+        values,
+        clocks,
+        stated_hz,
+        mark,
+        numbers,
+        tuple(line for _, line in preamble),
+        tuple(comments),
+    )
 
 
 def first_rows(text: str, rows: int) -> str | None:

@@ -164,6 +164,8 @@ def test_points_of_a_table(tmp_path: Path, text: str, xyz: list[float]) -> None:
         ("x,y,z\n1,2\n", "line 2: 2 cells under 3 names"),
         ("1,2,3,4\n", "has 4 columns"),
         ("x [km],y,z\n1,2,3\n", "column 1 is in 'km'"),
+        ("# coordinate system: RAS\nx,y,z\n1,2,3\n", "a comment says 'RAS', and points are read as LPS"),
+        ("# units: m\nx,y,z\n1,2,3\n", "a comment says 'units: m'"),
     ],
 )
 def test_bad_tables_of_points(tmp_path: Path, text: str, message: str) -> None:
@@ -326,3 +328,45 @@ def test_bad_transforms(tmp_path: Path) -> None:
         read_transform(tmp_path / "d.h5", "a", "b")
     with pytest.raises(OutputError, match=r"\.tfm"):
         write_transform(rigid(1), tmp_path / "t.mat")
+
+
+def test_other_columns_of_points_are_left_out_by_name(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    (tmp_path / "a.csv").write_text(",label,x,y,z,grey\n0,apex,1,2,3,9\n1,base,40,50,60,9\n")
+    assert read_points(tmp_path / "a.csv", "mr").xyz_mm.tolist() == [[1, 2, 3], [40, 50, 60]]
+    assert "the columns without a name, grey, label are no coordinates" in caplog.text
+
+
+def test_fiducials_that_a_spreadsheet_saved(tmp_path: Path) -> None:
+    columns = "columns = id,x,y,z,ow,ox,oy,oz,vis,sel,lock,label"
+    row = "1,10,20,30,0,0,0,1,1,1,0,apex"
+    (tmp_path / "a.fcsv").write_text(f'# CoordinateSystem = RAS,,,,,\n"# {columns}"\n{row}\n')
+    assert read_landmarks(tmp_path / "a.fcsv", "mr").points.xyz_mm.tolist() == [[-10, -20, 30]]
+    (tmp_path / "a.fcsv").write_text(f"# CoordinateSystem = RAS\n# {columns}\n{row.replace(',', ';')}\n")
+    with pytest.raises(UnreadableFileError, match="separated by semicolons, as a spreadsheet saves them"):
+        read_landmarks(tmp_path / "a.fcsv", "mr")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (
+            "Transform: AffineTransform_double_3_3\nParameters: 1 0 0 0 1 0 0 0 1 5 6 7\n"
+            "FixedParameters: 0 0 0\n" * 2,
+            "holds 2 transforms and does not say that they are applied one after the other",
+        ),
+        (
+            "Transform: AffineTransform_double_2_2\nParameters: 1 0 0 1 5 6\nFixedParameters: 0 0\n",
+            "transform of 2-D images",
+        ),
+        (
+            "Transform: BSplineTransform_double_3_3\nParameters: 0\nFixedParameters: 4 4 4 0 0 0 1 1 1\n",
+            "holds a BSplineTransform, which is not linear",
+        ),
+    ],
+)
+def test_transforms_whose_kind_is_named(tmp_path: Path, text: str, message: str) -> None:
+    (tmp_path / "t.tfm").write_text(f"#Insight Transform File V1.0\n#Transform 0\n{text}")
+    with pytest.raises(UnreadableFileError, match=message):
+        read_transform(tmp_path / "t.tfm", "a", "b")

@@ -65,3 +65,61 @@ def test_a_table_without_times_needs_a_rate_and_other_kinds_are_refused(tmp_path
     assert read_respiration(f"csv:{tmp_path / 'r.csv'}", 10.0).name == "RSP"
     with pytest.raises(InvalidInputError, match="names no recording of breathing"):
         read_respiration(f"dicom:{tmp_path / 'r.csv'}")
+
+
+def breathing(path: Path, header: str, times: list[str]) -> str:
+    rows = [f"{t},{np.sin(i / 9):.4f}" for i, t in enumerate(times)]
+    path.write_text("\n".join([header, *rows]) + "\n")
+    return f"csv:{path}"
+
+
+@pytest.mark.parametrize(
+    ("header", "times"),
+    [
+        ("time (min),Resp", [f"{(10 + i / 25) / 60:.9f}" for i in range(99)]),
+        ("t_us,Resp", [f"{1e6 * (10 + i / 25):.0f}" for i in range(99)]),
+        ("Zeit [s],Atmung", [f"{10 + i / 25:.2f}" for i in range(99)]),
+        ("time,Resp", [f"00:00:{10 + i / 25:05.2f}" for i in range(99)]),
+    ],
+)
+def test_times_of_breathing_in_any_unit(tmp_path: Path, header: str, times: list[str]) -> None:
+    breath = read_respiration(breathing(tmp_path / "a.csv", header, times))
+    np.testing.assert_allclose(breath.t_s, 10 + np.arange(99) / 25, atol=1e-6)
+
+
+def test_breathing_across_midnight_loses_nothing(tmp_path: Path) -> None:
+    times = [f"23:59:{59 + i / 25:05.2f}" for i in range(25)] + [f"00:00:{i / 25:05.2f}" for i in range(25)]
+    breath = read_respiration(breathing(tmp_path / "a.csv", "time,Resp", times))
+    np.testing.assert_allclose(np.diff(breath.t_s), 0.04, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("header", "step", "message"),
+    [
+        ("t_s,Resp", 40.0, r"times step by 40 s .* shows no breath; correct the unit"),
+        ("t,Resp rate (bpm)", 0.04, "breaths per minute; needed what follows each breath"),
+    ],
+)
+def test_what_shows_no_breath_is_refused(tmp_path: Path, header: str, step: float, message: str) -> None:
+    with pytest.raises(UnreadableFileError, match=message):
+        read_respiration(breathing(tmp_path / "a.csv", header, [f"{i * step:g}" for i in range(50)]))
+
+
+def test_a_flat_channel_and_two_rates_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("# sampling rate: 25 Hz\nResp\n" + "1\n2\n" * 20)
+    assert read_respiration(f"csv:{tmp_path / 'a.csv'}").t_s[25] == 1.0
+    with pytest.raises(UnreadableFileError, match="states 25 Hz, but --rate is 50 Hz"):
+        read_respiration(f"csv:{tmp_path / 'a.csv'}", 50.0)
+    (tmp_path / "a.csv").write_text("t,Resp\n" + "".join(f"{i / 25},1\n" for i in range(50)))
+    with pytest.raises(UnreadableFileError, match="'Resp' never changes"):
+        read_respiration(f"csv:{tmp_path / 'a.csv'}")
+
+
+def test_a_marker_with_units_in_its_names_or_in_m(tmp_path: Path) -> None:
+    rows = "".join(f"{i / 25},{np.sin(i / 9) / 200:.6f},0,0.9\n" for i in range(50))
+    (tmp_path / "m.csv").write_text(f"t,x_m,y_m,z_m\n{rows}")
+    marker = read_respiration(f"marker:{tmp_path / 'm.csv'}")
+    assert np.ptp(marker.values[:, 0]) == pytest.approx(10.0, abs=0.1)
+    (tmp_path / "m.csv").write_text(f"t,tx,ty,tz\n{rows}")
+    with pytest.raises(UnreadableFileError, match="the poses are in m, not mm"):
+        read_respiration(f"marker:{tmp_path / 'm.csv'}")

@@ -15,6 +15,7 @@ from dvf_ig.core.space.volume import Grid
 from dvf_ig.core.timing.cycle import CycleTiming
 from dvf_ig.io.dicom.cine import read_dicom_cine
 from dvf_ig.io.dicom.examination import read_dicom_examination
+from dvf_ig.io.image.labels import read_label_names, read_labels
 from dvf_ig.io.image.volume import image_dimension, read_array, read_volume, series_timing
 from dvf_ig.io.itk_transform import linear_matrix
 from dvf_ig.io.landmarks import read_landmarks, read_tag_pair
@@ -44,6 +45,16 @@ def image_facts(path: Path) -> Facts:
             return {**facts, "volumes": len(values)}
     volume = read_volume(path)
     return {**_grid_facts(volume.grid), **_value_facts(volume.values)}
+
+
+def segmentation_facts(path: Path) -> Facts:
+    """Summarise a segmentation of 3D Slicer: its segments by label, and why they cannot be used together."""
+    names = {str(value): name for value, name in read_label_names(path)}
+    try:
+        (labels,) = read_labels(path)
+    except InvalidInputError as exc:
+        return {"segments": names, "problem": exc.message}
+    return {"segments": names, **_grid_facts(labels.grid), **_value_facts(labels.values)}
 
 
 def cine_facts(path: Path) -> Facts:
@@ -134,6 +145,10 @@ def _mesh_facts(mesh: Mesh) -> Facts:
     edges = np.sort(mesh.triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
     _, uses = np.unique(edges, axis=0, return_counts=True)
     closed = bool((uses == 2).all())
+    directed = mesh.triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    one_way = len(np.unique(directed, axis=0)) == len(directed)
+    volume_ml = mesh.volume_mm3() / 1000.0 if closed and one_way else None
+    turned = None if volume_ml is not None and volume_ml > 0 else "inwards" if one_way else "different ways"
     return {
         "vertices": len(mesh.vertices_mm),
         "triangles": len(mesh.triangles),
@@ -141,7 +156,8 @@ def _mesh_facts(mesh: Mesh) -> Facts:
         "upper_lps_mm": mesh.vertices_mm.max(axis=0).tolist(),
         "closed": closed,
         "open_edges": int(np.count_nonzero(uses == 1)),
-        "volume_ml": mesh.volume_mm3() / 1000.0 if closed else None,
+        "volume_ml": None if volume_ml is None else abs(volume_ml),
+        "orientation": f"its triangles face {turned}; a model turns them" if closed and turned else None,
         "problem": problem and f"the surface {problem}",
     }
 

@@ -20,6 +20,7 @@ from dvf_ig.io.dicom.cine import is_dicom_folder
 from dvf_ig.io.dicom.examination import is_examination
 from dvf_ig.io.ecg.beat_annotations import read_annotations
 from dvf_ig.io.ecg.recording import foreign_recording, names_ecg, read_ecg
+from dvf_ig.io.image.labels import read_label_names
 from dvf_ig.io.itk_transform import is_itk_text
 from dvf_ig.io.landmarks import is_markups
 from dvf_ig.io.mesh.file import DECODERS
@@ -32,6 +33,7 @@ from dvf_ig.io.plus.sequence_read import PIXEL_FRAMES, read_sequence
 from dvf_ig.io.plus.xml import CoordinateDefinition, parse_xml, read_transforms
 from dvf_ig.io.points_file import read_points
 from dvf_ig.io.reading import read_bytes
+from dvf_ig.io.respiration import names_breathing, read_respiration
 
 from .anatomy import (
     cine_facts,
@@ -40,6 +42,7 @@ from .anatomy import (
     landmark_facts,
     mesh_facts,
     model_facts,
+    segmentation_facts,
     surface_facts,
     tag_facts,
     transform_facts,
@@ -90,7 +93,13 @@ def describe(
             raise InvalidInputError(
                 f"names of probe and reference belong to a tracked sequence; '{spec}' is an ECG"
             )
-        facts_of_ecg = signal_facts(read_ecg(spec, rate_hz, lead))
+        try:
+            facts_of_ecg = signal_facts(read_ecg(spec, rate_hz, lead))
+        except UnreadableFileError:
+            breathing = _breathing(path, rate_hz) if lead is None and path.is_file() else None
+            if breathing is None:
+                raise
+            return Description("breathing", breathing)
         if spec.endswith(".atr"):
             facts_of_ecg["annotated_beats"] = len(read_annotations(spec).t_s)
         return Description("ECG", facts_of_ecg)
@@ -161,7 +170,9 @@ def _file_kind(path: Path) -> tuple[str, Reader]:
         tracked = (
             ".igs." in name or b"Seq_Frame" in read_bytes(path, "an image or a tracked sequence")[:65536]
         )
-        return ("tracked sequence", sequence_file_facts) if tracked else ("image", image_facts)
+        if tracked:
+            return "tracked sequence", sequence_file_facts
+        return ("segmentation", segmentation_facts) if read_label_names(path) else ("image", image_facts)
     if is_dicom_folder(path):
         return "cine of DICOM images", cine_facts
     raise UnreadableFileError(
@@ -195,6 +206,17 @@ def _table_kind(path: Path, lead: str | None = None) -> tuple[str, Reader] | Non
     if "frame" in names and "column1" in names:
         return "segmented points, one row an image", lambda file: {"images": len(read_feature_points(file))}
     return None
+
+
+def _breathing(path: Path, rate_hz: float | None) -> Facts | None:
+    """Describe a table whose channel is named as breathing is; None for another."""
+    try:
+        breath = read_respiration(f"csv:{path}", rate_hz)
+    except UnreadableFileError:
+        return None
+    if not names_breathing(breath.name):
+        return None
+    return {"channel": breath.name, "samples": len(breath), **clock_facts(breath.t_s)}
 
 
 def _point_facts(path: Path) -> Facts:

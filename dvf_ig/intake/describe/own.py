@@ -16,7 +16,10 @@ from dvf_ig.io.calibration_files import (
     read_probe,
     read_tip,
 )
+from dvf_ig.io.image.seeds import KINDS, read_seeds
+from dvf_ig.io.image.timing import timing_from_document
 from dvf_ig.io.json_file import read_json
+from dvf_ig.io.reading import reading
 from dvf_ig.io.sidecar import MARK
 from dvf_ig.io.yaml_config import read_yaml
 
@@ -44,6 +47,12 @@ def json_facts(path: Path) -> tuple[str, Facts]:
     document = read_json(path)
     if not isinstance(document, dict):
         raise UnreadableFileError(f"{path} is a JSON list; needed a result, markups or a calibration")
+    if document and set(document) <= set(KINDS):
+        seeds = read_seeds(path)
+        return "seeds", {kind: len(getattr(seeds, kind)) for kind in KINDS}
+    if "fractions" in document and "kind" not in document:
+        with reading(path, "a timing file"):
+            timing_from_document(path, document)
     kind, schema = document.get("kind"), document.get("schema", "")
     named = path.name == RUN or "fractions" in document or str(schema).startswith(f"{MARK}.")
     if not named and document.get("written_by") != MARK and "refused" not in document:

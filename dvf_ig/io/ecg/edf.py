@@ -262,7 +262,12 @@ def _physical(path: Path, lead: _Lead, counts: AnyArray) -> FloatArray:
 
 def _require_range(path: Path, lead: _Lead) -> None:
     """Refuse a lead whose ranges give no step."""
-    if lead.physical[0] == lead.physical[1] or lead.digital[0] >= lead.digital[1]:
+    if lead.digital[0] > lead.digital[1]:
+        raise UnreadableFileError(
+            f"{path}: the digital minimum of {lead.label}, {lead.digital[0]:g}, is above its maximum, "
+            f"{lead.digital[1]:g}; export it again"
+        )
+    if lead.physical[0] == lead.physical[1] or lead.digital[0] == lead.digital[1]:
         raise UnreadableFileError(
             f"{path}: {lead.label} has the same smallest and largest value in the header; export it again"
         )

@@ -25,6 +25,8 @@ _ECG_WORDS = re.compile(
 )
 """Words that name a lead: ECG, EKG, I to III, aVR, aVL, aVF, V1 to V9, V3R, MLII, MV2, MCL1, CM5, VX, ES."""
 _EASI = re.compile(r"^(?:[ae]-s|a-i)$")
+_NO_NAME = re.compile(r"|(column|signal|channel|ch|chan|lead)[ _]?\d*", re.IGNORECASE)
+"""Labels that say nothing of what was recorded."""
 _CAMEL = re.compile(r"(?<=[a-z]{2})(?=[A-Z])")
 _CARDIAC = re.compile(r"cardiac\d*|heart")
 """Name of the heart's channel in BIDS: an ECG or a pulse."""
@@ -32,7 +34,7 @@ _OTHER_WORDS = re.compile(
     r"pleth\w*|ppg\w*|ppu|puls\w*|[a-z]*spo2\w*|sao2|[aun]?[abi]bp\w*|bp|art|cvp\w*|[pbiu]ap|icp\w*|uvp|pressure|press"
     r"|druck|resp\w*|rsp\w*|breath\w*|atem\w*|atmung|airflow|flow|thor\w*|abd\w*|imp|impedance|[a-z]*co2|co"
     r"|eda|gsr|scl|emg\w*|eog\w*|eeg\w*|scg|pcg|bcg|phono\w*|temp\w*|acc\w*|gyro\w*|gyr|mag\w*|marker\w*|mark\d*"
-    r"|trig\w*|event\w*|status|stim\w*|annot\w*|sync\w*|ttl|digital|hr|hrv|heartrate|rate|rr|quality|sqi|snore"
+    r"|trig\w*|event\w*|status|stim\w*|annot\w*|sync\w*|ttl|digital|hr|hrv|heartrate|rate|rr|st\d?|pvc|pac(er|e)?|quality|sqi|snore"
     r"|position|pos|light|sound|mic\w*|photo\w*|battery|bat|nseq|seq|counter|index|valid|flag\w*|loss|error"
     r"|timestamp\w*|time|date|clock|g[xyz]|filter|peaks?|onsets?|offsets?|phase|completion|rpeaks?|beats?|reference"
 )
@@ -104,6 +106,9 @@ def choose_leads(
             f"{source}: leads do not share one rate ({_listed(channels, chosen)}); choose leads of one rate",
             settings=("ecg.lead",),
         )
+    names = [_key(channels[i].label) for i in chosen]
+    if again := sorted({name for name in names if names.count(name) > 1}):
+        log.warning("%s: several channels are named %s; all are taken as ECG", source, ", ".join(again))
     left = [i for i in range(len(channels)) if i not in chosen]
     if left:
         log.warning("%s: ECG is %s; left out: %s", source, _listed(channels, chosen), _listed(channels, left))
@@ -126,7 +131,11 @@ def _by_kind(source: Path | str, channels: Sequence[Channel], *, declared: bool)
                 settings=("ecg.lead",),
             )
         if candidates:
-            if len(channels) > 1 or kind == "cardiac":
+            if (
+                len(channels) > 1
+                or kind == "cardiac"
+                or not _NO_NAME.fullmatch(channels[candidates[0]].label)
+            ):
                 log.warning(
                     "%s: no channel is named as an ECG; %s is taken as one, which a pulse wave must not be",
                     source,

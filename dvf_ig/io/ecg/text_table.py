@@ -84,6 +84,7 @@ def read_ecg_table(path: Path, rate_hz: float | None = None, lead: str | None = 
         return read_pmu_log(path, text, rate_hz)
     table, start_s = _with_sidecar(path, parse_table(path, text))
     columns, times, others = _channels(table)
+    _leave_out_words(path, table)
     chosen = _leads(path, columns, others, lead)
     labels = tuple(columns[i].name for i in chosen)
     samples, unit = _in_one_unit(path, table.values[:, chosen], [columns[i] for i in chosen])
@@ -159,6 +160,20 @@ def _channels(table: Table) -> tuple[tuple[Column, ...], list[int], list[int]]:
     return columns, times, [i for i in range(len(columns)) if i not in (*times, counts, *empty)]
 
 
+def _leave_out_words(path: Path, table: Table) -> None:
+    """Log the columns of words.
+
+    Raises:
+        UnreadableFileError: one of them is named as times or a lead.
+    """
+    for name, cells in table.texts.items():
+        column = Column.of(name)
+        if _is_time(column) or Channel(column.name, column.unit).kind == "ecg":
+            raise UnreadableFileError(f"{path}: column '{name}' holds '{cells[0][:40]}'; needed numbers only")
+    if table.texts:
+        log.warning("%s: the columns %s hold words and are left out", path, ", ".join(table.texts))
+
+
 def _leads(path: Path, columns: Sequence[Column], others: list[int], lead: str | None) -> list[int]:
     """Choose the columns that are ECG leads."""
     channels = [Channel(columns[i].name, columns[i].unit) for i in others]
@@ -231,12 +246,7 @@ def _time_columns(table: Table) -> list[int]:
     """
     columns = table.columns or ()
     exact = [i for i, column in enumerate(columns) if column.name.lower() in _TIME_NAMES]
-    similar = [
-        i
-        for i, column in enumerate(columns)
-        if _TIME_WORDS & set(column.name.lower().replace("_", " ").split())
-        and column.unit.lower() not in IN_ONE_MV
-    ]
+    similar = [i for i, column in enumerate(columns) if _is_time(column)]
     times = list(dict.fromkeys((*exact, *similar, *table.clocks)))
     if times:
         return times
@@ -246,13 +256,22 @@ def _time_columns(table: Table) -> list[int]:
     return [0] if increases and not is_lead and _count_column(table) is None else []
 
 
+def _is_time(column: Column) -> bool:
+    """Return whether a column is named as times."""
+    words = set(column.name.lower().replace("_", " ").split())
+    return column.name.lower() in _TIME_NAMES or bool(
+        _TIME_WORDS & words and column.unit.lower() not in IN_ONE_MV
+    )
+
+
 def _count_column(table: Table) -> int | None:
-    """Find the column of sample numbers: by name, or without a header a first column n, n+1, …"""
+    """Find the column of sample numbers: by name, or a first column n, n+1, … that is not named as a time."""
     for i, column in enumerate(table.columns or ()):
         if column.name.lower() in _COUNT_NAMES:
             return i
-    several = table.columns is None and table.values.shape[1] > 1
-    return 0 if several and bool((np.diff(table.values[:, 0]) == 1).all()) else None
+    counted = table.values.shape[1] > 1 and bool((np.diff(table.values[:, 0]) == 1).all())
+    timed = 0 in table.clocks or (table.columns is not None and _is_time(table.columns[0]))
+    return 0 if counted and not timed else None
 
 
 def _even_times(

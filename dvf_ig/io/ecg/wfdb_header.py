@@ -151,6 +151,11 @@ def _of_segments(header: Path, lines: list[str], rate_hz: float, stated: int | N
         raise UnreadableFileError(
             f"{header} states {total} samples, but its segments hold {present}; copy it again"
         )
+    if "~" in lengths and not any(match is not None and match[2] == "0" for match in segments[:1]):
+        raise UnreadableFileError(
+            f"{header} has a gap ('~') and no layout segment, which states the leads during a gap (WFDB "
+            "header(5)); add one, or give its segments one by one"
+        )
     files: list[Path] = []
     for segment, length in lengths.items():
         if segment == "~":

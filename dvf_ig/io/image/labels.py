@@ -89,6 +89,8 @@ def _read(path: Path, frame: str) -> tuple[Grid, AnyArray]:
                 f"{path} holds {odd:g}; needed labels, which are whole numbers: resample by nearest "
                 "neighbour, or threshold probabilities"
             )
+        if (least := layers.min()) < 0:
+            raise UnreadableFileError(f"{path} holds {least:g}; needed labels, 0 or more: set it to 0")
         segments = segments_of(path, header.fields)
         return grid, merged_segments(path, layers, segments)[None] if segments else layers
 

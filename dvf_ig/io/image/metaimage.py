@@ -133,7 +133,11 @@ def read_metaimage_header(path: Path) -> ImageHeader:
 
 
 def _times(path: Path, fields: dict[str, str], sizes: tuple[int, ...]) -> PhaseTimes | None:
-    """Return equal steps along the fourth axis, whose unit MetaImage does not state."""
+    """Return PLUS's time stamps of the volumes, else equal steps along the fourth axis, without a unit."""
+    stamps = [fields.get(f"Seq_Frame{i:04d}_Timestamp") for i in range(sizes[3])]
+    stated = [stamp for stamp in stamps if stamp is not None]
+    if stated:
+        return PhaseTimes(real_numbers(path, "Timestamp", " ".join(stated), sizes[3]), "s", "Timestamp")
     step = real_numbers(path, "ElementSpacing", _spacing(fields), 4)[3]
     return uniform_times(float(step), sizes[3], "", "ElementSpacing of its fourth axis")
 

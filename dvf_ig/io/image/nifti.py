@@ -1,6 +1,7 @@
 """Read NIfTI: a header whose statements agree, and its voxels; damaged or sheared images are refused."""
 
 import gzip
+import logging
 import math
 import struct
 import zlib
@@ -20,6 +21,8 @@ from dvf_ig.io.reading import read_bytes, refuse_lfs_pointer
 from .header import ImageHeader, Storage
 from .phase_times import uniform_times
 
+log = logging.getLogger(__name__)
+
 TOLERANCE = 1e-3
 _FIELDS = {
     348: {
@@ -28,6 +31,7 @@ _FIELDS = {
         "bitpix": ("h", 72),
         "pixdim": ("8f", 76),
         "vox_offset": ("f", 108),
+        "toffset": ("f", 136),
         "scaling": ("2f", 112),
         "units": ("b", 123),
         "codes": ("2h", 252),
@@ -42,6 +46,7 @@ _FIELDS = {
         "dim": ("8q", 16),
         "pixdim": ("8d", 104),
         "vox_offset": ("q", 168),
+        "toffset": ("d", 216),
         "scaling": ("2d", 176),
         "codes": ("2i", 344),
         "qform": ("6d", 352),
@@ -230,6 +235,9 @@ def _checked(
         float(f"{fields['pixdim'][4]:.7g}"),
         _TIME_UNITS.get(int(fields["units"][0]) & 0x38, "Hz, ppm or rad"),
     )
+    (first,) = fields["toffset"]
+    if len(used) == 4 and first and math.isfinite(first):
+        log.warning("%s: its toffset, the time of its first volume, is %g, and is not used", path, first)
     return ImageHeader(
         tuple(used),
         dtype,

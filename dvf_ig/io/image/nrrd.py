@@ -139,6 +139,8 @@ def _times(path: Path, fields: dict[str, str], axis: int, count: int) -> PhaseTi
     stated, name = [], f"axis {axis} index values"
     if name in fields and fields.get(f"axis {axis} index type") != "text":
         stated.append(PhaseTimes(real_numbers(path, name, unquote(fields[name]), count), unit, name))
+    elif name in fields:
+        stated += _numbered(path, name, [unquote(word) for word in fields[name].split()], unit)
     name, tag = "MultiVolume.FrameLabels", fields.get("MultiVolume.FrameIdentifyingDICOMTagName", "")
     if name in fields and tag in _TIME_TAGS:
         own = fields.get("MultiVolume.FrameIdentifyingDICOMTagUnits", "")
@@ -158,6 +160,16 @@ def _times(path: Path, fields: dict[str, str], axis: int, count: int) -> PhaseTi
         )
     except ValueError:
         return None  # the geometry refuses what is no number
+
+
+def _numbered(path: Path, name: str, labels: list[str], unit: str) -> list[PhaseTimes]:
+    """Return the numbers in labels such as "frame 40" or "40 %", if each holds one."""
+    found = [re.findall(r"\d+(?:\.\d+)?", label) for label in labels]
+    if not labels or any(len(numbers) != 1 for numbers in found):
+        log.warning("%s: %s are texts without one number each: they do not order its volumes", path, name)
+        return []
+    percent = all("%" in label for label in labels)
+    return [PhaseTimes(np.array(found, dtype=np.float64).ravel(), "%" if percent else unit, name)]
 
 
 def _of_axis(fields: dict[str, str], name: str, axis: int) -> str:

@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 
 from dvf_ig.core.arrays import FloatArray
-from dvf_ig.core.errors import UnreadableFileError
+from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
+from dvf_ig.core.plausible import spread_problem
 from dvf_ig.core.space.points import Points, Seeds
 from dvf_ig.io import limits
 from dvf_ig.io.json_file import read_json
@@ -35,6 +36,8 @@ def read_seeds(path: Path | str, frame: str = "mr") -> Seeds:
         )
         for kind, xyz in points.items():
             limits.require_lengths(xyz, f"a seed of '{kind}'")
+        if problem := spread_problem(np.concatenate([points[kind] for kind in KINDS])):
+            raise InvalidInputError(f"its seeds: the set {problem}")
         heart, background, cavity = (Points(frame, points[kind]) for kind in KINDS)
         return Seeds(heart, background, cavity)
 

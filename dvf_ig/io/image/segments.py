@@ -1,6 +1,7 @@
 """Read the segments of a 3D Slicer segmentation (`.seg.nrrd`): the layer and value of each."""
 
 import logging
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,12 +9,15 @@ from pathlib import Path
 import numpy as np
 
 from dvf_ig.core.arrays import AnyArray
-from dvf_ig.core.errors import InvalidInputError
+from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
 
 from .header import whole_numbers
 
 log = logging.getLogger(__name__)
 
+_SEGMENT = re.compile(r"Segment(\d{1,5})_(?:ID|LabelValue)")
+_STORED_AS = ("Master", "Source")
+"""Names of the representation that a file holds, in Slicer 4 and 5."""
 MOST_VALUE = (1 << 16) - 1
 """Largest label value."""
 
@@ -30,17 +34,26 @@ class Segment:
 def segments_of(path: Path, fields: Mapping[str, str]) -> tuple[Segment, ...]:
     """List the segments in an image's header; empty if it is not a 3D Slicer segmentation.
 
-    Source: Slicer's vtkMRMLSegmentationStorageNode, keys Segment<N>_Name, _Layer and _LabelValue.
+    Source: Slicer's vtkMRMLSegmentationStorageNode, keys Segment<N>_Name, _Layer and _LabelValue; files of
+    Slicer 4.10 and before have the last two not, and one layer per segment.
 
     Raises:
-        UnreadableFileError: a layer or a value that is not a number.
+        UnreadableFileError: a layer or a value that is not a number, or segments that are not binary.
     """
+    if any("fractional" in fields.get(f"Segmentation_{key}Representation", "").lower() for key in _STORED_AS):
+        raise UnreadableFileError(
+            f"{path} holds a fractional segmentation; needed binary labels: threshold it in 3D Slicer, and "
+            "save it again"
+        )
+    numbers = {int(match[1]) for name in fields if (match := _SEGMENT.fullmatch(name))}
     segments: list[Segment] = []
-    while f"Segment{len(segments)}_LabelValue" in fields:
-        n = len(segments)
+    for order, n in enumerate(sorted(numbers)):
+        stated = f"Segment{n}_LabelValue" in fields
+        default = {"Layer": "0" if stated else str(order), "LabelValue": "1"}
+        texts = {f"Segment{n}_{name}": other for name, other in default.items()}
         layer, value = (
-            whole_numbers(path, f"Segment{n}_{name}", fields.get(f"Segment{n}_{name}") or "0", 0, MOST_VALUE)
-            for name in ("Layer", "LabelValue")
+            whole_numbers(path, name, fields.get(name) or other, 0, MOST_VALUE)
+            for name, other in texts.items()
         )
         segments.append(Segment(fields.get(f"Segment{n}_Name") or f"segment {n}", layer[0], value[0]))
     return tuple(segments)
@@ -77,8 +90,24 @@ def merged_segments(path: Path, layers: AnyArray, segments: tuple[Segment, ...])
                 "Editor, Modify other segments: overwrite all)",
                 path=path,
             )
+        if not inside.any():
+            log.warning("%s: segment '%s' is empty", path, segment.name)
         out[inside] = value
+    _warn_of_unnamed(path, layers, segments)
     if values != tuple(segment.value for segment in segments):
         numbers = ", ".join(f"{v} {s.name}" for v, s in zip(values, segments, strict=True))
         log.warning("%s: segments share a value, so they are numbered: %s", path, numbers)
     return out
+
+
+def _warn_of_unnamed(path: Path, layers: AnyArray, segments: tuple[Segment, ...]) -> None:
+    """Log voxels that belong to no segment of the header."""
+    for number, layer in enumerate(layers):
+        named = [0, *(segment.value for segment in segments if segment.layer == number)]
+        if unnamed := np.count_nonzero(~np.isin(layer, named)):
+            log.warning(
+                "%s: %d voxels of layer %d have a value of no segment, and are left out",
+                path,
+                unnamed,
+                number,
+            )

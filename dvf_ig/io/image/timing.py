@@ -1,5 +1,6 @@
 """Read phase times of a 4-D data set: our `timing.json`, or bivme's file with trigger times per slice."""
 
+import logging
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,12 @@ from dvf_ig.core.timing.cycle import CycleTiming, require_whole_cycle
 from dvf_ig.io.json_file import read_json, write_json
 from dvf_ig.io.reading import reading
 
+log = logging.getLogger(__name__)
+
 ASSUMED_RR_S = 1.0
+_KEYS = {"fractions", "rr_s", "rr_assumed", "timing_assumed", "series"}
+_SAME = 0.02
+"""Largest relative difference of two lengths of a cycle that are called equal."""
 
 
 def read_timing(
@@ -70,17 +76,37 @@ def timing_from_document(path: Path, document: Any) -> CycleTiming:
         raise UnreadableFileError(
             f'{path} is not a timing file; needed {{"fractions": [...], "rr_s": ...}}, or trigger times'
         )
-    try:
-        return CycleTiming(
-            np.array(document["fractions"], dtype=np.float64),
-            float(document["rr_s"]),
-            bool(document.get("rr_assumed", False)),
-            bool(document.get("timing_assumed", False)),
+    if unknown := sorted(map(str, document.keys() - _KEYS)):
+        log.warning("%s: the fields %s are not known and are ignored", path, ", ".join(unknown))
+    assumed = [document.get(key, False) for key in ("rr_assumed", "timing_assumed")]
+    fractions = document["fractions"]
+    numbers = fractions if isinstance(fractions, list) else []
+    if any(not isinstance(flag, bool) for flag in assumed) or any(
+        isinstance(number, bool | str) for number in (document["rr_s"], *numbers)
+    ):
+        raise UnreadableFileError(
+            f"{path}: needed numbers for fractions and rr_s, and true or false for what is assumed, no texts"
         )
+    try:
+        timing = CycleTiming(np.array(fractions, dtype=np.float64), float(document["rr_s"]), *assumed)
+        if timing.rr_s < 1 and abs(_end(timing) - timing.rr_s) < _SAME * timing.rr_s:
+            log.warning(
+                "%s: its fractions would end the cycle at %.3g, as times in s of its rr_s do; they are read "
+                "as shares of the cycle",
+                path,
+                _end(timing),
+            )
+        return timing
     except (TypeError, ValueError, OverflowError) as exc:
         if isinstance(exc, InvalidInputError):
             raise
         raise UnreadableFileError(f"{path}: fractions or rr_s are not numbers ({exc})") from exc
+
+
+def _end(timing: CycleTiming) -> float:
+    """Return the fraction a mean step after the last phase: 1 for a whole cycle."""
+    count = len(timing)
+    return float(timing.fractions[-1] * count / (count - 1)) if count > 1 else 1.0
 
 
 def _parse(path: Path, document: Any, image: str | None) -> CycleTiming:
@@ -103,8 +129,15 @@ def _from_triggers(path: Path, entry: dict[str, Any]) -> CycleTiming:
     try:
         trigger_s = np.atleast_2d(np.array(entry["trigger_ms"], dtype=np.float64)) / 1000.0
         rr_s = np.array(entry["RR_ms"], dtype=np.float64) / 1000.0
+        if rr_s.shape != trigger_s.shape[:1]:
+            raise UnreadableFileError(
+                f"{path}: trigger_ms has {len(trigger_s)} slices, RR_ms {rr_s.size}; needed one RR interval "
+                "each"
+            )
         fractions = (trigger_s / rr_s[:, None]).mean(axis=0)
     except (KeyError, TypeError, ValueError, OverflowError) as exc:
+        if isinstance(exc, UnreadableFileError):
+            raise
         raise UnreadableFileError(f"{path}: needed trigger_ms and RR_ms of each slice ({exc})") from exc
     require_whole_cycle(fractions, "trigger_ms")
     return CycleTiming(fractions, float(rr_s.mean()))

@@ -25,7 +25,11 @@ from .vtp import decode_vtp, encode_vtp
 log = logging.getLogger(__name__)
 
 DECODERS = {".obj": decode_obj, ".stl": decode_stl, ".ply": decode_ply, ".vtp": decode_vtp}
-_SPACE = re.compile(r"SPACE\s*=\s*([A-Za-z]+)")
+_SPACE = re.compile(r"SPACE\s*=\s*([A-Za-z]+)|(?i:coordinate ?system|space)\s*[=:]\s*(RAS|LPS)\b")
+_UNIT = re.compile(
+    r"\bunits?\s*[=:]?\s*(mm|cm|m|um|inch(?:es)?|(?:milli|centi|micro)?met(?:er|re)s?)\b", re.IGNORECASE
+)
+_MILLIMETRES = ("mm", "millimeter", "millimeters", "millimetre", "millimetres")
 _TO_LPS = np.array([-1.0, -1.0, 1.0])
 
 
@@ -95,11 +99,13 @@ def decode_mesh(path: Path, data: bytes) -> RawMesh:
             max(len(raw.vertices), len(raw.triangles)), limits.ELEMENTS, "vertices or triangles"
         )
         limits.require_lengths(raw.vertices, "a vertex")
-    spaces = {space.upper() for space in _SPACE.findall(raw.note)}
+    spaces = {(one or other).upper() for one, other in _SPACE.findall(raw.note)}
     if not spaces <= {"LPS", "RAS"} or len(spaces) > 1:
         raise UnreadableFileError(
             f"{path} is in the space '{', '.join(sorted(spaces))}'; needed LPS or RAS: export it again"
         )
+    if other := [unit for unit in _UNIT.findall(raw.note) if unit.lower() not in _MILLIMETRES]:
+        raise UnreadableFileError(f"{path} states that it is in {other[0]}; needed mm: export it again")
     a, b, c = raw.triangles.T
     if collapsed := np.count_nonzero((a == b) | (b == c) | (c == a)):
         raw = replace(raw, left_out=(*raw.left_out, f"{collapsed} triangles that name a vertex twice"))

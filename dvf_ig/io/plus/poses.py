@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from dvf_ig.core.arrays import FloatArray
+from dvf_ig.core.arrays import BoolArray, FloatArray
 from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
 from dvf_ig.core.plausible import identities, marker_problem, period_problem
 from dvf_ig.core.recordings.sequence import TrackedSequence
@@ -25,10 +25,18 @@ _IN_S = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 _NAMES = {
     "t": {"t", "time", "times", "timestamp", "stamp", "seconds", "sec"},
     **{axis: {axis, f"t{axis}", f"p{axis}", f"pos_{axis}", f"position_{axis}"} for axis in "xyz"},
-    **{f"q{axis}": {f"q{axis}", f"quat_{axis}", f"rot_{axis}", f"orientation_{axis}"} for axis in "xyz"},
+    **{
+        f"q{axis}": {f"q{axis}", f"q{i}", f"quat_{axis}", f"rot_{axis}", f"orientation_{axis}"}
+        for i, axis in enumerate("xyz", 1)
+    },
     "qw": {"qw", "q0", "qs", "quat_w", "rot_w", "orientation_w"},
 }
 """Names of the columns of a pose in the tables of trackers, in the order of a table without names."""
+_VALID = ("valid", "is_valid", "visible", "tracked", "status", "state", "quality_ok")
+_GOOD = ("1", "ok", "true", "yes", "valid", "visible", "tracked", "enabled", "good")
+"""Columns that say whether a pose was measured (a number: not 0), and the words for one that was."""
+_TOOL = ("tool", "tool_id", "name", "marker", "sensor", "port", "handle", "body", "id", "child_frame_id")
+"""Columns that say whose pose a row is."""
 log = logging.getLogger(__name__)
 
 
@@ -67,7 +75,7 @@ def recorded_poses(path: Path, target: str | None = None, source: str | None = N
         limits.require_lengths(matrices[valid], "a pose")
         if not valid.all():
             log.warning(
-                "%s: %d of %d poses were lost (nan, empty, zero or exactly the identity)",
+                "%s: %d of %d poses were lost (nan, empty, zero, exactly the identity, or marked so)",
                 path,
                 (~valid).sum(),
                 len(valid),
@@ -161,7 +169,7 @@ def _read_table(path: Path) -> tuple[FloatArray, FloatArray]:
             path,
             np.count_nonzero(unseen),
         )
-    lost = np.isnan(pose).any(axis=1) | unseen | ~pose.any(axis=1)
+    lost = np.isnan(pose).any(axis=1) | unseen | ~pose.any(axis=1) | ~_marked_valid(path, table)
     norm = np.where(lost, 1.0, np.linalg.norm(quaternion, axis=1))
     if (np.abs(norm - 1) > 1e-2).any():
         row = int(np.abs(norm - 1).argmax())
@@ -174,6 +182,28 @@ def _read_table(path: Path) -> tuple[FloatArray, FloatArray]:
     matrices[:, :3, 3] = position
     matrices[lost] = np.nan
     return times, matrices
+
+
+def _marked_valid(path: Path, table: NumberTable) -> BoolArray:
+    """Return (n,) True for the rows that no column of words or numbers marks as not measured.
+
+    Raises:
+        UnreadableFileError: the rows are poses of several tools.
+    """
+    numbers = {name: table.values[:, at] for at, name in enumerate(table.names or ())}
+    valid = np.ones(len(table.values), dtype=np.bool_)
+    for name, cells in (*numbers.items(), *table.texts.items()):
+        several = sorted(set(map(str, cells)))
+        if name in _TOOL and 1 < len(several) < 0.5 * len(cells):
+            raise UnreadableFileError(
+                f"{path} holds poses of several tools (column '{name}': {', '.join(several)[:60]}); write "
+                "one file per tool"
+            )
+        if name in _VALID and name in table.texts:
+            valid &= [cell.lower() in _GOOD for cell in table.texts[name]]
+        elif name in _VALID and len(several) <= 2:
+            valid &= numbers[name] != 0
+    return valid
 
 
 def _columns(path: Path, table: NumberTable) -> list[int]:
@@ -205,6 +235,7 @@ def _columns(path: Path, table: NumberTable) -> list[int]:
     if quantities.count("t") > 1:
         raise UnreadableFileError(f"{path} has two columns of times ({', '.join(names)[:70]}); delete one")
     other = [name for name, quantity in zip(names, quantities, strict=True) if quantity is None]
+    other = [name or "without a name" for name in (*other, *table.texts) if name not in _VALID]
     if other:
         log.warning("%s: the columns %s are not part of a pose and are left out", path, ", ".join(other))
     return [quantities.index(quantity) if quantity in quantities else -1 for quantity in _NAMES]

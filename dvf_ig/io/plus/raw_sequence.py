@@ -4,6 +4,7 @@ MetaImage (`.mha`, `.mhd` with a separate data file) and NRRD (`.nrrd`, `.nhdr`)
 per-frame fields are named Seq_FrameNNNN_<field>. `sequence_read` interprets the fields.
 """
 
+import logging
 import re
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,7 +19,10 @@ from dvf_ig.io.file_within import file_within
 from dvf_ig.io.inflate import inflated, require_size
 from dvf_ig.io.reading import read_bytes
 
+log = logging.getLogger(__name__)
+
 _FRAME_FIELD = re.compile(r"Seq_Frame([0-9]{1,9})_(\S+)")
+_TRANSFORM = re.compile(r"[A-Z][A-Za-z0-9]*To[A-Z][A-Za-z0-9]*Transform")
 _DATA_FILE_LINE = re.compile(rb"^ElementDataFile[ \t]*=[ \t]*([^\r\n]*)(\r\n|\n|\r|\Z)", re.MULTILINE)
 _UINT8 = {"MET_UCHAR", "uchar", "unsigned char", "uint8", "uint8_t"}
 
@@ -51,6 +55,12 @@ class RawSequence:
     def is_uint8(self) -> bool:
         """True if the pixels are 8-bit, or there are none."""
         return not self.columns or self.pixel_type in _UINT8
+
+    @property
+    def image_type(self) -> str:
+        """Type of the images as the header states it; "" if it does not."""
+        names = ("UltrasoundImageType", "ultrasound image type")
+        return next((self.fields[name] for name in names if name in self.fields), "")
 
     def numbers(self, name: str) -> FloatArray | None:
         """Parse (frames,) values of a per-frame field, NaN for frames without it; None if no frame has it.
@@ -98,6 +108,22 @@ class _Header:
                 "record again"
             )
 
+    def complete(self, frames: int) -> None:
+        """Give each frame the transforms of the whole file, and its unfiltered stamp if it has no other."""
+        unfiltered = self.frame_fields.get("UnfilteredTimestamp", {})
+        if not self.frame_fields.get("Timestamp") and len(unfiltered) == frames:
+            log.warning("%s has no Timestamp; its UnfilteredTimestamp is used", self.path)
+            self.frame_fields["Timestamp"] = unfiltered
+        for name in [name for name in self.fields if _TRANSFORM.fullmatch(name)]:
+            own = self.frame_fields.setdefault(name, {})
+            if not own:
+                own.update(dict.fromkeys(range(frames), self.fields[name]))
+            elif set(own.values()) != {self.fields[name]}:
+                raise UnreadableFileError(
+                    f"{self.path}: its header states {name[:60]} for all frames, and another for some; "
+                    "correct it"
+                )
+
     def require_frames(self, frames: int) -> None:
         """Raise UnreadableFileError for a field of a frame beyond the `frames` that the header counts."""
         for name, values in self.frame_fields.items():
@@ -139,6 +165,8 @@ def _read_metaimage(path: Path, data: bytes, read_pixels: bool) -> RawSequence:
     sizes = _integers(path, "DimSize", fields.get("DimSize"))
     columns, rows, frames = _layout(path, sizes, fields.get("Kinds", "").split())
     header.require_frames(frames)
+    if frames <= len(data):
+        header.complete(frames)
     _require_nothing_skipped(path, fields, ("HeaderSize",))
     expected = columns * rows * frames
     if expected == 0 or not read_pixels:
@@ -179,6 +207,8 @@ def _read_nrrd(path: Path, data: bytes, read_pixels: bool) -> RawSequence:
     sizes = _integers(path, "sizes", fields.get("sizes"))
     columns, rows, frames = _layout(path, sizes, fields.get("kinds", "").split())
     header.require_frames(frames)
+    if frames <= len(data):
+        header.complete(frames)
     _require_nothing_skipped(path, fields, ("line skip", "lineskip", "byte skip", "byteskip"))
     expected = columns * rows * frames
     if expected == 0 or not read_pixels:

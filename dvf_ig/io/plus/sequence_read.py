@@ -35,6 +35,21 @@ neighbours, 0.08 s apart in the slowest streams (12 frames/s); a restarted clock
 
 
 _B_MODE = "BRIGHTNESS"
+_STATUSES = {
+    *(
+        "OK",
+        "INVALID",
+        "MISSING",
+        "OUT_OF_VIEW",
+        "OUT_OF_VOLUME",
+        "SWITCH_OFF",
+        "REQUEST_TIMEOUT",
+        "DISABLED",
+    ),
+    *("NOT_AVAILABLE", "UNKNOWN", "BAD_TRANSFORM_FIT", "DATA_BUFFER_LIMIT", "ALGORITHM_LIMIT", "FELL_BEHIND"),
+    *("PROCESSING_ERROR", "NO_SIGNAL", ""),
+}
+"""Words of PLUS and NDI for a pose or image; all but OK mean that there is none."""
 
 
 def read_sequence(path: Path | str) -> TrackedSequence:
@@ -64,9 +79,9 @@ def read_indexed_sequence(path: Path | str) -> tuple[TrackedSequence, IntArray, 
     path = Path(path)
     with reading(path, "a tracked sequence"):
         raw = read_raw_sequence(path)
-        if raw.columns and raw.fields.get("UltrasoundImageType", _B_MODE) not in (_B_MODE, "XX", ""):
+        if raw.columns and raw.image_type not in (_B_MODE, "XX", ""):
             raise UnreadableFileError(
-                f"{path}: its images are {raw.fields['UltrasoundImageType']}; needed {_B_MODE}: record B-mode"
+                f"{path}: its images are {raw.image_type}; needed {_B_MODE}: record B-mode"
             )
         return *indexed_sequence(path, raw), raw.frames
 
@@ -90,7 +105,7 @@ def indexed_sequence(path: Path, raw: RawSequence) -> tuple[TrackedSequence, Int
         sequence = TrackedSequence(
             t_s=t_s,
             images=_images(path, raw, order, stored),
-            image_valid=_statuses(raw, _image_status_field(raw))[order],
+            image_valid=_statuses(path, raw, _image_status_field(raw))[order],
             poses=_streams(path, raw, t_s, order),
             has_timestamps=has_timestamps,
             orientation=turned or stored,
@@ -191,8 +206,9 @@ def _images(path: Path, raw: RawSequence, order: IntArray, stored: str) -> NDArr
         )
     elif stored[0] in "FN":
         log.warning("%s holds lines of the transducer (%s), not scan-converted images", path, stored)
-    elif stored == UNKNOWN and raw.orientation:
-        log.warning("%s does not say how its images are oriented (%s); MF is assumed", path, raw.orientation)
+    elif stored == UNKNOWN:
+        stated = raw.orientation or "no UltrasoundImageOrientation"
+        log.warning("%s does not say how its images are oriented (%s); MF is assumed", path, stated)
     return turned_images(images if in_order else images[order], stored)
 
 
@@ -219,9 +235,11 @@ def _transform_fields(raw: RawSequence) -> Iterator[tuple[str, tuple[str, str]]]
             yield field, frames
 
 
-def _statuses(raw: RawSequence, name: str) -> BoolArray:
+def _statuses(path: Path, raw: RawSequence, name: str) -> BoolArray:
     """Return (frames,) True if the status is OK; one that is absent is OK unless other frames state that."""
     texts = {i: text.upper() for i, text in raw.frame_fields.get(name, {}).items()}
+    if unknown := sorted(set(texts.values()) - _STATUSES):
+        log.warning("%s: the status '%s' of %s is not known and counts as lost", path, unknown[0][:20], name)
     absent = "" if "OK" in texts.values() else "OK"
     return np.array([texts.get(i, absent) == "OK" for i in range(raw.frames)])
 
@@ -257,7 +275,7 @@ def _streams(path: Path, raw: RawSequence, t_s: FloatArray, order: IntArray) -> 
 def _matrices(path: Path, raw: RawSequence, field: str) -> tuple[FloatArray, BoolArray]:
     """Parse (frames, 4, 4) matrices (NaN if absent or malformed and not OK) and (frames,) validity."""
     texts = raw.frame_fields[field]
-    valid = _statuses(raw, f"{field}Status") & np.array([i in texts for i in range(raw.frames)])
+    valid = _statuses(path, raw, f"{field}Status") & np.array([i in texts for i in range(raw.frames)])
     flat = np.full((raw.frames, 16), np.nan)
     for i, text in texts.items():
         try:

@@ -224,3 +224,15 @@ def test_trigger_times_that_cannot_be(tmp_path: Path, row: str) -> None:
     (tmp_path / "t.csv").write_text(f"0.1\n{row}\n2.0\n")
     with pytest.raises(UnreadableFileError, match=r"t\.csv"):
         read_triggers(tmp_path / "t.csv")
+
+
+def test_a_digital_range_upside_down_is_named(tmp_path: Path) -> None:
+    with pytest.raises(UnreadableFileError, match="digital minimum of ECG II, 32767, is above its maximum"):
+        read_ecg(edf(tmp_path / "a.edf", digital_low="32767", digital_high="-32768"))
+
+
+def test_a_gap_without_a_layout_is_named(tmp_path: Path) -> None:
+    wfdb_record(tmp_path, "r 1 250 2000\nr.dat 16 200 16 0 0 0 0 II\n")
+    (tmp_path / "m.hea").write_text("m/3 1 250 4500\nr 2000\n~ 500\nr 2000\n")
+    with pytest.raises(UnreadableFileError, match=r"has a gap .'~'. and no layout segment"):
+        read_ecg(f"wfdb:{tmp_path / 'm'}")

@@ -26,7 +26,8 @@ NAMES = {
     "|ECG Lead II|EEG EKG1-REF|mod.V1|ECG1-ECG2|Shimmer_ECG_LL-RA_24BIT_CAL|A-S|V,|-aVR|ecg_raw|EcgData"
     "|Elektrokardiogramm",
     "other": "PLETH PPG SpO2 ABP ART CVP RESP RSP EDA EMG EOG Trigger Marker Status HR|Heart Rate|Resp. Imp."
-    "|ECG Trigger|ECG quality|ECG_R_Peaks|ecgRate|EEG C4-A1|Pulse|Airflow|EDF Annotations|ECG_P_Onsets",
+    "|ECG Trigger|ECG quality|ECG_R_Peaks|ecgRate|EEG C4-A1|Pulse|Airflow|EDF Annotations|ECG_P_Onsets"
+    "|ST-II|ECG Pacer",
     "unknown": "signal 0|Ch1|Channel 2|X|CS12",
     "cardiac": "cardiac",
 }
@@ -273,3 +274,37 @@ def test_two_columns_of_times_must_agree(tmp_path: Path) -> None:
     ):
         read_ecg(str(tmp_path / "a.csv"))
     assert math.isclose(read_ecg(table(tmp_path / "b.csv", "t_s,ECG", MV)).rate_hz, RATE_HZ)
+
+
+def test_a_column_that_counts_is_no_time(tmp_path: Path) -> None:
+    """As pandas saves a table: the index has no name."""
+    (tmp_path / "a.csv").write_text(",ECG\n" + "".join(f"{i},{v}\n" for i, v in enumerate(MV)))
+    with pytest.raises(UnreadableFileError, match="no column of times"):
+        read_ecg(f"csv:{tmp_path / 'a.csv'}")
+    assert read_ecg(f"csv:{tmp_path / 'a.csv'}", RATE_HZ).rate_hz == RATE_HZ
+
+
+def test_columns_of_words_are_left_out_by_name(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    rows = "".join(f"2024-03-01,{t},{v},N\n" for t, v in zip(T_S, MV, strict=True))
+    (tmp_path / "a.csv").write_text(f"Date,Time (s),II (mV),Note\n{rows}")
+    signal = read_ecg(f"csv:{tmp_path / 'a.csv'}")
+    np.testing.assert_array_equal(signal.samples[:, 0], MV)
+    assert signal.rate_hz == pytest.approx(RATE_HZ)
+    assert "the columns Date, Note hold words and are left out" in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("header", "note"),
+    [
+        ("t,Finger", "no channel is named as an ECG; Finger is taken as one"),
+        ("t,II,II", "several channels are named ii"),
+    ],
+)
+def test_a_doubtful_choice_of_leads_is_said(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, header: str, note: str
+) -> None:
+    more = ",0.5" * (header.count(",") - 1)
+    rows = "".join(f"{t},{v}{more}\n" for t, v in zip(T_S, MV, strict=True))
+    (tmp_path / "a.csv").write_text(f"{header}\n{rows}")
+    read_ecg(f"csv:{tmp_path / 'a.csv'}")
+    assert note in caplog.text

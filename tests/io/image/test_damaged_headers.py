@@ -12,6 +12,7 @@ import SimpleITK
 from dvf_ig.core import CycleTiming, UnreadableFileError
 from dvf_ig.intake import describe
 from dvf_ig.io import read_label_names, read_labels, read_volume, read_volume_series, write_timing
+from dvf_ig.io.image.timing import read_timing
 from dvf_ig.io.image.volume import image_dimension
 
 VOXELS = bytes(range(24))
@@ -421,6 +422,8 @@ def test_labels_are_whole_numbers(tmp_path: Path) -> None:
     path = meta(tmp_path / "a.mha", {"ElementType": "MET_FLOAT"}, np.full(24, 0.25, "<f4").tobytes())
     with pytest.raises(UnreadableFileError, match=r"holds 0\.25; needed labels"):
         read_labels(path)
+    with pytest.raises(UnreadableFileError, match=r"holds -1; needed labels, 0 or more"):
+        read_labels(meta(path, {"ElementType": "MET_CHAR"}, b"\xff" * 24))
 
 
 @pytest.mark.parametrize("name", ["a.nii", "a.mha"])
@@ -502,3 +505,72 @@ def test_segments_with_damaged_numbers(tmp_path: Path) -> None:
     path = nrrd(tmp_path / "a.seg.nrrd", {"space origin": "(1,2,3)\nSegment0_LabelValue:=x"})
     with pytest.raises(UnreadableFileError, match="Segment0_LabelValue is 'x'"):
         read_label_names(path)
+
+
+def test_every_segment_of_a_header_is_read_or_named(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Numbers with a gap, as a deleted segment leaves; the header of Slicer 4.10 and before; no segment."""
+
+    def segments(keys: str, base: dict[str, str] = NRRD, voxels: bytes = b"\1\2\3" + bytes(21)) -> list[int]:
+        path = nrrd(tmp_path / "a.seg.nrrd", {"space origin": f"(1,2,3)\n{keys}"}, voxels, base)
+        return np.bincount(read_labels(path)[0].values.ravel(), minlength=4).tolist()
+
+    gap = "Segment0_ID:=a\nSegment0_LabelValue:=1\nSegment2_ID:=c\nSegment2_Name:=lv\nSegment2_LabelValue:="
+    assert segments(f"{gap}2") == [22, 1, 1, 0]
+    assert "1 voxels of layer 0 have a value of no segment" in caplog.text
+    assert segments(f"{gap}4") == [23, 1, 0, 0]
+    assert "segment 'lv' is empty" in caplog.text
+    layers = b"\1" + bytes(24) + b"\1" + bytes(22)
+    assert segments("Segment0_ID:=a\nSegment1_ID:=b", NRRD_4D, layers) == [22, 1, 1, 0]
+    with pytest.raises(UnreadableFileError, match="fractional segmentation; needed binary labels"):
+        segments("Segment0_ID:=a\nSegmentation_MasterRepresentation:=Fractional labelmap")
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ('{"fractions": [0, 0.5], "rr_s": "0.8"}', "needed numbers for fractions and rr_s"),
+        ('{"fractions": [0, 0.5], "rr_s": 0.8, "rr_assumed": "false"}', "true or false for what is assumed"),
+        ('{"sax": {"trigger_ms": [[0, 400]], "RR_ms": [800, 810]}}', "needed one RR interval each"),
+    ],
+)
+def test_timing_files_of_other_types(tmp_path: Path, text: str, sentence: str) -> None:
+    (tmp_path / "timing.json").write_text(text)
+    with pytest.raises(UnreadableFileError, match=sentence):
+        read_timing(None, folder=tmp_path, phases=2)
+
+
+def test_doubtful_timing_files_are_noted(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    (tmp_path / "timing.json").write_text('{"fractions": [0, 0.2, 0.4], "rr_s": 0.6, "bpm": 60}')
+    assert read_timing(None, folder=tmp_path, phases=3).rr_s == 0.6
+    assert "the fields bpm are not known" in caplog.text
+    assert "as times in s of its rr_s do" in caplog.text
+
+
+def test_labels_of_frames_order_them_by_their_numbers(tmp_path: Path) -> None:
+    text = "axis 3 index type:=text\naxis 3 index values:=60%25RR 10%25RR"
+    path = nrrd(tmp_path / "a.seq.nrrd", {"space origin": f"(1,2,3)\n{text}"}, VOXELS + bytes(24), NRRD_4D)
+    series = read_volume_series(path)
+    assert [phase.max() for phase in series.values] == [0, 23]
+    np.testing.assert_allclose(series.timing.fractions, [0.1, 0.6])
+
+
+def test_stamps_of_the_volumes_of_a_metafile_are_their_times(tmp_path: Path) -> None:
+    axes = " ".join(map(str, np.eye(4, dtype=int).ravel()))
+    shape = {"NDims": "4", "DimSize": "2 3 2 2", "Offset": "0 0 0 0", "ElementSpacing": "1 1 1 1"}
+    stamps = {"Seq_Frame0000_Timestamp": "7.4", "Seq_Frame0001_Timestamp": "7.0"}
+    path = meta(tmp_path / "a.mha", {**shape, "TransformMatrix": axes, **stamps})
+    series = read_volume_series(path)
+    assert series.values[:, 0, 0, 0].tolist() == [12, 0]
+    assert series.timing.rr_s == pytest.approx(0.8)
+
+
+def test_inspect_names_segments_and_seeds(tmp_path: Path) -> None:
+    keys = "Segment0_ID:=a\nSegment0_Name:=lv\nSegment0_LabelValue:=1\nSegment0_Layer:=0"
+    path = nrrd(tmp_path / "a.seg.nrrd", {"space origin": f"(1,2,3)\n{keys}"}, b"\1" + bytes(23))
+    found = describe(str(path))
+    assert (found.kind, found.facts["segments"]) == ("segmentation", {"1": "lv"})
+    (tmp_path / "s.json").write_text('{"heart": [[1, 2, 3], [40, 5, 6]], "background": [[90, 5, 6]]}')
+    assert describe(str(tmp_path / "s.json")).facts == {"heart": 2, "background": 1, "cavity": 0}
+    (tmp_path / "s.json").write_text('{"heart": [[0.001, 0, 0], [0.04, 0, 0]], "background": [[0.09, 0, 0]]}')
+    with pytest.raises(UnreadableFileError, match="it is in m"):
+        describe(str(tmp_path / "s.json"))

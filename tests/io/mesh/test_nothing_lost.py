@@ -12,6 +12,7 @@ import pytest
 
 from dvf_ig.core import CycleTiming, FloatArray, IntArray, Mesh, SurfaceSeries, UnreadableFileError
 from dvf_ig.core.space.mesh import enclosed_volume_mm3
+from dvf_ig.intake import describe
 from dvf_ig.io import read_mesh, read_surface_series, surface_names, write_mesh, write_surface_series
 from dvf_ig.io.mesh.raw import RawMesh
 from dvf_ig.io.mesh.stl import encode_stl
@@ -392,3 +393,21 @@ def test_links_in_an_archive_and_other_caps_in_a_phase_are_refused(tmp_path: Pat
         tar.addfile(link)
     with pytest.raises(UnreadableFileError, match=r"EPICARDIAL_003\.vtp is a link, not a file"):
         read_surface_series(tmp_path / "a")
+
+
+def test_comments_that_state_a_space_or_a_unit(tmp_path: Path) -> None:
+    body = "".join(f"v {x} {y} {z}\n" for x, y, z in CORNERS) + "f 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n"
+    (tmp_path / "a.obj").write_text(f"# Coordinate system: RAS\n# units: mm\n{body}")
+    assert read_mesh(tmp_path / "a.obj").vertices_mm.min(axis=0).tolist() == [-10, -10, 0]
+    (tmp_path / "a.obj").write_text(f"# units: meters\n{body}")
+    with pytest.raises(UnreadableFileError, match="states that it is in meters; needed mm"):
+        read_mesh(tmp_path / "a.obj")
+
+
+@pytest.mark.parametrize(("turned", "way"), [(4, "inwards"), (2, "different ways"), (0, None)])
+def test_inspect_says_which_way_a_surface_faces(tmp_path: Path, turned: int, way: str | None) -> None:
+    faces = np.vstack([FACES[:turned, ::-1], FACES[turned:]])
+    write_mesh(Mesh("mr", CORNERS, faces), tmp_path / "a.ply")
+    facts = describe(str(tmp_path / "a.ply")).facts
+    assert facts["orientation"] == (way and f"its triangles face {way}; a model turns them")
+    assert facts["volume_ml"] == (None if turned == 2 else pytest.approx(1 / 6))

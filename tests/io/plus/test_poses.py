@@ -190,3 +190,48 @@ def test_written_poses_read_back(tmp_path: Path) -> None:
     back = read_poses(tmp_path / "a.igs.mha")
     np.testing.assert_array_equal(back.rotations, one.rotations)
     np.testing.assert_array_equal(back.translations_mm, one.translations_mm)
+
+
+ROW = "{t},1,2,90{i},0,0,0.6,0.8"
+NAMES = "t,x,y,z,qx,qy,qz,qw"
+
+
+def table(path: Path, header: str, rows: list[str]) -> Path:
+    path.write_text("\n".join([header, *rows]) + "\n")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("name", "bad"), [("status", "MISSING"), ("valid", "0"), ("tracked", "false"), ("state", "Out of volume")]
+)
+def test_poses_that_a_column_marks_as_lost(tmp_path: Path, name: str, bad: str) -> None:
+    good = "1" if bad == "0" else "OK"
+    rows = [f"{ROW.format(t=i, i=i)},{bad if i == 2 else good}" for i in range(5)]
+    poses = read_poses(table(tmp_path / "a.csv", f"{NAMES},{name}", rows))
+    assert poses.valid.tolist() == [True, True, False, True, True]
+
+
+@pytest.mark.parametrize("tools", [("probe", "ref"), ("0", "1")])
+def test_poses_of_several_tools_in_one_table_are_refused(tmp_path: Path, tools: tuple[str, str]) -> None:
+    rows = [f"{ROW.format(t=i, i=i)},{tools[i % 2]}" for i in range(6)]
+    with pytest.raises(UnreadableFileError, match=r"poses of several tools \(column 'tool'"):
+        read_poses(table(tmp_path / "a.csv", f"{NAMES},tool", rows))
+
+
+@pytest.mark.parametrize(
+    ("name", "times", "first_s"),
+    [
+        ("t_ns", ["1700000000050000000", "1700000000100000000"], 1700000000.05),
+        ("time", ["23:59:59.95", "00:00:00.00"], 86399.95),
+    ],
+)
+def test_times_of_poses_in_ns_and_of_day(tmp_path: Path, name: str, times: list[str], first_s: float) -> None:
+    rows = [ROW.format(t=t, i=i) for i, t in enumerate(times)]
+    poses = read_poses(table(tmp_path / "a.csv", NAMES.replace("t", name, 1), rows))
+    np.testing.assert_allclose(poses.t_s - first_s, [0.0, 0.05], atol=1e-6)
+
+
+def test_a_pose_that_ndi_could_not_measure_is_lost(tmp_path: Path) -> None:
+    rows = [ROW.format(t=0, i=0), "1" + ",-3.697314E+28" * 7, ROW.format(t=2, i=2)]
+    header = NAMES.replace("qx,qy,qz,qw", "q1,q2,q3,q0")
+    assert read_poses(table(tmp_path / "a.csv", header, rows)).valid.tolist() == [True, False, True]

@@ -287,3 +287,29 @@ def test_unwritable_target(tmp_path: Path) -> None:
     (tmp_path / "a.igs.mha").mkdir()
     with pytest.raises(OutputError, match="is a folder"):
         write_sequence(two_frames(), tmp_path / "a.igs.mha")
+
+
+def test_what_a_header_states_for_all_frames(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """A transform of the whole file, time stamps that only the unfiltered field has, a status of no name."""
+    frames = "".join(
+        f"Seq_Frame000{i}_ToolToTrackerTransform = {MATRIX}\nSeq_Frame000{i}_UnfilteredTimestamp = {i}.5\n"
+        f"Seq_Frame000{i}_ToolToTrackerTransformStatus = {'OK' if i else '1'}\n"
+        for i in range(2)
+    )
+    image = "0.1 0 0 5 0 0.1 0 6 0 0 0.1 7 0 0 0 1"
+    path = tmp_path / "a.igs.mha"
+    path.write_text(metafile(frames, extra=f"ImageToProbeTransform = {image}\n"))
+    sequence = read_sequence(path)
+    assert sequence.t_s.tolist() == [0.5, 1.5]
+    assert sequence.image_maps["probe_from_image"][0].tolist() == [0.1, 0, 0, 5]
+    assert sequence.poses["tracker_from_tool"].valid.tolist() == [False, True]
+    assert "its UnfilteredTimestamp is used" in caplog.text
+    assert "the status '1' of ToolToTrackerTransformStatus is not known" in caplog.text
+
+
+def test_image_type_of_an_nrrd_sequence(tmp_path: Path) -> None:
+    header = "NRRD0005\ntype: uchar\ndimension: 3\nsizes: 4 3 1\nkinds: domain domain list\nencoding: raw\n"
+    path = tmp_path / "a.igs.nrrd"
+    path.write_bytes(f"{header}ultrasound image type:=RF_REAL\n\n".encode() + bytes(12))
+    with pytest.raises(UnreadableFileError, match="its images are RF_REAL"):
+        read_sequence(path)
