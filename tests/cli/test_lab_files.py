@@ -341,9 +341,16 @@ def test_a_model_takes_the_patient_that_is_named(
 # calibration of the probe
 
 
-def test_a_cross_wire_as_two_text_tables(tmp_path: Path) -> None:
-    assert run("synth", "calibration", "cross-wire", "-o", tmp_path, "--seed", 5).exit_code == 0
-    sequence, points = tmp_path / "cross-wire.igs.mha", tmp_path / "cross-wire_points.csv"
+@pytest.fixture(scope="module")
+def cross_wire(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """A tracked sequence of a cross-wire and its points."""
+    folder = tmp_path_factory.mktemp("cross-wire")
+    assert run("synth", "calibration", "cross-wire", "-o", folder, "--seed", 5).exit_code == 0
+    return folder / "cross-wire.igs.mha", folder / "cross-wire_points.csv"
+
+
+def test_a_cross_wire_as_two_text_tables(cross_wire: tuple[Path, Path], tmp_path: Path) -> None:
+    sequence, points = cross_wire
     command = ("calibrate", "probe", "--phantom", "cross-wire")
     whole = found(*command, sequence, "--points", points)
     poses = read_sequence(sequence).poses["tracker_from_probe"]
@@ -365,9 +372,8 @@ def test_a_cross_wire_as_two_text_tables(tmp_path: Path) -> None:
     refused(*command, tmp_path / "poses.txt")
 
 
-def test_a_probe_and_a_reference_under_other_names(tmp_path: Path) -> None:
-    assert run("synth", "calibration", "cross-wire", "-o", tmp_path, "--seed", 5).exit_code == 0
-    sequence, points = tmp_path / "cross-wire.igs.mha", tmp_path / "cross-wire_points.csv"
+def test_a_probe_and_a_reference_under_other_names(cross_wire: tuple[Path, Path], tmp_path: Path) -> None:
+    sequence, points = cross_wire
     command = ("calibrate", "probe", "--phantom", "cross-wire", "--points", points)
     usual = found(*command, sequence)
     other = tmp_path / "other.igs.mha"
