@@ -27,7 +27,11 @@ settings.load_profile("dvf_ig")
 gc.disable()  # while tests are collected, which stay to the end
 
 REPO = Path(__file__).resolve().parent.parent
-SHARED = {"imaged": "one intervention", "anatomy": "one phantom"}
+SHARED = {
+    "imaged": "one intervention",
+    "anatomy": "one phantom",
+    "calibration_recordings": "calibration recordings",
+}
 """Fixtures that take long to make, of which others are made: the tests that share one run in one process."""
 
 

@@ -342,10 +342,9 @@ def test_a_model_takes_the_patient_that_is_named(
 
 
 @pytest.fixture(scope="module")
-def cross_wire(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+def cross_wire(calibration_recordings: Path) -> tuple[Path, Path]:
     """A tracked sequence of a cross-wire and its points."""
-    folder = tmp_path_factory.mktemp("cross-wire")
-    assert run("synth", "calibration", "cross-wire", "-o", folder, "--seed", 5).exit_code == 0
+    folder = calibration_recordings / "cross-wire"
     return folder / "cross-wire.igs.mha", folder / "cross-wire_points.csv"
 
 
