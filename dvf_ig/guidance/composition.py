@@ -130,9 +130,3 @@ def without_inward_part(force_n: FloatArray, forbidden: Sequence[Contribution]) 
             forces_n, caps_n, np.ones(count), order, left, np.empty(kernel.work_size(count))
         )
     return left
-
-
-def _shortened(force_n: FloatArray, cap_n: float) -> FloatArray:
-    """The force, no longer than the cap."""
-    length = float(np.linalg.norm(force_n))
-    return force_n if length <= cap_n else np.asarray(force_n * (cap_n / length))

@@ -94,9 +94,8 @@ def _tre(estimate: Rigid) -> np.ndarray:
     return target_errors_mm(estimate, toy_pose(), targets)
 
 
-@pytest.mark.parametrize("seed", [1, 2])
-def test_recovers_a_10_mm_8_degree_displacement(seed: int) -> None:
-    start = _displaced(10.0, 8.0, seed)
+def test_recovers_a_10_mm_8_degree_displacement() -> None:
+    start = _displaced(10.0, 8.0, 1)
     result = _register(_levels(speckle=0.3), start)
     assert result.stop is Stop.CONVERGED
     assert _tre(start).mean() > 8

@@ -193,7 +193,7 @@ def test_the_kernel_s_sums_are_those_of_its_twin(points: BoundaryPoints, target:
     assert len(expected) == UNKNOWNS * (UNKNOWNS + 1) + 3
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3, 4])
+@pytest.mark.parametrize("seed", [1, 2])
 def test_recovers_a_15_mm_displacement(points: BoundaryPoints, target: BoundaryTarget, seed: int) -> None:
     fit = fit_boundary(Boundary(points, target), displaced(15.0, seed), CENTER_MM)
     assert fit.converged
