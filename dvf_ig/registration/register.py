@@ -37,6 +37,8 @@ from .start import LandmarkPrior, landmarks_disagree
 LARGEST_OF_PART_MM = 5.0
 """Bound on the largest error over the covered part of a heart above which its pose is refused: a force on a
 pose further off is a hazard."""
+PART_EVIDENCE = 30.0
+"""Evidence of a change of shape from which a heart that its images cover in part is refused."""
 
 
 def register(
@@ -106,7 +108,12 @@ def register(
         stop, assessment = _assessed(  # trust.md: probability, bound and scale of the covariance
             stop,
             table_of(images.options.kind, "" if covered is None else covered.kind),
-            features_of(evidence, similarity, predicted_error_mm(fused.covariance)),
+            features_of(
+                evidence,
+                similarity,
+                predicted_error_mm(fused.covariance),
+                None if coverage is None else coverage.share,
+            ),
             statistics,
             partly=covered is not None,
         )
@@ -181,11 +188,14 @@ def _boundary_distance_mm(problem: Problem, pose: Rigid, fused: Fused) -> float 
 
 
 def _change_of_shape(problem: Problem, fused: Fused) -> ShapeChange | None:
-    """The change of shape at the pose; None for a heart covered in part, whose boundary ends with it."""
-    boundary = problem.visible_boundary
-    if boundary is None or fused.boundary is None or problem.heart.covered is not None:
+    """The change of shape at the pose; of a heart covered in part, one that only another heart shows."""
+    boundary = problem.boundary_at(fused.pose)
+    if boundary is None or fused.boundary is None:
         return None
-    return change_of_shape(boundary, fused.boundary.offset_mm, fused.pose, problem.center_mm)
+    change = change_of_shape(boundary, fused.boundary.offset_mm, fused.pose, problem.center_mm)
+    if problem.heart.covered is None or change is None:
+        return change
+    return replace(change, partly=True) if change.evidence > PART_EVIDENCE else None
 
 
 def _second_best(problem: Problem, refined: Refined, pose: Rigid) -> float:
