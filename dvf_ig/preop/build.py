@@ -134,7 +134,7 @@ def build_model(
 
 
 def end_systole(volumes: FloatArray, fractions: FloatArray) -> float:
-    """Fraction of the cycle at which a volume is smallest; the middle of where it stays so, if that is long."""
+    """Fraction of the cycle at which a volume is smallest; the middle of where it long stays so."""
     smallest, n = int(volumes.argmin()), len(volumes)
     low = np.roll(volumes <= volumes.min() + FLAT * np.ptp(volumes), -smallest)
     if low.all():

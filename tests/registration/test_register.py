@@ -300,7 +300,7 @@ def test_a_part_of_a_heart_that_has_clearly_changed_is_refused_and_never_followe
     found = ShapeChange(warp, 1.5, evidence, 2.4, "left", 4.0, 0.3, 0.2, 0.5)
     assert found.followed is not None
     monkeypatch.setattr(register_module, "change_of_shape", lambda *_: found)
-    heart = SimpleNamespace(covered="part")
+    heart = SimpleNamespace(covered=SimpleNamespace(views=False))
     problem: Any = SimpleNamespace(boundary_at=lambda pose: "seen", heart=heart, center_mm=CENTER_MM)
     fused: Any = SimpleNamespace(boundary=SimpleNamespace(offset_mm=0.0), pose=toy_pose())
     change = register_module._change_of_shape(problem, fused)
