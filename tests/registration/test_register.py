@@ -4,6 +4,8 @@ import importlib
 from dataclasses import replace
 from functools import lru_cache
 from time import perf_counter
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -264,3 +266,24 @@ def test_a_heart_of_another_shape_is_refused_by_name(
     assert ("may be another patient's" in result.sentence) is (seen_mm > 3.5)
     off = replace(result, landmarks_mm=12.0).sentence
     assert ("check the probe calibration first" in off) is (stop is Stop.CHANGED_SHAPE)
+
+
+@pytest.mark.parametrize(
+    "evidence", [register_module.PART_EVIDENCE - 1.0, register_module.PART_EVIDENCE + 1.0]
+)
+def test_a_part_of_a_heart_that_has_clearly_changed_is_refused_and_never_followed(
+    monkeypatch: pytest.MonkeyPatch, evidence: float
+) -> None:
+    warp = Warp("mr", np.zeros(3), 16.0, np.zeros((15, 15, 15, 4), np.float32))
+    found = ShapeChange(warp, 1.5, evidence, 2.4, "left", 4.0, 0.3, 0.2, 0.5)
+    assert found.followed is not None
+    monkeypatch.setattr(register_module, "change_of_shape", lambda *_: found)
+    heart = SimpleNamespace(covered=SimpleNamespace(views=False))
+    problem: Any = SimpleNamespace(boundary_at=lambda pose: "seen", heart=heart, center_mm=CENTER_MM)
+    fused: Any = SimpleNamespace(boundary=SimpleNamespace(offset_mm=0.0), pose=toy_pose())
+    change = register_module._change_of_shape(problem, fused)
+    if evidence < register_module.PART_EVIDENCE:
+        assert change is None, "breath-holds shift slices, which looks like a change"
+        return
+    assert change.followed is None
+    assert "do not show how the rest has changed" in change.refusal
