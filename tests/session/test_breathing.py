@@ -151,7 +151,7 @@ def test_a_disconnection_before_the_motion_is_learnt_is_no_rest() -> None:
 def test_the_latency_of_what_follows_the_breath_is_estimated() -> None:
     """The heart itself is late by its hysteresis: only a difference is known here."""
     found: list[list[BreathingRecord]] = [quiet()[-1], []]
-    follow(until_s=80.0, late_s=0.2, log=found[1].append)
+    follow(late_s=0.2, log=found[1].append)
     soon, late = (records[-1].latency_s for records in found)
     assert soon is not None
     assert late is not None
