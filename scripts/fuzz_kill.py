@@ -244,7 +244,7 @@ def _forked(name: str, trials: int, rng: random.Random, answer: int) -> bool:
     shutil.copytree("kept", "o")
     old, began = _state(), time.monotonic()
     peer = _start_peer(name)
-    if not (pid := os.fork()):
+    if not (pid := _fork(name)):
         return True
     usual = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
     _end_peer(peer)
@@ -254,9 +254,7 @@ def _forked(name: str, trials: int, rng: random.Random, answer: int) -> bool:
     for number in range(trials):
         old = _put_back()
         peer = _start_peer(name)
-        if not (pid := os.fork()):
-            os.setpgid(0, 0)
-            signal.signal(signal.SIGINT, signal.default_int_handler)
+        if not (pid := _fork(name, alone=True)):
             return True
         with suppress(OSError):
             os.setpgid(pid, pid)
@@ -271,7 +269,7 @@ def _forked(name: str, trials: int, rng: random.Random, answer: int) -> bool:
             continue
         before, children, peer = _state(), [], _start_peer(name)
         for _ in range(2 if place == "two processes" else 1):
-            if not (pid := os.fork()):
+            if not (pid := _fork(name)):
                 return True
             children.append(pid)
         codes = [os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) for pid in children]
@@ -292,6 +290,26 @@ def _forked(name: str, trials: int, rng: random.Random, answer: int) -> bool:
             counts[key] = counts.get(key, 0) + 1
     os.write(answer, json.dumps({**counts, "writing lasts s": round(lasts_s, 2)}).encode())
     return False
+
+
+def _fork(name: str, *, alone: bool = False) -> int:
+    """Fork a child that goes on with the command; a live session, whose threads a fork loses, begins anew.
+
+    Args:
+        alone: in a process group of its own, which Ctrl-C ends.
+    """
+    if pid := os.fork():
+        return pid
+    if alone:
+        os.setpgid(0, 0)
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+    if name == LIVE:
+        log = os.open("new.log", os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+        for stream in (1, 2):
+            os.dup2(log, stream)
+        words = WRITERS[name].format(scene=Path("scene").resolve()).split(" ")
+        os.execv(sys.executable, [sys.executable, "-m", "dvf_ig", *words])
+    return 0
 
 
 def _start_peer(name: str) -> "subprocess.Popen[bytes] | None":
