@@ -3,7 +3,6 @@
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cache
 
 import numpy as np
 import pytest
@@ -208,15 +207,8 @@ def test_a_breath_that_the_ecg_did_not_forecast_is_no_rest(event: str) -> None:
     assert errors[~withheld & (times > 25.0)].max() < 5.0
 
 
-@cache
-def quiet() -> tuple[FloatArray, FloatArray, BoolArray, BreathingTracker, list[BreathingRecord]]:
-    """Follow a world without events, and what the tracker recorded."""
-    records: list[BreathingRecord] = []
-    return *follow(log=records.append), records
-
-
 def test_the_gate_serves_end_expiration_until_the_motion_is_learnt() -> None:
-    times, errors, withheld, tracker, _ = quiet()
+    times, errors, withheld, tracker = follow()
     gated = (times > 16.0) & (times < 45.0) & ~withheld
     assert 0.15 < gated.sum() / ((times > 16.0) & (times < 45.0)).sum() < 0.45
     assert np.percentile(errors[gated], 95) < 1.5
@@ -263,8 +255,10 @@ def test_a_disconnection_before_the_motion_is_learnt_is_no_rest() -> None:
 
 def test_the_latency_of_what_follows_the_breath_is_estimated() -> None:
     """The heart itself is late by its hysteresis: only a difference is known here."""
-    found: list[list[BreathingRecord]] = [quiet()[-1], []]
-    follow(until_s=80.0, late_s=0.2, log=found[1].append)
+    found: list[list[BreathingRecord]] = []
+    for late_s in (0.0, 0.2):
+        found.append([])
+        follow(until_s=80.0, late_s=late_s, log=found[-1].append)
     soon, late = (records[-1].latency_s for records in found)
     assert soon is not None
     assert late is not None
