@@ -169,14 +169,10 @@ class SecondWorldPair:
         return np.asarray(floor_db + grey * (sector.dynamic_range_db / 255.0), dtype=np.float32)
 
 
-def second_world_pair(spec: SecondWorldSpec, heart: RestingHeart | None = None) -> SecondWorldPair:
-    """Build the heart before and now, and the tracker's pose; only seed, quality and motion of `spec` count.
-
-    Args:
-        heart: the pre-operative anatomy; None takes the four-chamber phantom of the seed.
-    """
+def second_world_pair(spec: SecondWorldSpec) -> SecondWorldPair:
+    """Build the heart before and now, and the tracker's pose; of `spec` seed, quality and motion count."""
     drawn = Drawn(spec.seed, spec.quality)
-    resting = heart or four_chamber_heart(spec.motion, spec.seed, spec.heart)
+    resting = four_chamber_heart(spec.motion, spec.seed, spec.heart)
     fields = tissue_fields(resting, drawn)
     changed, rms_mm = changed_heart(resting, fields.reference, drawn)
     return SecondWorldPair(resting, fields, changed, rms_mm, true_pose(resting, drawn), drawn)

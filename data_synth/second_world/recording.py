@@ -48,7 +48,7 @@ from .floor import RigidFloor, rigid_floor
 from .measured_poses import probe_sensor, tool_sensor
 from .operating_room import TOOL_MM, OperatingRoom, constant_path, cycle_law, operating_room
 from .probes import probe_kind
-from .resting_heart import RestingHeart, four_chamber_heart
+from .resting_heart import four_chamber_heart
 from .sweeps import sweep_way
 
 TRUTH_PHASES = 40
@@ -119,18 +119,11 @@ class SecondWorldRecording:
         return self.room.drawn
 
 
-def second_world_recording(
-    spec: SecondWorldSpec, heart: RestingHeart | None = None, progress: Report | None = None
-) -> SecondWorldRecording:
-    """Record one intervention.
-
-    Args:
-        heart: the pre-operative anatomy; None takes the four-chamber phantom of the seed.
-        progress: called with the fraction done.
-    """
+def second_world_recording(spec: SecondWorldSpec, progress: Report | None = None) -> SecondWorldRecording:
+    """Record one intervention; `progress` is called with the fraction done."""
     report: Report = progress or (lambda share: None)
     drawn = Drawn(spec.seed, spec.quality)
-    resting = heart or four_chamber_heart(spec.motion, spec.seed, spec.heart)
+    resting = four_chamber_heart(spec.motion, spec.seed, spec.heart)
     room = operating_room(resting, spec.seconds, drawn, spec.breathing)
     report(0.3)
     preop = cine(resting, room.fields, cycle_law(resting, drawn), drawn)

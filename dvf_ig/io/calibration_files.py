@@ -190,21 +190,21 @@ def _image_map(calibration: ProbeFile, sensor: str) -> ImageMap:
     return parts
 
 
-def read_lag(path: Path | str, *, allow_refused: bool = False) -> float:
+def read_lag(path: Path | str) -> float:
     """Read lag_s of `calibrate latency`: t_tracker = t_video + lag_s; negative if the tracker leads.
 
     Raises:
         UnreadableFileError: absent, or not a calibration of this kind.
         QualityGateError: the calibration was refused.
     """
-    lag_s = _read(LatencyFile, Path(path), "a latency", "latency", allow_refused=allow_refused).lag_s
+    lag_s = _read(LatencyFile, Path(path), "a latency", "latency").lag_s
     with reading(Path(path), "a latency"):
         limits.require_times(lag_s, "lag_s")
         _refuse(lag_problem(lag_s))
     return lag_s
 
 
-def read_landmark_map(path: Path | str, *, allow_refused: bool = False) -> Rigid:
+def read_landmark_map(path: Path | str) -> Rigid:
     """Read target_from_source of `calibrate landmarks`, for example reference_from_phantom.
 
     Raises:
@@ -212,14 +212,12 @@ def read_landmark_map(path: Path | str, *, allow_refused: bool = False) -> Rigid
         QualityGateError: the calibration was refused.
     """
     path, what = Path(path), "a landmark calibration"
-    calibration = _read(LandmarksFile, path, what, "landmarks", allow_refused=allow_refused)
+    calibration = _read(LandmarksFile, path, what, "landmarks")
     with reading(path, what):
         return rigid_from_matrix(calibration.target_from_source, calibration.target, calibration.source)
 
 
-def read_hand_eye(
-    path: Path | str, hand: str = "hand", camera: str = "camera", *, allow_refused: bool = False
-) -> Rigid:
+def read_hand_eye(path: Path | str, hand: str = "hand", camera: str = "camera") -> Rigid:
     """Read hand_from_camera of `calibrate hand-eye`: JSON, or PLUS XML with the names `hand` and `camera`.
 
     A JSON file states its own frame names.
@@ -231,7 +229,7 @@ def read_hand_eye(
     path, what = Path(path), "a hand-eye calibration"
     with reading(path, what):
         if path.suffix.lower() != ".xml":
-            calibration = _read(HandEyeFile, path, what, "hand-eye", allow_refused=allow_refused)
+            calibration = _read(HandEyeFile, path, what, "hand-eye")
             return rigid_from_matrix(calibration.hand_from_camera, calibration.target, calibration.source)
         definition = read_calibrations(path).get(f"{hand}_from_{camera}")
         if definition is None:
@@ -245,7 +243,7 @@ def _refuse(problem: str | None) -> None:
         raise InvalidInputError(problem)
 
 
-def _read(schema: type[F], path: Path, what: str, command: str, *, allow_refused: bool) -> F:
+def _read(schema: type[F], path: Path, what: str, command: str, *, allow_refused: bool = False) -> F:
     """Read a calibration file by its schema; raise if a quality gate refused it."""
     document = read_json(path, what)
     kind = document.get("kind") if isinstance(document, dict) else None

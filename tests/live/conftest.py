@@ -1,5 +1,7 @@
 """Shared by the tests of the live link: one session in which nothing goes wrong, with a page that watches."""
 
+import os
+from collections.abc import Iterator
 from typing import Any
 
 import pytest
@@ -18,6 +20,14 @@ def know_images(patch: pytest.MonkeyPatch) -> None:
     """What is done with pixels is replaced by what the toy's pixels say."""
     patch.setattr("dvf_ig.session.arrived_ultrasound.register_frames", register_known)
     patch.setattr("dvf_ig.session.arrived_ultrasound.compare_beat", compare_known)
+
+
+@pytest.fixture(autouse=True)
+def usual_schedule() -> Iterator[None]:
+    """A session that a test runs in its own thread gives it real-time priority: not for what follows."""
+    yield
+    if hasattr(os, "sched_setscheduler"):
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
 
 
 @pytest.fixture

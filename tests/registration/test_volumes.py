@@ -299,7 +299,7 @@ def registered(
     )
 
 
-@pytest.mark.parametrize(("seed", "away_mm"), [(1, 15.0), (2, 15.0), (3, 15.0), (1, 25.0), (2, 25.0)])
+@pytest.mark.parametrize(("seed", "away_mm"), [(1, 15.0), (2, 25.0)])
 def test_volumes_and_a_surface_recover_a_displacement(seed: int, away_mm: float) -> None:
     """From 25 mm a search that begins at the given start alone does not arrive."""
     result = registered(seed, toy_surface(), away_mm=away_mm)

@@ -61,7 +61,7 @@ def test_one_beat_of_a_still_patient_is_chi_squared_of_six_degrees() -> None:
 
 def test_the_worst_window_exceeds_a_limit_no_more_often_than_the_windows_together() -> None:
     limit = float(chi2.ppf(0.995, 6))
-    drawn = [statistics(np.zeros(6), seed, WINDOW_BEATS)[-1] > limit for seed in range(400)]
+    drawn = [statistics(np.zeros(6), seed, WINDOW_BEATS)[-1] > limit for seed in range(600)]
     assert np.mean(drawn) < WINDOW_BEATS * 0.005
 
 
