@@ -142,6 +142,11 @@ class LeadColumns:
             UnreadableFileError: no table of numbers, or no ECG among its columns.
         """
         table = parse_table(path, head)
+        if table.texts:
+            raise UnreadableFileError(
+                f"{path}: the columns {', '.join(table.texts)} hold words; needed numbers only in a table "
+                "that grows"
+            )
         columns, _, others = _channels(table)
         return cls(table.mark, len(columns), tuple(_leads(path, columns, others, lead)))
 
