@@ -19,14 +19,19 @@ if TYPE_CHECKING:
 
     from data_synth.scenario.recording import ImagedHeart
     from dvf_ig.core import DvfModel, Scenario, SurfaceSeries
+    from dvf_ig.registration import RegistrationResult
     from dvf_ig.replay import Replay
 
-settings.register_profile("dvf_ig", deadline=None, derandomize=True)
+settings.register_profile("dvf_ig", deadline=None, derandomize=True, max_examples=40)
 settings.load_profile("dvf_ig")
 gc.disable()  # while tests are collected, which stay to the end
 
 REPO = Path(__file__).resolve().parent.parent
-SHARED = {"imaged": "one intervention", "anatomy": "one phantom"}
+SHARED = {
+    "imaged": "one intervention",
+    "anatomy": "one phantom",
+    "calibration_recordings": "calibration recordings",
+}
 """Fixtures that take long to make, of which others are made: the tests that share one run in one process."""
 
 
@@ -131,6 +136,21 @@ def replay(scenario: "Scenario", shared_hearts: None) -> "Replay":
     from dvf_ig.replay import run_replay
 
     return run_replay(scenario, model=cached_model(scenario.preop).model, seed=0)
+
+
+@pytest.fixture(scope="session")
+def registered(scenario: "Scenario", replay: "Replay") -> "RegistrationResult":
+    """The registration of the shared scenario."""
+    from dvf_ig.replay import register_scenario
+
+    return register_scenario(scenario, heart=replay.heart)
+
+
+@pytest.fixture
+def known_registration(replay: "Replay", monkeypatch: pytest.MonkeyPatch) -> None:
+    """A session's registrations have the result of the shared replay's, without computing it."""
+    known = next(attempt.result for attempt in replay.attempts if attempt.usable)
+    monkeypatch.setattr("dvf_ig.session.arrived_ultrasound.register_frames", lambda *_, **__: known)
 
 
 @pytest.fixture(scope="session")

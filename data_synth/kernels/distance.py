@@ -51,6 +51,11 @@ def band_distance(
     low, high = np.zeros(3, np.int64), np.zeros(3, np.int64)
     for t in range(len(triangles)):
         a, b, c = vertices[triangles[t, 0]], vertices[triangles[t, 1]], vertices[triangles[t, 2]]
+        u, v, w = (a[0] + b[0] + c[0]) / 3.0, (a[1] + b[1] + c[1]) / 3.0, (a[2] + b[2] + c[2]) / 3.0
+        radius = 0.0  # of a sphere around the triangle, about its centroid
+        for corner in (a, b, c):
+            away = (corner[0] - u) ** 2 + (corner[1] - v) ** 2 + (corner[2] - w) ** 2
+            radius = max(radius, np.sqrt(away))
         for k in range(3):
             near = min(a[k], b[k], c[k]) - band - origin[k]
             far = max(a[k], b[k], c[k]) + band - origin[k]
@@ -61,7 +66,11 @@ def band_distance(
             for j in range(low[1], high[1] + 1):
                 y = origin[1] + j * spacing
                 for k in range(low[2], high[2] + 1):
-                    d = squared_distance(x, y, origin[2] + k * spacing, a, b, c)
+                    z = origin[2] + k * spacing
+                    reach = np.sqrt(out[i, j, k]) + radius
+                    if (x - u) ** 2 + (y - v) ** 2 + (z - w) ** 2 > (1.0 + 1e-9) * reach**2:
+                        continue  # the whole triangle is further away than the nearest so far
+                    d = squared_distance(x, y, z, a, b, c)
                     if d < out[i, j, k]:
                         out[i, j, k] = d
 

@@ -45,10 +45,3 @@ class Fulcrum:
         """Compute (L − r)/r, the tip's sideways speed over the hand's."""
         inside = float(np.linalg.norm(tip_mm - self.point_mm))
         return inside / (self.length_mm - inside)
-
-    def tip_per_hand(self, tip_mm: FloatArray) -> FloatArray:
-        """Compute J (3, 3): tip velocity = J · hand velocity, force at the hand = Jᵀ · force at the tip."""
-        u = self.point_mm - tip_mm
-        u = u / np.linalg.norm(u)
-        along = np.outer(u, u)
-        return np.asarray(along - self.lever(tip_mm) * (np.eye(3) - along))

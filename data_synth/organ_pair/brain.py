@@ -16,7 +16,6 @@ from .organ import Acoustics, OrganLabels
     OUTSIDE, WHITE, CORTEX, VENTRICLE, SULCUS, TUMOUR, RIM,
     OEDEMA, NUCLEUS, FALX, VESSEL, PLEXUS, LESION, CLOT,
 ) = range(14)  # fmt: skip
-TISSUES = 14
 VOXEL_MM = 0.8
 HALF_EXTENT_MM = 64.0
 SEMI_AXES_MM = np.array([62.0, 76.0, 54.0])

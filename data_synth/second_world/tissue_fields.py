@@ -20,7 +20,6 @@ from .resting_heart import RestingHeart
 
 SPACING_MM = 1.25
 _REFLECTORS = (Tissue.LUNG, Tissue.BONE)
-_UNLABELLED = (Tissue.VALVE, Tissue.PAPILLARY)
 _NEIGHBOURS = (Tissue.LUNG, Tissue.LIVER, Tissue.BONE)
 _TRABECULATED = (Tissue.LV_BLOOD, Tissue.RV_BLOOD)
 

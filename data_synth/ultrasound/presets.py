@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from dvf_ig.core import InvalidInputError, Rigid
+from dvf_ig.core import InvalidInputError
 
 from .probe import SectorProbe
 from .volume import MatrixProbe
@@ -84,8 +84,6 @@ PROBES: dict[str, SectorProbe | MatrixProbe] = {
 """epicardial: phased, on the heart's surface (the scenarios' probe). apical: transthoracic, lower frequency,
 near-field haze. tee: transoesophageal. curvilinear: curved array. ice: side-fire catheter. matrix: 3-D."""
 
-ARRAY_BEHIND_TIP_MM = 8.0
-
 
 def probe_named(name: str) -> SectorProbe | MatrixProbe:
     """Return the probe of a name.
@@ -96,15 +94,3 @@ def probe_named(name: str) -> SectorProbe | MatrixProbe:
     if name not in PROBES:
         raise InvalidInputError(f"there is no probe '{name}'; choose from {', '.join(PROBES)}")
     return PROBES[name]
-
-
-def catheter_from_plane(turn_rad: float = 0.0) -> Rigid:
-    """Return the pose of a side-fire catheter's image plane.
-
-    Frame "catheter", mm: origin at the tip, z along the shaft away from it. The array lies along the shaft
-    and faces sideways: lateral is −z, and depth is at `turn_rad` from x towards y.
-    """
-    depth = np.array([np.cos(turn_rad), np.sin(turn_rad), 0.0])
-    lateral = np.array([0.0, 0.0, -1.0])
-    rotation = np.column_stack([lateral, depth, np.cross(lateral, depth)])
-    return Rigid("catheter", "plane", rotation, np.array([0.0, 0.0, ARRAY_BEHIND_TIP_MM]))

@@ -46,7 +46,7 @@ class DvfModel:
         surface_name: name of the surface, for example "EPICARDIAL".
         frame: frame of every coordinate here, normally "mr".
         timing: phase times and the RR interval they were acquired at.
-        es_fraction: end-systole (smallest enclosed volume) as a fraction of the cycle.
+        es_fraction: end-systole (smallest volume) as a fraction of the cycle.
         ed_phase: index of end-diastole (largest enclosed volume).
         coefficients: (n, cx, cy, cz) float32 spline coefficients in mm.
         origin_mm: (3,) where u = 0; with u = (q − origin)/knot_spacing and i = floor(u), the value at q uses

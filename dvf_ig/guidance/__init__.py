@@ -8,7 +8,6 @@ from .blend import static_force as static_force
 from .composition import Composed as Composed
 from .composition import Contribution as Contribution
 from .composition import compose as compose
-from .composition import slew_limited as slew_limited
 from .continuity import Continuity as Continuity
 from .continuity import ForceBounds as ForceBounds
 from .continuity import check_continuity as check_continuity
@@ -32,7 +31,6 @@ from .laws import Confinement as Confinement
 from .laws import Gaussian as Gaussian
 from .laws import Law as Law
 from .laws import Sigmoid as Sigmoid
-from .places import PlaceInModel as PlaceInModel
 from .places import PlacesInModel as PlacesInModel
 from .places import Status as Status
 from .pose_and_phase import BoundTick as BoundTick

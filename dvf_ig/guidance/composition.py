@@ -130,27 +130,3 @@ def without_inward_part(force_n: FloatArray, forbidden: Sequence[Contribution]) 
             forces_n, caps_n, np.ones(count), order, left, np.empty(kernel.work_size(count))
         )
     return left
-
-
-def slew_limited(
-    previous_n: FloatArray, target_n: FloatArray, largest_step_n: float
-) -> tuple[FloatArray, bool]:
-    """The target force, or as far towards it as one tick may go, and whether it was limited.
-
-    Args:
-        previous_n, target_n: (3,) N in one frame.
-        largest_step_n: slew rate × tick, for example 100 N/s × 1 ms (docs/theory/safety.md).
-    Raises:
-        InvalidInputError: a step that is not positive.
-    """
-    if not largest_step_n > 0.0:
-        raise InvalidInputError(f"the largest step of force is {largest_step_n:g} N; it must be positive")
-    change = target_n - previous_n
-    step = _shortened(change, largest_step_n)
-    return np.asarray(previous_n + step), bool(np.any(step != change))
-
-
-def _shortened(force_n: FloatArray, cap_n: float) -> FloatArray:
-    """The force, no longer than the cap."""
-    length = float(np.linalg.norm(force_n))
-    return force_n if length <= cap_n else np.asarray(force_n * (cap_n / length))

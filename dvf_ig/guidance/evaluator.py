@@ -65,16 +65,6 @@ class ForceSamples:
     def __len__(self) -> int:
         return len(self.status)
 
-    def surface_speed_mm_s(self, phase_rate_hz: float) -> FloatArray:
-        """(n,) speed of the surface through each point along ∇d/|∇d|, into the organ: −(∂d/∂t)/|∇d|.
-
-        Args:
-            phase_rate_hz: dφ/dt, one over the RR interval where the phase runs evenly.
-        """
-        norm = np.linalg.norm(self.gradient, axis=1)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return np.asarray(-phase_rate_hz * self.rate_mm_per_cycle / norm)
-
 
 class Evaluator:
     """A model, a law and a blend, ready to evaluate forces.

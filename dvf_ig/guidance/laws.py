@@ -21,13 +21,13 @@ _REACH_WIDTHS = math.log(1.0 / FELT_SHARE - 1.0)
 
 
 @dataclass(frozen=True, slots=True)
-class Sigmoid:
-    """Forbidden region (eqs 4–6): pushes out of the organ, half of the cap at the guarded depth.
+class _Wall:
+    """Wall whose force rises along a sigmoid, half of the cap at the guarded depth.
 
     Attributes:
         gamma_per_mm: steepness γ.
         cap_n: largest force F, at most 20 N.
-        depth_mm: depth of the guarded surface below the organ's surface (negative: above it).
+        depth_mm: depth of the guarded surface in what is forbidden (negative: before the wall's surface).
     """
 
     gamma_per_mm: float = 1.0
@@ -35,24 +35,29 @@ class Sigmoid:
     depth_mm: float = 0.0
 
     def __post_init__(self) -> None:
-        _require_positive("sigmoid steepness gamma_per_mm", self.gamma_per_mm, "1/mm")
+        _require_positive(f"{type(self).__name__.lower()} steepness gamma_per_mm", self.gamma_per_mm, "1/mm")
         require_force("force cap cap_n", self.cap_n)
         _require_finite("guarded depth depth_mm", self.depth_mm)
 
-    def potential(self, distance_mm: FloatArray) -> FloatArray:
-        """f in (0, 1) at signed distances."""
-        s = np.asarray(distance_mm, dtype=np.float64) - self.depth_mm
-        return np.asarray(0.5 * (1.0 + np.tanh(0.5 * self.gamma_per_mm * s)))
-
     @property
     def reach_mm(self) -> float:
-        """Distance outside the organ's surface up to which 1 % of the cap is felt: ln(99)/γ − depth."""
+        """Distance before the wall's surface up to which 1 % of the cap is felt: ln(99)/γ − depth."""
         return _REACH_WIDTHS / self.gamma_per_mm - self.depth_mm
 
     @property
     def stiffness_n_per_mm(self) -> float:
         """Largest |dF/dd|: γF/4, at the guarded depth."""
         return self.gamma_per_mm * self.cap_n / 4.0
+
+
+@dataclass(frozen=True, slots=True)
+class Sigmoid(_Wall):
+    """Forbidden region (eqs 4–6): pushes out of the organ."""
+
+    def potential(self, distance_mm: FloatArray) -> FloatArray:
+        """f in (0, 1) at signed distances."""
+        s = np.asarray(distance_mm, dtype=np.float64) - self.depth_mm
+        return np.asarray(0.5 * (1.0 + np.tanh(0.5 * self.gamma_per_mm * s)))
 
     @property
     def parameters(self) -> FloatArray:
@@ -61,42 +66,17 @@ class Sigmoid:
 
 
 @dataclass(frozen=True, slots=True)
-class Confinement:
+class Confinement(_Wall):
     """Confinement inside a chamber: a sigmoid of s = −d − depth, d the distance field of the cavity.
 
     The wall around the cavity is what is forbidden: the force points into the chamber. The kernels need no
     separate law for it: cap·σ(γ(−d − depth)) is a sigmoid of steepness −γ, depth −depth and cap −cap.
-
-    Attributes:
-        gamma_per_mm: steepness γ.
-        cap_n: largest force F, at most 20 N.
-        depth_mm: depth of the guarded surface beyond the chamber's, in its wall (negative: a margin inside
-            the chamber).
     """
-
-    gamma_per_mm: float = 1.0
-    cap_n: float = 0.6
-    depth_mm: float = 0.0
-
-    def __post_init__(self) -> None:
-        _require_positive("confinement steepness gamma_per_mm", self.gamma_per_mm, "1/mm")
-        require_force("force cap cap_n", self.cap_n)
-        _require_finite("guarded depth depth_mm", self.depth_mm)
 
     def potential(self, distance_mm: FloatArray) -> FloatArray:
         """−f in (−1, 0) at signed distances of the cavity: against ∇d the force would leave the chamber."""
         s = -np.asarray(distance_mm, dtype=np.float64) - self.depth_mm
         return np.asarray(-0.5 * (1.0 + np.tanh(0.5 * self.gamma_per_mm * s)))
-
-    @property
-    def reach_mm(self) -> float:
-        """Distance inside the chamber's surface up to which 1 % of the cap is felt: ln(99)/γ − depth."""
-        return _REACH_WIDTHS / self.gamma_per_mm - self.depth_mm
-
-    @property
-    def stiffness_n_per_mm(self) -> float:
-        """Largest |dF/dd|: γF/4, at the guarded depth."""
-        return self.gamma_per_mm * self.cap_n / 4.0
 
     @property
     def parameters(self) -> FloatArray:

@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import NamedTuple
 
 import numpy as np
 
@@ -27,17 +26,6 @@ class Status(IntEnum):
     """The input or the output was not finite."""
     UNSEEN = code.UNSEEN
     """No slice of the MR shows the nearest part of the surface: unprotected."""
-
-
-class PlaceInModel(NamedTuple):
-    """One point at one time; fields as in `PlacesInModel`."""
-
-    xyz_mm: FloatArray
-    velocity_mm_s: FloatArray
-    model_phase: float
-    model_phase_rate_hz: float
-    sigma_model_phase: float
-    status: Status
 
 
 @read_only_arrays

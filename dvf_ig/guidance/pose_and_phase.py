@@ -29,11 +29,11 @@ from dvf_ig.core import (
     require_same_frame,
 )
 from dvf_ig.core.arrays import check_shape, frozen_floats
-from dvf_ig.kernels.place import PLACE, packed_pose_and_phase, packed_warps, place_tick
+from dvf_ig.kernels.place import packed_pose_and_phase, packed_warps
 from dvf_ig.kernels.pose_and_phase import DISTANCE_SIGMA, GUIDED_SIZE, guided_batch, guided_tick
 
 from .evaluator import Evaluator, ForceSamples
-from .places import PlaceInModel, PlacesInModel, Status
+from .places import PlacesInModel, Status
 
 DEVICE_FRAME = "device"
 """Frame of forces that were turned by `tracker_from_device`."""
@@ -137,23 +137,6 @@ class PoseAndPhase:
             mr_from_tool=turned,
             status=np.where(finite, status, int(Status.FAULT)),
         )
-
-    def at_one(self, xyz_tracker_mm: FloatArray, t_s: float) -> PlaceInModel:
-        """`at` for one point, (3,), without checks of its shape: quick enough for a loop at 1 kHz."""
-        row = np.zeros(1, PLACE)
-        status = place_tick(self.packed[0], t_s, row[0])
-        if not np.isfinite(xyz_tracker_mm).all():
-            row.view(np.float64)[:], status = math.nan, Status.FAULT
-        pose = row["model_from_tracker"][0]
-        xyz = pose[:, :3] @ xyz_tracker_mm + pose[:, 3]
-        x, y, z = xyz.tolist()
-        _, (u, v, w), (a, b, c), phase, rate, sigma = row[0].tolist()
-        velocity = np.array([v * z - w * y + a, w * x - u * z + b, u * y - v * x + c])
-        if self.warp is not None and status in (Status.OK, Status.NO_PHASE):
-            pull = self.warp.pull(xyz[None], np.array([t_s]))
-            xyz = xyz - pull.m_mm[0]
-            velocity = velocity - pull.slope[0] @ velocity - pull.rate_mm_s[0]
-        return PlaceInModel(xyz, velocity, phase, rate, sigma, Status(status))
 
     def evaluate(
         self,

@@ -229,13 +229,6 @@ class PreopConfig(Section):
     surface: str = "EPICARDIAL"
     timing: FileName | None = None
 
-    @field_validator("views", "organ_labels", "cavity_labels", "surfaces", mode="before")
-    @classmethod
-    def _some(cls, values: Any) -> Any:
-        if values == []:
-            raise ValueError("the list is empty; leave the key out")
-        return values
-
     @model_validator(mode="after")
     def _enough(self) -> "PreopConfig":
         if self.model is None and self.labels is None and self.surfaces_folder is None:

@@ -219,8 +219,6 @@ CONNECT_WITHIN_S = 2.0
 LAST_WITHIN_S = 0.1
 MOST_PEERS = 8
 LOOPBACK = "127.0.0.1"
-DEFAULT_PORT = 18944
-"""Default port of PLUS and 3D Slicer."""
 
 
 class Link:

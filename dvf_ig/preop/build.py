@@ -36,6 +36,10 @@ from .knots import choose_knot_spacing
 
 log = logging.getLogger(__name__)
 
+FLAT, FLAT_SHARE = 0.05, 0.12
+"""Share of the stroke within which volumes count as the smallest, and share of the cycle from which on they
+are flat: around end-systole a curve of one minimum stays so low over a tenth of the cycle."""
+
 
 @dataclass(frozen=True, slots=True)
 class ModelOptions:
@@ -117,7 +121,7 @@ def build_model(
         surface_name=surface_name,
         frame=frame,
         timing=timing,
-        es_fraction=float(timing.fractions[int(volumes.argmin())]),
+        es_fraction=end_systole(volumes, timing.fractions),
         ed_phase=int(volumes.argmax()),
         coefficients=coefficients,
         origin_mm=grid.origin_mm,
@@ -127,6 +131,19 @@ def build_model(
         sources=tuple(sources),
         chambers=tuple(chambers),
     )
+
+
+def end_systole(volumes: FloatArray, fractions: FloatArray) -> float:
+    """Fraction of the cycle at which a volume is smallest; the middle of where it long stays so."""
+    smallest, n = int(volumes.argmin()), len(volumes)
+    low = np.roll(volumes <= volumes.min() + FLAT * np.ptp(volumes), -smallest)
+    if low.all():
+        return float(fractions[smallest])
+    after, before = int(low.argmin()) - 1, int(low[::-1].argmin())
+    first = fractions[smallest - before]
+    span = (fractions[(smallest + after) % n] - first) % 1.0
+    flat = after + before > 1 and span >= FLAT_SHARE
+    return float((first + 0.5 * span) % 1.0 if flat else fractions[smallest])
 
 
 def _fit_phases(

@@ -1,6 +1,5 @@
 """ECG-gated rigid US/MR registration: from gated, tracked slices to `mr_from_tracker` with its evidence."""
 
-from .boundary.fit import EPICARDIUM_FIT as EPICARDIUM_FIT
 from .boundary.fit import Boundary as Boundary
 from .boundary.fit import BoundaryFit as BoundaryFit
 from .boundary.fit import BoundaryFitOptions as BoundaryFitOptions
@@ -12,7 +11,6 @@ from .boundary.points import boundary_points as boundary_points
 from .boundary.target import BoundaryTarget as BoundaryTarget
 from .boundary.target import signed_distance_mm as signed_distance_mm
 from .boundary.target import target_from_labels as target_from_labels
-from .boundary.target import target_from_model as target_from_model
 from .breathing import BreathBeat as BreathBeat
 from .breathing import BreathingPose as BreathingPose
 from .breathing import learn_breathing as learn_breathing

@@ -46,6 +46,8 @@ SAME_RATE_PER_MIN = 2.4
 """Rates of ECG and heart beats differ by no more: two steps of the watch."""
 LEAST_EXCURSION_MM = 2.0 * GONE_MM
 """A heart that moves by less with the breath of the ECG does not follow it."""
+REST_LEFT_S = 0.2
+"""Force on a forecast rest ends so long before it: a breath may come early, or rise faster than others."""
 UNFOLLOWED_S = 40.0
 """A clock from the ECG that has not been locked for so long is given up."""
 
@@ -303,7 +305,8 @@ class BreathingTracker:
 
     def _followed(self, changed_s: float, now_s: float) -> "_Moment":
         motion, reading = self._motion, self._clock.reading(now_s)
-        features = motion.features(np.array([now_s]))
+        ahead_s = 0.0 if self._clock.continuous else REST_LEFT_S
+        features = motion.features(np.array([now_s, now_s + ahead_s]))
         unknown = _unknown(reading, bool(np.isfinite(features).all()))
         if unknown is not None:
             return _Moment(changed_s, True, np.zeros((6, 6)), 0.0, unknown)
@@ -313,7 +316,7 @@ class BreathingTracker:
             withheld = not motion.model.knows(features)[0]
             cause = BreathingReason.NOT_LEARNT if withheld else None
         else:
-            withheld = not motion.rests(features)[0]
+            withheld = not motion.rests(features).all()
             cause = self._gated_by
         return _Moment(changed_s, withheld, covariance, bound_mm, None if cause is None else cause.value)
 

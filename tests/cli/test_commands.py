@@ -27,8 +27,9 @@ from dvf_ig.cli.shell import time_left
 from dvf_ig.core import DvfModel, Landmarks, Points, Preop, Rigid, Scenario
 from dvf_ig.intake.model_cache import SUFFIX
 from dvf_ig.io import read_coordinate_definitions, read_transform, write_landmarks, write_transform
-from dvf_ig.registration import target_errors_mm
+from dvf_ig.registration import RegistrationResult, target_errors_mm
 from dvf_ig.replay import Replay
+from dvf_ig.replay.registration import PreparedRegistration
 from dvf_ig.session.heart import Heart
 
 
@@ -129,8 +130,15 @@ def test_doctor_says_what_to_do_where_kernels_are_not_kept(monkeypatch: pytest.M
 
 
 def test_register_writes_a_transform_that_evaluate_reads(
-    scenario: Scenario, replay: Replay, written: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    scenario: Scenario,
+    replay: Replay,
+    registered: RegistrationResult,
+    written: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    """The result is the shared one; test_own_recordings registers what is read from files."""
+
     def heart_of_the_same_images(preop: Preop, _: DvfModel | None, **__: object) -> Heart:
         """The replay's: what was read back is what it was built from, and building it again takes long."""
         for read, made in ((preop.mr, scenario.preop.mr), (preop.labels, scenario.preop.labels)):
@@ -145,6 +153,7 @@ def test_register_writes_a_transform_that_evaluate_reads(
         return replay.heart
 
     monkeypatch.setattr("dvf_ig.replay.engine.build_heart", heart_of_the_same_images)
+    monkeypatch.setattr(PreparedRegistration, "register", lambda *_, **__: registered)
     out = tmp_path / "registered"
     payload = run("register", str(written), "-o", str(out))
     assert payload["stop"] == "CONVERGED"

@@ -252,8 +252,6 @@ def test_seeds_of_one_name_are_several_seeds(cine: Path, tmp_path: Path) -> None
     (tmp_path / "bad.fcsv").write_text(head + "0,1,2,3,0,0,0,1,1,1,0,liver\n")
     build = ("model", "build", "--image", cine / "cine.nii.gz", "-o", tmp_path / "m.npz", "--seeds")
     assert "a seed is named 'liver'" in refused(*build, tmp_path / "bad.fcsv")
-    done = run(*build, tmp_path / "seeds.fcsv", "--knot-mm", 8)
-    assert done.exit_code == 0, done.output
 
 
 # Git-LFS
@@ -341,9 +339,15 @@ def test_a_model_takes_the_patient_that_is_named(
 # calibration of the probe
 
 
-def test_a_cross_wire_as_two_text_tables(tmp_path: Path) -> None:
-    assert run("synth", "calibration", "cross-wire", "-o", tmp_path, "--seed", 5).exit_code == 0
-    sequence, points = tmp_path / "cross-wire.igs.mha", tmp_path / "cross-wire_points.csv"
+@pytest.fixture(scope="module")
+def cross_wire(calibration_recordings: Path) -> tuple[Path, Path]:
+    """A tracked sequence of a cross-wire and its points."""
+    folder = calibration_recordings / "cross-wire"
+    return folder / "cross-wire.igs.mha", folder / "cross-wire_points.csv"
+
+
+def test_a_cross_wire_as_two_text_tables(cross_wire: tuple[Path, Path], tmp_path: Path) -> None:
+    sequence, points = cross_wire
     command = ("calibrate", "probe", "--phantom", "cross-wire")
     whole = found(*command, sequence, "--points", points)
     poses = read_sequence(sequence).poses["tracker_from_probe"]
@@ -365,9 +369,8 @@ def test_a_cross_wire_as_two_text_tables(tmp_path: Path) -> None:
     refused(*command, tmp_path / "poses.txt")
 
 
-def test_a_probe_and_a_reference_under_other_names(tmp_path: Path) -> None:
-    assert run("synth", "calibration", "cross-wire", "-o", tmp_path, "--seed", 5).exit_code == 0
-    sequence, points = tmp_path / "cross-wire.igs.mha", tmp_path / "cross-wire_points.csv"
+def test_a_probe_and_a_reference_under_other_names(cross_wire: tuple[Path, Path], tmp_path: Path) -> None:
+    sequence, points = cross_wire
     command = ("calibrate", "probe", "--phantom", "cross-wire", "--points", points)
     usual = found(*command, sequence)
     other = tmp_path / "other.igs.mha"

@@ -16,7 +16,8 @@ from dvf_ig.core import DvfModel, Preop, Scenario, Signal
 from dvf_ig.intake.model_cache import model_key
 from dvf_ig.io import add_ecg_field
 from dvf_ig.preop import ModelOptions
-from dvf_ig.replay import Replay, register_scenario
+from dvf_ig.registration import RegistrationResult
+from dvf_ig.replay import Replay
 
 BLOOD = "2,4,6,7,8"
 SESSION = """
@@ -85,10 +86,9 @@ def model_of_the_same_data(scenario: Scenario, replay: Replay, monkeypatch: pyte
 
 @pytest.mark.usefixtures("model_of_the_same_data")
 def test_register_with_the_ecg_inside_the_sweep(
-    scenario: Scenario, replay: Replay, lab: Path, tmp_path: Path
+    registered: RegistrationResult, lab: Path, tmp_path: Path
 ) -> None:
     """An option of `config init` for each file; phases and patient come from the files alone."""
-    own = register_scenario(scenario, heart=replay.heart).target_from_source.matrix
     session = tmp_path / "session.yaml"
     run(
         "config", "init", "--us", lab / "sweep_with_ecg.igs.mha", "--cine", lab / "cine.nrrd",
@@ -96,7 +96,9 @@ def test_register_with_the_ecg_inside_the_sweep(
         "--latency", lab / "latency.json", "--start", lab / "start.tfm", "-o", session,
     )  # fmt: skip
     found = run("register", session, "-o", tmp_path / "out")
-    np.testing.assert_allclose(found["mr_from_tracker"], own, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(
+        found["mr_from_tracker"], registered.target_from_source.matrix, rtol=0, atol=1e-6
+    )
 
 
 @pytest.mark.usefixtures("model_of_the_same_data")

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.optimize import nnls
 
 from dvf_ig.core import FrameMismatchError, InvalidInputError
-from dvf_ig.guidance import Contribution, compose, slew_limited
+from dvf_ig.guidance import Contribution, compose
 from dvf_ig.guidance.composition import without_inward_part
 
 CAP = 0.6
@@ -171,18 +171,6 @@ def test_nothing_composes_to_nothing():
     assert not out.saturated
 
 
-@given(seeds, st.floats(1e-4, 1.0))
-def test_slew_limit_moves_towards_the_wanted_force(seed, step):
-    rng = np.random.default_rng(seed)
-    before, wanted = rng.normal(size=3), rng.normal(size=3)
-    after, cut = slew_limited(before, wanted, step)
-    assert np.linalg.norm(after - before) <= step * (1 + 1e-9)
-    assert cut == (np.linalg.norm(wanted - before) > step)
-    if not cut:
-        np.testing.assert_allclose(after, wanted, atol=1e-15)
-    assert np.linalg.norm(wanted - after) <= np.linalg.norm(wanted - before)
-
-
 def test_senseless_numbers_are_refused():
     with pytest.raises(InvalidInputError, match=r"0\.7 N exceeds its own cap of 0\.6 N"):
         Contribution("mr", np.array([0.7, 0.0, 0.0]), CAP)
@@ -192,8 +180,6 @@ def test_senseless_numbers_are_refused():
         Contribution("mr", np.array([np.nan, 0.0, 0.0]), CAP)
     with pytest.raises(InvalidInputError, match="composed cap"):
         compose([], [], frame="mr", cap_n=-1.0)
-    with pytest.raises(InvalidInputError, match="step of force"):
-        slew_limited(np.zeros(3), np.zeros(3), 0.0)
 
 
 def test_fixtures_in_different_frames_are_refused():

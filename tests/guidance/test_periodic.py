@@ -102,12 +102,10 @@ def test_rate_is_the_slope_of_the_distance(ball, shell_points, blend):
     np.testing.assert_allclose(rate, (ahead - behind) / (2 * step), atol=1e-5)
 
 
-def test_surface_speed_of_the_beating_ball(ball, shell_points):
+def test_rate_of_the_beating_ball(ball, shell_points):
     """Between two phases the linear blend moves at the difference of two closed-form distances."""
     samples = Evaluator(ball, Sigmoid()).force(shell_points, 0.42)
     first, second = (RADII[p] - np.linalg.norm(shell_points - CENTERS[p], axis=1) for p in (1, 2))
     expected = (second - first) / (FRACTIONS[2] - FRACTIONS[1])
     # each phase is fitted to 0.01 mm
     np.testing.assert_allclose(samples.rate_mm_per_cycle, expected, atol=2 * 0.01 / 0.25)
-    norm = np.linalg.norm(samples.gradient, axis=1)
-    np.testing.assert_allclose(samples.surface_speed_mm_s(1.25), -1.25 * samples.rate_mm_per_cycle / norm)

@@ -152,18 +152,6 @@ def test_the_distance_is_as_uncertain_as_pose_and_phase_make_it(ball):
     assert np.isnan(STILL.evaluate(evaluator, tip, t_s).sigma_mm).all(), "an unknown covariance is not zero"
 
 
-def test_one_point_is_as_many(shell_points):
-    tip = tips(shell_points[:40])
-    tip[3] = np.nan
-    t = np.concatenate([np.linspace(9.4, 11.3, 39), [np.nan]])
-    many = MOVING.at(tip, t)
-    for k in range(len(t)):
-        one = MOVING.at_one(tip[k], float(t[k]))
-        assert one.status is Status(many.status[k])
-        for name in ("xyz_mm", "velocity_mm_s", "model_phase", "model_phase_rate_hz", "sigma_model_phase"):
-            np.testing.assert_allclose(getattr(one, name), getattr(many, name)[k], rtol=1e-12, atol=1e-11)
-
-
 def test_the_tool_s_orientation_goes_along(shell_points):
     tracker_from_tool = Rigid.from_rotation_vector([0.2, 0.9, -0.3], [5.0, 0.0, 1.0], "tracker", "tool")
     t = np.linspace(9.6, 11.0, 9)
@@ -231,7 +219,6 @@ def test_without_pose_there_is_no_force_and_without_phase_walls_alone(ball, shel
         variance = np.einsum("ni,ni->n", by_pose, walls.gradient @ MOTION.at(9.8).rotation.T)
         np.testing.assert_allclose(forces.sigma_mm, np.sqrt(variance), rtol=1e-3)
     assert np.isfinite(places.xyz_mm).all() == (transform.pose is not None)
-    assert transform.at_one(tip[0], 9.8).status is status
 
 
 def test_the_tool_s_status_is_kept(ball, shell_points):

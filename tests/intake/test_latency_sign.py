@@ -31,7 +31,7 @@ def changes(probe: PoseStream, lag_s: float, seed: int) -> ImageChange:
 
 
 @pytest.mark.parametrize("lag_s", [-0.08, -0.04, 0.04, 0.08])
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 def test_the_other_sign_is_found(lag_s: float, seed: int) -> None:
     probe = sweep(evenly=False)
     images = changes(probe, lag_s, seed)
@@ -41,7 +41,7 @@ def test_the_other_sign_is_found(lag_s: float, seed: int) -> None:
     assert abs(lag_s) < 0.08 or wrong > REVERSED_LOG_RATIO
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 def test_an_even_sweep_and_a_small_latency_say_nothing(seed: int) -> None:
     even, uneven = sweep(evenly=True), sweep(evenly=False)
     assert abs(reversed_log_ratio(changes(even, 0.06, seed), even, IMAGE, SHAPE, -0.06)) < REVERSED_LOG_RATIO

@@ -15,7 +15,7 @@ from dvf_ig.preop import (
     close_surface,
     model_from_surfaces,
 )
-from dvf_ig.preop.build import border_distance_mm, potential_at_border
+from dvf_ig.preop.build import border_distance_mm, end_systole, potential_at_border
 
 
 @pytest.fixture(scope="module")
@@ -31,6 +31,17 @@ def test_model_describes_the_surface(model, beating_sphere):
     assert model.es_fraction == 0.3
     assert model.sources == ("balls",)
     assert np.array_equal(model.reference[1].vertices_mm, beating_sphere.vertices_mm[1])
+
+
+@pytest.mark.parametrize("turned", [0, 3, -4])
+def test_end_systole_is_the_middle_of_a_long_flat_minimum(turned: int) -> None:
+    flat = np.array([1.0, 0.8, 0.5, 0.2, 0.02, 0.04, 0.03, 0.0, 0.3, 0.6, 0.7, 0.9])
+    fractions = np.arange(12) / 12
+    middle = (5.5 + turned) / 12 % 1.0
+    assert end_systole(np.roll(flat, turned), fractions) == pytest.approx(middle)
+    short = np.where(np.arange(12) == 5, 0.1, flat)  # no longer flat: the smallest
+    assert end_systole(np.roll(short, turned), fractions) == pytest.approx((7 + turned) / 12 % 1.0)
+    assert end_systole(np.ones(12), fractions) == 0.0
 
 
 def test_a_heart_in_cm_is_no_model(beating_sphere: SurfaceSeries) -> None:

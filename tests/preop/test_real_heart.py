@@ -1,7 +1,5 @@
 """Fitted surfaces of a real heart: open as they come, closed and modelled here."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -83,11 +81,3 @@ def test_label_maps_hold_the_enclosed_volumes(heart):
         )
         assert np.count_nonzero(labels.values[phase]) * 8.0 == pytest.approx(heart_mm3, rel=0.02)
         assert np.count_nonzero(labels.values[phase] == 2) * 8.0 == pytest.approx(blood_mm3, rel=0.02)
-
-
-def test_end_systole_is_read_from_the_cavity(data_dir: Path) -> None:
-    folder = data_dir / "bivme-cine"
-    epicardium = read_surface_series(folder, "EPICARDIAL")
-    cavity = read_surface_series(folder, "LV_ENDOCARDIAL")
-    model = model_from_surfaces(epicardium, others=[cavity], options=ModelOptions(knot_spacing_mm=6.0))
-    assert model.es_fraction == pytest.approx(0.36)  # the recording's published end-systole

@@ -4,19 +4,18 @@ import importlib
 from dataclasses import replace
 from functools import lru_cache
 from time import perf_counter
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
-from scipy import ndimage
 from toy_heart import CENTER_MM, toy_mr, toy_pose, toy_slices
 
 from dvf_ig.core import (
-    Grid,
     Landmarks,
     Points,
     Rigid,
     Stop,
-    Volume,
     VolumeSeries,
     Warp,
     summarise_errors,
@@ -36,7 +35,6 @@ from dvf_ig.registration import (
     pose_difference,
     prior_from_landmarks,
     register,
-    register_pair,
     start_from_landmarks,
     target_errors_mm,
     target_from_labels,
@@ -98,9 +96,8 @@ def _tre(estimate: Rigid) -> np.ndarray:
     return target_errors_mm(estimate, toy_pose(), targets)
 
 
-@pytest.mark.parametrize("seed", [1, 2])
-def test_recovers_a_10_mm_8_degree_displacement(seed: int) -> None:
-    start = _displaced(10.0, 8.0, seed)
+def test_recovers_a_10_mm_8_degree_displacement() -> None:
+    start = _displaced(10.0, 8.0, 1)
     result = _register(_levels(speckle=0.3), start)
     assert result.stop is Stop.CONVERGED
     assert _tre(start).mean() > 8
@@ -212,23 +209,6 @@ def test_slices_that_show_none_of_the_models_boundary_end_in_disagreement() -> N
     assert _tre(result.target_from_source).mean() < 1.0
 
 
-def test_an_image_pair_is_registered_from_its_volumes() -> None:
-    mr = toy_mr().phase(0)
-    pose = Rigid.from_rotation_vector([0.05, -0.06, 0.04], [4.0, -3.0, 5.0], "moving", "fixed")
-    grid = Grid.axis_aligned("fixed", (62, 58, 54), CENTER_MM - np.array([62, 58, 54]), 2.0)
-    at = mr.grid.to_index(pose.apply_array(grid.centers_mm()))
-    sampled = ndimage.map_coordinates(mr.values, np.moveaxis(at, -1, 0), order=1, mode="nearest")
-    speckle = 1 + 0.2 * np.random.default_rng(0).normal(size=sampled.shape)
-    ultrasound = Volume(grid, (400.0 - sampled) * speckle)
-    moving = Volume(Grid.axis_aligned("moving", mr.grid.shape, mr.grid.origin_mm, 2.0), mr.values)
-    start = Rigid.identity("moving", "fixed")
-    result = register_pair(ultrasound, [moving], start, rng=np.random.default_rng(0), clock=perf_counter)
-    targets = Points("moving", CENTER_MM + np.random.default_rng(1).uniform(-40, 40, (27, 3)))
-    assert target_errors_mm(start, pose, targets).mean() > 5
-    assert result.stop is Stop.CONVERGED
-    assert target_errors_mm(result.target_from_source, pose, targets).mean() < 0.6  # 0.3 of a voxel
-
-
 def _touched(noise_mm: float, count: int = 7) -> tuple[Landmarks, Landmarks]:
     rng = np.random.default_rng(11)
     mr = CENTER_MM + rng.uniform(-45, 45, (count, 3))
@@ -286,3 +266,24 @@ def test_a_heart_of_another_shape_is_refused_by_name(
     assert ("may be another patient's" in result.sentence) is (seen_mm > 3.5)
     off = replace(result, landmarks_mm=12.0).sentence
     assert ("check the probe calibration first" in off) is (stop is Stop.CHANGED_SHAPE)
+
+
+@pytest.mark.parametrize(
+    "evidence", [register_module.PART_EVIDENCE - 1.0, register_module.PART_EVIDENCE + 1.0]
+)
+def test_a_part_of_a_heart_that_has_clearly_changed_is_refused_and_never_followed(
+    monkeypatch: pytest.MonkeyPatch, evidence: float
+) -> None:
+    warp = Warp("mr", np.zeros(3), 16.0, np.zeros((15, 15, 15, 4), np.float32))
+    found = ShapeChange(warp, 1.5, evidence, 2.4, "left", 4.0, 0.3, 0.2, 0.5)
+    assert found.followed is not None
+    monkeypatch.setattr(register_module, "change_of_shape", lambda *_: found)
+    heart = SimpleNamespace(covered=SimpleNamespace(views=False))
+    problem: Any = SimpleNamespace(boundary_at=lambda pose: "seen", heart=heart, center_mm=CENTER_MM)
+    fused: Any = SimpleNamespace(boundary=SimpleNamespace(offset_mm=0.0), pose=toy_pose())
+    change = register_module._change_of_shape(problem, fused)
+    if evidence < register_module.PART_EVIDENCE:
+        assert change is None, "breath-holds shift slices, which looks like a change"
+        return
+    assert change.followed is None
+    assert "do not show how the rest has changed" in change.refusal

@@ -15,7 +15,6 @@ from data_synth.seeds import child_rng
 from dvf_ig.core import BoolArray, DvfModel, Scenario, ScenarioTruth, Stop
 from dvf_ig.guidance import Hazard, Status
 from dvf_ig.guidance.supervision.supervisor import FADE_S
-from dvf_ig.preop import ModelOptions, model_from_labels
 from dvf_ig.replay import Replay, run_replay
 from dvf_ig.replay.result.pose import suspensions, withheld_spans, without_force_s
 from dvf_ig.replay.result.score import pose_errors_mm
@@ -25,23 +24,15 @@ RECOVERED_TRE_MM = 1.85
 """1.3 times the 1.41 mm that this seed has after the patient moved."""
 
 
-@pytest.fixture(scope="module")
-def studied(imaged: ImagedHeart) -> ImagedHeart:
-    """The shared heart with the MR of a study: how soon a pose is doubted depends on its resolution."""
-    noise = child_rng(imaged.spec.seeds.anatomy, "preop")
-    return replace(imaged, preop=cine_preop(imaged.anatomy, noise))
-
-
-def disturbed(studied: ImagedHeart, preset: str, seconds: float, seed: int = 77) -> Scenario:
+def disturbed(imaged: ImagedHeart, preset: str, seconds: float, **more: Any) -> Scenario:
     heart = HeartSpec(anatomy_seed=77, motion_seed=77)
-    spec = ScenarioSpec(preset=preset, motion="paper5mm", seconds=seconds, seed=seed, heart=heart)
-    return phantom_scenario(spec, imaged=studied)
+    spec = ScenarioSpec(preset, motion="paper5mm", seconds=seconds, heart=heart, **{"seed": 77, **more})
+    return phantom_scenario(spec, imaged=imaged)
 
 
 @pytest.fixture(scope="module")
-def coarse_model(studied: ImagedHeart, shared_hearts: None) -> DvfModel:
-    """The patient's fixture with wide knots, quick to build: forces here are there or not, never judged."""
-    return model_from_labels(studied.preop, options=ModelOptions(knot_spacing_mm=8.0))
+def model(replay: Replay) -> DvfModel:
+    return replay.heart.model
 
 
 def truth_of(replay: Replay) -> ScenarioTruth:
@@ -65,9 +56,9 @@ def median_tre_mm(replay: Replay, ticks: BoolArray) -> float:
 
 
 def test_force_stops_when_the_patient_moves_and_returns_when_the_pose_is_found_again(
-    studied: ImagedHeart, coarse_model: DvfModel
+    imaged: ImagedHeart, model: DvfModel
 ) -> None:
-    replay = run_replay(disturbed(studied, "patient-shift", 27.0), model=coarse_model, seed=0)
+    replay = run_replay(disturbed(imaged, "patient-shift", 27.0, us_rate_hz=9.0), model=model, seed=0)
     end_s = float(replay.ticks.t_s[-1])
     moved_s = truth_of(replay).mr_from_tracker[1][0]
     ((stopped_s, resumed_s),) = suspensions(tuple(replay.history.updates), end_s)
@@ -83,10 +74,11 @@ def test_force_stops_when_the_patient_moves_and_returns_when_the_pose_is_found_a
 
 
 def test_after_the_marker_slips_on_the_probe_no_force_is_given_again(
-    studied: ImagedHeart, coarse_model: DvfModel
+    imaged: ImagedHeart, model: DvfModel
 ) -> None:
-    # of another seed than the shared heart, whose views exclude breathing only after the slip
-    replay = run_replay(disturbed(studied, "probe-slip", 24.0, seed=78), model=coarse_model, seed=0)
+    # MR as fine as a study's, and another seed: else breathing is excluded only after the slip
+    studied = replace(imaged, preop=cine_preop(imaged.anatomy, child_rng(imaged.spec.seeds.anatomy, "preop")))
+    replay = run_replay(disturbed(studied, "probe-slip", 24.0, seed=78), model=model, seed=0)
     end_s = float(replay.ticks.t_s[-1])
     slipped_s = truth_of(replay).later_probe_from_image[0][0]
     assert replay.ticks.valid[between(replay, 0.0, slipped_s)].any()
@@ -120,9 +112,9 @@ def test_a_pose_withheld_for_the_breath_is_not_said_to_lack_beats() -> None:
 
 
 def test_a_wrong_probe_calibration_is_refused_by_touched_landmarks(
-    studied: ImagedHeart, coarse_model: DvfModel
+    imaged: ImagedHeart, model: DvfModel
 ) -> None:
-    replay = run_replay(disturbed(studied, "wrong-calibration", 12.5), model=coarse_model, seed=0)
+    replay = run_replay(disturbed(imaged, "wrong-calibration", 12.5, us_rate_hz=9.0), model=model, seed=0)
     assert replay.attempts
     for attempt in replay.attempts:
         assert not attempt.usable

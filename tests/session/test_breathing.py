@@ -1,153 +1,43 @@
 """Breathing in a session: frames moved to rest exactly, motion learnt from beats, withheld in time."""
 
-from collections import deque
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from data_synth.breathing.breaths import BreathSpec, draw_breaths
-from data_synth.breathing.motion import Breathing, breathing_of
-from data_synth.breathing.recorded import recorded_breathing
-from data_synth.signals.ecg import EcgSpec, synthetic_ecg
-from data_synth.signals.rhythm import RhythmSpec, beat_series
-from dvf_ig.cardiac import detect_r_peaks
-from dvf_ig.core import HEART_RADIUS_MM, BoolArray, FloatArray, PoseMotion, Respiration, Rigid
-from dvf_ig.registration import BeatMeasurement, PoseChart
+from data_synth.breathing.breaths import BreathEvent
+from data_synth.breathing.motion import Breathing
+from dvf_ig.core import FloatArray, Respiration
+from dvf_ig.registration import PoseChart
 from dvf_ig.registration.unfollowed_breathing import LEAST_BEATS
-from dvf_ig.session import EcgSamples, RespirationSample
+from dvf_ig.session import RespirationSample
 from dvf_ig.session.breathing import BreathingRecord, BreathingTracker, no_log
 from dvf_ig.session.breathing_motion import FrameBreathing, moved_to_rest
 from dvf_ig.session.reasons import BreathingReason
+from dvf_ig.study import breathing
+from dvf_ig.study.breathing import BEYOND_VOLUME, CENTER, LEARNT_S, NOISE_MM, RESTING, VENTILATED, measured
 
-CENTER = np.zeros(3)
-LEARN_S, STOP_S = 66.0, 90.0
-NOISE_MM = 0.45
-BEYOND_VOLUME = 1.3
-"""No ordinary breath of these worlds is deeper."""
-GRID = 40.0 * np.array(
-    [[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], dtype=np.float64
-)
-RESTING = PoseMotion.still(Rigid.from_rotation_vector([0.4, 0.1, -0.3], [20.0, 5.0, 9.0], "mr", "tracker"))
+STOP_S = 90.0
+Events = tuple[tuple[BreathEvent, float], ...]
 
 
-def world(
-    events: tuple[tuple[str, float], ...] = (), seed: int = 2, until_s: float = STOP_S
-) -> tuple[Breathing, Respiration]:
-    spec = replace(BreathSpec("ventilated", excursion_mm=10.0), events=events)
-    rng = np.random.default_rng(seed)
-    breathing = breathing_of(spec, draw_breaths(spec, until_s, rng), CENTER, rng)
-    assert breathing is not None
-
-    def still(t_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-        return np.repeat(np.eye(3)[None], len(t_s), axis=0), np.zeros((len(t_s), 3))
-
-    return breathing, recorded_breathing(breathing, still, until_s, rng)["respiration"]
-
-
-def true_xi_mm(breathing: Breathing, t_s: FloatArray) -> FloatArray:
-    """ξ that takes the breathing heart to its rest."""
-    turn, shift = breathing.mr_from_rest(t_s)
-    back = np.swapaxes(turn, 1, 2)
-    turns = HEART_RADIUS_MM * Rotation.from_matrix(back).as_rotvec()
-    return np.hstack([turns, -np.einsum("nij,nj->ni", back, shift)])
-
-
-@dataclass
-class Measured:
-    """The part of a `BeatMeasurement` that the tracker reads."""
-
-    information: FloatArray
-    offset_information_mm: FloatArray
-    informative: bool = True
-    pose: Rigid | None = None
-
-
-def follow_by_ecg(
-    excursion_mm: float,
-    events: tuple[tuple[str, float], ...] = (),
-    until_s: float = 62.0,
-    log: Callable[[BreathingRecord], None] = no_log,
-) -> tuple[FloatArray, FloatArray, BoolArray, BreathingTracker]:
-    """Follow a breath that nothing records, as `follow` does: beats are compared from 10 s on."""
-    rng = np.random.default_rng(4)
-    spec = replace(BreathSpec("ventilated", excursion_mm=excursion_mm), events=events)
-    breaths = draw_breaths(spec, until_s, rng)
-    breathing = breathing_of(spec, breaths, CENTER, rng)
-    assert breathing is not None
-    beats = beat_series(RhythmSpec(), 0.0, until_s, rng, breaths.volume_at)
-    ecg = synthetic_ecg(beats, until_s, EcgSpec(), rng, breaths.volume_at)
-    tracker = BreathingTracker(CENTER, log, ecg.rate_hz)
-    tracker.push_ecg(EcgSamples(0.0, ecg.samples))
-    peaks, times, errors, withheld = deque(detect_r_peaks(ecg)), [], [], []
-    begin_s = peaks[0].t_s
-    for now_s in np.arange(0.5, until_s - 1.0, 0.1).tolist():
-        while peaks and peaks[0].detected_at_s <= now_s:
-            peak = peaks.popleft()
-            tracker.add_peak(peak)
-            if peak.t_s > 10.0:
-                beat_between(tracker, breathing, begin_s, peak.t_s, rng)
-            begin_s = peak.t_s
-        tracker.advance(now_s)
-        moved = breathing.points_at(GRID, np.array([now_s]))[0]
-        times.append(now_s)
-        errors.append(float(np.linalg.norm(moved - GRID, axis=1).mean()))
-        withheld.append(tracker.withheld(now_s))
-    return np.array(times), np.array(errors), np.array(withheld), tracker
-
-
-def beat_between(
-    tracker: BreathingTracker, breathing: Breathing, begin_s: float, end_s: float, rng: np.random.Generator
-) -> None:
-    """Compare the frames of a beat, with noise."""
-    t_s = np.arange(begin_s, end_s, 1.0 / 12.0)
-    frames = tracker.frames(t_s)
-    shown = true_xi_mm(breathing, t_s).mean(axis=0) + NOISE_MM * rng.standard_normal(6)
-    if frames is None:
-        watch_beat(tracker, begin_s, shown)
-        return
-    left = shown - frames.xi_mm.mean(axis=0)
-    tracker.add_beat(Measured(np.eye(6) / NOISE_MM**2, left / NOISE_MM**2), frames)
-
-
-def beat(tracker: BreathingTracker, breathing: Breathing, begin_s: float, rng: np.random.Generator) -> None:
-    """Compare ten frames of a beat, with noise; what the tracker knew before is taken out of it."""
-    t_s = begin_s + np.arange(10) / 12.0
-    frames = tracker.frames(t_s)
-    assert frames is not None
-    left = (true_xi_mm(breathing, t_s) - frames.xi_mm).mean(axis=0) + NOISE_MM * rng.standard_normal(6)
-    measured = Measured(np.eye(6) / NOISE_MM**2, left / NOISE_MM**2)
-    tracker.add_beat(measured, frames)
+def world(events: Events = (), until_s: float = STOP_S) -> tuple[Breathing, Respiration]:
+    return breathing.breathing_world(replace(VENTILATED, events=events), until_s, 2)
 
 
 def follow(
-    events: tuple[tuple[str, float], ...] = (),
-    until_s: float = STOP_S,
-    late_s: float = 0.0,
-    log: Callable[[BreathingRecord], None] = no_log,
-) -> tuple[FloatArray, FloatArray, BoolArray, BreathingTracker]:
-    """Follow a world: (n,) times every 0.1 s, errors over the heart (mm), whether the pose was withheld."""
-    breathing, recorded = world(events, until_s=until_s)
-    recorded = Respiration(recorded.t_s + late_s, recorded.values, recorded.name)
-    tracker, rng, pushed, next_beat_s = BreathingTracker(CENTER, log), np.random.default_rng(5), 0, 14.0
-    times, errors, withheld = [], [], []
-    for now_s in np.arange(0.5, until_s, 0.1).tolist():
-        due = int(np.searchsorted(recorded.t_s, now_s, side="right"))
-        for k in range(pushed, due):
-            tracker.push(RespirationSample(float(recorded.t_s[k]), recorded.values[k]))
-        pushed = due
-        tracker.advance(now_s)
-        if now_s > next_beat_s + 1.0:
-            beat(tracker, breathing, next_beat_s, rng)
-            next_beat_s += 0.85
-        pose = tracker.motion(RESTING, now_s).at(now_s + 0.01) @ RESTING.end.inverse()
-        moved = breathing.points_at(GRID, np.array([now_s + 0.01]))[0]
-        errors.append(float(np.linalg.norm(pose.apply_array(moved) - GRID, axis=1).mean()))
-        times.append(now_s)
-        withheld.append(tracker.withheld(now_s))
-    return np.array(times), np.array(errors), np.array(withheld), tracker
+    events: Events = (), until_s: float = STOP_S, late_s: float = 0.0, log: breathing.Log = no_log
+) -> breathing.Followed:
+    return breathing.follow(replace(VENTILATED, events=events), until_s, 2, late_s, log)
+
+
+def follow_by_ecg(
+    excursion_mm: float, events: Events = (), log: breathing.Log = no_log
+) -> breathing.Followed:
+    spec = replace(VENTILATED, excursion_mm=excursion_mm, events=events)
+    return breathing.follow_by_ecg(spec, 62.0, 4, log=log)
 
 
 def test_frames_moved_to_rest_see_there_what_they_saw_in_the_breath() -> None:
@@ -165,9 +55,7 @@ def test_frames_moved_to_rest_see_there_what_they_saw_in_the_breath() -> None:
 
 def watch_beat(tracker: BreathingTracker, begin_s: float, xi_mm: FloatArray) -> None:
     """Compare a beat with RESTING, which is `xi_mm` from where it shows the heart."""
-    information = np.eye(6) / NOISE_MM**2
-    measured = Measured(information, information @ xi_mm, pose=RESTING.end)
-    tracker.watch(begin_s + 0.4, begin_s + 1.1, measured)
+    tracker.watch(begin_s + 0.4, begin_s + 1.1, measured(xi_mm))
 
 
 def test_without_samples_there_is_no_force_until_beats_exclude_breathing() -> None:
@@ -207,12 +95,19 @@ def test_a_breath_that_the_ecg_did_not_forecast_is_no_rest(event: str) -> None:
     assert errors[~withheld & (times > 25.0)].max() < 5.0
 
 
+@cache
+def quiet() -> tuple[breathing.Followed, list[BreathingRecord]]:
+    """Follow a world without events, and what the tracker recorded."""
+    records: list[BreathingRecord] = []
+    return follow(log=records.append), records
+
+
 def test_the_gate_serves_end_expiration_until_the_motion_is_learnt() -> None:
-    times, errors, withheld, tracker = follow()
+    (times, errors, withheld, tracker), _ = quiet()
     gated = (times > 16.0) & (times < 45.0) & ~withheld
     assert 0.15 < gated.sum() / ((times > 16.0) & (times < 45.0)).sum() < 0.45
     assert np.percentile(errors[gated], 95) < 1.5
-    after = times > LEARN_S
+    after = times > LEARNT_S
     assert tracker.model is not None
     assert (~withheld[after]).mean() > 0.9
     assert np.percentile(errors[after & ~withheld], 95) < 2.0
@@ -233,7 +128,7 @@ def test_a_pose_beyond_what_was_learnt_is_withheld_and_comes_back(event: str) ->
     assert late_s <= 0.3
     again = times > end_s + 3.0 * 60.0 / 14.0
     assert not withheld[again].any()
-    served = (times > LEARN_S) & ~withheld
+    served = (times > LEARNT_S) & ~withheld
     assert errors[served].max() < 5.0
     assert np.percentile(errors[again], 95) < 2.0
     frames = tracker.frames(np.arange(begin_s, end_s, 0.05))
@@ -255,10 +150,8 @@ def test_a_disconnection_before_the_motion_is_learnt_is_no_rest() -> None:
 
 def test_the_latency_of_what_follows_the_breath_is_estimated() -> None:
     """The heart itself is late by its hysteresis: only a difference is known here."""
-    found: list[list[BreathingRecord]] = []
-    for late_s in (0.0, 0.2):
-        found.append([])
-        follow(until_s=80.0, late_s=late_s, log=found[-1].append)
+    found: list[list[BreathingRecord]] = [quiet()[-1], []]
+    follow(late_s=0.2, log=found[1].append)
     soon, late = (records[-1].latency_s for records in found)
     assert soon is not None
     assert late is not None
@@ -278,7 +171,7 @@ def test_breathing_that_is_deeper_for_good_is_learnt_again() -> None:
     assert tracker.model is not None
     late = times > 150.0
     assert (~withheld[late]).mean() > 0.95
-    served = (times > LEARN_S) & ~withheld
+    served = (times > LEARNT_S) & ~withheld
     assert errors[served].max() < 5.0
     assert np.percentile(errors[late & ~withheld], 95) < 2.0
 
@@ -317,10 +210,9 @@ def test_frames_in_a_gap_of_the_samples_are_not_used() -> None:
 
 def test_a_beat_without_information_teaches_nothing() -> None:
     tracker = BreathingTracker(CENTER)
-    nothing = Measured(np.eye(6), np.zeros(6), informative=False)
+    nothing = replace(measured(np.zeros(6)), wrong_pose_log_ratio=0.0)
     frames = FrameBreathing(
         np.arange(3.0), np.ones((3, 4)), np.ones(3, np.bool_), np.zeros((3, 6)), np.zeros(3, np.bool_), False
     )
-    measurement: BeatMeasurement = nothing  # type: ignore[assignment]
-    tracker.add_beat(measurement, frames)
+    tracker.add_beat(nothing, frames)
     assert tracker.model is None

@@ -1,11 +1,15 @@
 """The study of the watch, on beats of a heart whose pose is known."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 from known_patient import known_beat
 
 from dvf_ig.core import Rigid, Scenario, mean_displacement_mm
 from dvf_ig.registration import PoseEstimate
+from dvf_ig.replay import Replay
+from dvf_ig.study.driver import Line
 from dvf_ig.study.statistics import poisson_rate, share_over_hearts
 from dvf_ig.study.watch import (
     FIRST_ONSET,
@@ -22,6 +26,12 @@ from dvf_ig.study.watch import (
 CENTER = np.array([10.0, -20.0, 30.0])
 HOME = Rigid.from_rotation_vector([0.2, -0.1, 0.4], [5.0, 6.0, -7.0], "mr", "tracker")
 RR_S = 0.8
+
+
+@cache
+def quiet_line() -> Line:
+    """Measurements of a recording whose beats raise no alarm."""
+    return measured(recording(70), 1001)
 
 
 def recording(beats: int, alarms: tuple[str, ...] = ()) -> WatchedRecording:
@@ -49,7 +59,7 @@ def test_a_displaced_beat_says_what_a_beat_of_the_displaced_heart_says() -> None
 
 
 def test_a_trial_counts_beats_until_a_shift_is_found_and_how_far_a_drift_is_followed() -> None:
-    line = measured(recording(70), 1001)
+    line = quiet_line()
     assert line["beats"] == 70
     assert max(line["statistic"]) == 0.0
     assert len(line["shifts"]["8"]) == len(line["shifts"]["4"]) == 10
@@ -59,7 +69,11 @@ def test_a_trial_counts_beats_until_a_shift_is_found_and_how_far_a_drift_is_foll
     assert 0.0 < lags[0] < lags[1] < lags[2] < 2.0
 
 
-def test_beats_of_a_recording_are_displaced_when_its_session_has_ended(scenario: Scenario) -> None:
+@pytest.mark.usefixtures("known_registration")
+def test_beats_of_a_recording_are_displaced_when_its_session_has_ended(
+    scenario: Scenario, replay: Replay, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("dvf_ig.study.watch.build_heart", lambda *_: replay.heart)
     watched = watch_recording(scenario, 0)
     assert len(watched.beats) > FIRST_ONSET
     assert watched.alarms == ()
@@ -69,7 +83,7 @@ def test_beats_of_a_recording_are_displaced_when_its_session_has_ended(scenario:
 
 
 def test_a_summary_counts_alarms_over_the_time_and_shares_over_hearts() -> None:
-    quiet, loud = measured(recording(70), 1), measured(recording(70, alarms=("moved", "moved")), 2)
+    quiet, loud = quiet_line(), measured(recording(70, alarms=("moved", "moved")), 2)
     refused = {"seed": 3, "refused": "no pose"}
     found = summarise_watch([{"seed": 1, **quiet}, {"seed": 2, **loud}, refused])
     assert (found.hearts, found.failed, found.beats) == (3, 1, 140)

@@ -105,10 +105,6 @@ WRONG: dict[str, tuple[Spoil, list[str]]] = {
         put("calibration.stylus", "tip.json"),
         ["session.yaml: calibration: unknown key stylus; needed some of probe, latency, tip"],
     ),
-    "an empty list": (
-        put("preop.organ_labels", []),
-        ["session.yaml: preop.organ_labels: the list is empty; leave the key out"],
-    ),
     "a calibration left out": (
         put("calibration.probe", None),
         [

@@ -57,8 +57,8 @@ class BoundaryFitOptions:
         sigmas_mm: scales, from far to near.
         steps: at each scale but the last.
         last_steps: most at the last scale.
-        free_offset_mm: the offset is free at scales up to this; 0 fixes it at the expected one.
-        expected_offset_mm, offset_sigma_mm: mean and standard deviation of the offset before the fit.
+        free_offset_mm: the offset is free at scales up to this; 0 fixes it at none.
+        offset_sigma_mm: standard deviation of the offset before the fit.
         cap_mm: longest step.
         tolerance_mm: a step shorter than this ends the last scale; ten times as long a one ends the others.
     """
@@ -67,15 +67,9 @@ class BoundaryFitOptions:
     steps: int = 8
     last_steps: int = 12
     free_offset_mm: float = 4.0
-    expected_offset_mm: float = 0.0
     offset_sigma_mm: float = 1.0
     cap_mm: float = 8.0
     tolerance_mm: float = 0.02
-
-
-EPICARDIUM_FIT = BoundaryFitOptions(free_offset_mm=12.0, expected_offset_mm=-4.0, offset_sigma_mm=3.0)
-"""For the surface of a fixture model. Ultrasound shows the pericardium there, which lies outside of the
-epicardium by the fat between them (5.5 mm on tuning seeds 101–103): the offset is free from the start."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -136,7 +130,7 @@ def descend(problem: BoundaryProblem, starts: Sequence[Rigid], opts: BoundaryFit
     """Descents from all starts, side by side: a step of one costs less than the calls it takes."""
     problem.require_frames_of(starts[0])
     poses = np.stack([start.matrix[:3] for start in starts])
-    offsets = np.full(len(starts), opts.expected_offset_mm)
+    offsets = np.zeros(len(starts))
     converged, used = np.zeros(len(starts), dtype=np.bool_), np.zeros(len(starts), dtype=np.int64)
     for level, sigma in enumerate(opts.sigmas_mm):
         last = level == len(opts.sigmas_mm) - 1
@@ -171,7 +165,7 @@ def _steps(sums: FloatArray, offsets_mm: FloatArray, size: int, opts: BoundaryFi
     if size == UNKNOWNS:
         prior = POINTS_PER_OBSERVATION * (NEAR_MM / opts.offset_sigma_mm) ** 2
         curvature[:, 6, 6] += prior
-        downhill[:, 6] -= prior * (offsets_mm - opts.expected_offset_mm)
+        downhill[:, 6] -= prior * offsets_mm
     mean = np.trace(matrices[:, :6, :6], axis1=1, axis2=2) / 6
     steps, matched = np.zeros((len(sums), UNKNOWNS)), mean > 0
     damped = curvature[matched] + 1e-3 * mean[matched, None, None] * np.eye(size)
@@ -276,7 +270,6 @@ def boundary_starts(
     count: int = 24,
     spread_mm: float = 12.0,
     keep: int = 5,
-    options: BoundaryFitOptions | None = None,
 ) -> tuple[BoundaryFit, ...]:
     """Quick fits from the start and displaced copies of it; the best distinct ends finish on all points.
 
@@ -286,7 +279,7 @@ def boundary_starts(
     Returns:
         ends by `score`, best first; see the module docstring on ranking them.
     """
-    opts = options or BoundaryFitOptions()
+    opts = BoundaryFitOptions()
     quick_options = replace(
         opts, sigmas_mm=opts.sigmas_mm[:-1] or opts.sigmas_mm, last_steps=4, tolerance_mm=0.05
     )

@@ -15,7 +15,6 @@ from scipy.special import ndtri
 from dvf_ig.core import (
     AnyArray,
     BoolArray,
-    DvfModel,
     FloatArray,
     IntArray,
     InvalidInputError,
@@ -77,14 +76,6 @@ def target_from_labels(labels: VolumeSeries, model_phase: FloatArray) -> Boundar
     # coefficient j of a row is centred on knot coordinate j − 1
     knots[:, 3] = -knots[:, :3] @ grid.origin_mm - 1.0
     return BoundaryTarget(grid.frame, distance, knots, labels.timing.fractions[used], -1.0)
-
-
-def target_from_model(model: DvfModel) -> BoundaryTarget:
-    """The surface of a fixture model in darker surroundings; fit it with `EPICARDIUM_FIT`."""
-    knots = np.empty((3, 4))
-    knots[:, :3] = np.eye(3) / model.knot_spacing_mm
-    knots[:, 3] = -model.origin_mm / model.knot_spacing_mm
-    return BoundaryTarget(model.frame, model.coefficients, knots, model.timing.fractions, 1.0)
 
 
 def signed_distance_mm(inside: BoolArray, spacing_mm: FloatArray) -> NDArray[np.float32]:

@@ -37,9 +37,10 @@ FEATURES = (
     "phase_offset_ratio",
     "unexplained",
     "predicted_mm",
+    "not_imaged",
 )
-"""In the order of a table's weights; each is the worse the larger it is: of the z-score its inverse, and
-"unexplained" is 1 − LC2."""
+"""In the order of a table's weights; each is the worse the larger it is: of the z-score its inverse,
+"unexplained" is 1 − LC2, and "not_imaged" the share of the covered part of a heart that no slice shows."""
 LARGEST = 1e3
 """Values of a feature count as no more than this, and as no less than its inverse."""
 LARGEST_SCALE = 16.0
@@ -190,12 +191,15 @@ class Assessment:
     covariance_scale: float = 1.0
 
 
-def features_of(evidence: Evidence, similarity: float, predicted_mm: float) -> dict[str, float | None]:
+def features_of(
+    evidence: Evidence, similarity: float, predicted_mm: float, imaged: float | None
+) -> dict[str, float | None]:
     """Features by name; None if the check could not be made.
 
     Args:
         similarity: LC2 at the pose.
         predicted_mm: RMS target error that the covariance predicts.
+        imaged: share of the covered part of a heart that the slices show; None of a heart that is covered.
     """
     offset = evidence.phase_offset
     return {
@@ -207,6 +211,7 @@ def features_of(evidence: Evidence, similarity: float, predicted_mm: float) -> d
         "phase_offset_ratio": None if offset is None else 1.0 + offset.log_likelihood_ratio,
         "unexplained": 1.0 - similarity,
         "predicted_mm": predicted_mm,
+        "not_imaged": None if imaged is None else 1.0 - imaged,
     }
 
 

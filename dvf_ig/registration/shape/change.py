@@ -74,6 +74,7 @@ class ShapeChange:
         shared: mean square of the boundary's shared error after the change, see `ShapePosterior`.
         held_out: misfit of every second group of frames by the change that the others show, over that by the
             rigid heart; below 1 if the change explains them better. None if nothing is to follow the change.
+        partly: the heart's images cover it in part, so that nothing shows how the rest has changed.
     """
 
     warp: Warp
@@ -85,15 +86,18 @@ class ShapeChange:
     sigma_mm: float
     shared: float
     held_out: float | None = None
+    partly: bool = False
 
     @property
     def followed(self) -> Warp | None:
         """The warp that fixtures follow; None of a change that a rigid heart may have."""
-        return self.warp if self.seen_mm > LARGEST_RIGID_MM else None
+        return self.warp if self.seen_mm > LARGEST_RIGID_MM and not self.partly else None
 
     @property
     def refusal(self) -> str | None:
         """Why fixtures cannot follow a change that they would have to; None if they can, or need not."""
+        if self.partly:
+            return "the images cover a part of the heart, and do not show how the rest has changed"
         if self.followed is None:
             return None
         if self.scale_mm >= LARGEST_SCALE_MM:

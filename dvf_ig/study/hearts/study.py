@@ -139,6 +139,7 @@ def _measured(registered: RegisteredHeart) -> Line:
             result.evidence,
             result.similarity,
             predicted_error_mm(result.covariance / result.covariance_scale),
+            None if result.coverage is None else result.coverage.share,
         ),
         "statistics": None if result.statistics is None else result.statistics.values(),
         "offset_mm": _offset(result, registered.known.truth),

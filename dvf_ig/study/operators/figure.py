@@ -12,6 +12,7 @@ import numpy as np
 from dvf_ig.core import FloatArray, read_only_arrays
 from dvf_ig.report.style import ESTIMATE, FAINT, GUIDE, SERIES, START, SUSPENDED, TRUTH, open_frame
 from dvf_ig.study.driver import Line
+from dvf_ig.study.operators import paper
 from dvf_ig.study.operators.closed_loop import (
     ABLATIONS,
     HAPTICS,
@@ -28,8 +29,6 @@ from dvf_ig.study.operators.summary import OperatorsSummary, difference
 from dvf_ig.study.operators.tasks import (
     CUT,
     DEPTH_MM,
-    PAPER_AUTOMATIC_MM,
-    PAPER_MANUAL_MM,
     cut,
     dissect,
     track,
@@ -227,7 +226,7 @@ TITLES = {
     "tracking": "manual tracking of the beating surface over 30 cycles",
 }
 PANELS = {
-    "cutting": (("depth_error_mm", "mean depth error, mm"), ("largest_excess_mm", "largest excess, mm")),
+    "cutting": (("depth_rms_mm", "depth RMS, mm"), ("largest_excess_mm", "largest excess, mm")),
     "dissection": (("errors", "touches of the forbidden organ"), ("violation_mm", "deepest touch, mm")),
     "tracking": (("mean_mm", "mean distance to the surface, mm"), ("max_mm", "largest distance, mm")),
 }
@@ -259,7 +258,7 @@ def operators_shown(
     task, completed = summary.task, [line for line in lines if "refused" not in line]
     courses = _courses(task, int(completed[0]["seed"]))
     drawn = np.concatenate([curve.depth_mm for _, curves in courses for curve in curves])
-    ablated = {row.condition: row.measures["depth_error_mm"] for row in summary.ablations}
+    ablated = {row.condition: row.measures["depth_rms_mm"] for row in summary.ablations}
     return OperatorsFigure(
         title=f"{len(completed)} simulated operators: {TITLES[task]}",
         note=" ".join([*notes[:1], BELOW, *notes[-1:]]),
@@ -274,7 +273,7 @@ def operators_shown(
             for c in ABLATIONS
             if ablated
         ],
-        ablation_label="beating heart, mean depth error, mm (95 % interval)",
+        ablation_label="beating heart, depth RMS, mm (95 % interval)",
     )
 
 
@@ -310,12 +309,17 @@ def _panel(task: str, measure: str, label: str, completed: Sequence[Line]) -> Pa
         change = difference(measure, of[1].name, of[0].name, lines).mean
         said = f"{group}\n{_signed(change.value)}\n({_signed(change.low)} to {_signed(change.high)})"
         compared.append(Compared(said, np.array([[line[c.name][measure] for line in lines] for c in of])))
-    paper = (
-        ((PAPER_AUTOMATIC_MM, "Ren 2008, automatic"), (PAPER_MANUAL_MM, "Ren 2008, manual"))
-        if measure == "mean_mm"
-        else ()
-    )
-    return Panel(label, compared, paper)
+    return Panel(label, compared, _people(measure))
+
+
+def _people(measure: str) -> tuple[tuple[float, str], ...]:
+    """What people did in Ren 2008, and its name."""
+    if measure == "mean_mm":
+        return (paper.AUTOMATIC_MM, "Ren 2008, automatic"), (paper.MANUAL_MM, "Ren 2008, manual")
+    if measure != "depth_rms_mm":
+        return ()
+    with_mm, without_mm = paper.depth_rms_mm()
+    return (with_mm, "Ren 2008, with force"), (without_mm, "Ren 2008, without")
 
 
 def _courses(task: str, seed: int) -> list[tuple[str, list[Curve]]]:

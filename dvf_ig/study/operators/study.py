@@ -53,10 +53,9 @@ from dvf_ig.study.operators.closed_loop import (
     surface_of,
 )
 from dvf_ig.study.operators.figure import operators_figure, operators_shown
+from dvf_ig.study.operators.paper import figures_of
 from dvf_ig.study.operators.summary import MEASURES, Difference, OperatorsSummary, Row, summarise_operators
 from dvf_ig.study.operators.tasks import (
-    PAPER_AUTOMATIC_MM,
-    PAPER_MANUAL_MM,
     automatic,
     cut,
     cutting_law,
@@ -126,17 +125,13 @@ def operators_settings(task: str) -> Settings:
     return {"task": task, "heart": HEART_SEED, "conditions": [asdict(c) for c in every]}
 
 
-UNKNOWN = "not available here"
-"""Stands in the paper's column for a figure that this project does not have."""
-
-
 def assumptions(task: str) -> list[str]:
     """One sentence each: of the operators, the force, and the task."""
     s = OperatorSpec()
     hand, d = s.hand, DEVICE
     return [
-        "Simulated operators: no person took part. Nothing is fitted to the paper's tables, whose figures "
-        "without haptics are not available here; every figure is a prediction of the model.",
+        "Simulated operators: no person took part. One number is fitted to the paper: how badly depth is "
+        "seen in mono, by Table I without a force; every other figure is a prediction of the model.",
         f"Hand {hand.mass_kg:g} kg, {hand.damping_n_s_per_m:g} N·s/m, {hand.stiffness_n_per_m:g} N/m on a "
         f"simulated {d.name} ({1000 * d.mass_kg:g} g, {d.dry_n:g} N dry friction, {d.resolution_mm:g} mm "
         f"sensor step); tremor {s.tremor_rms_mm:g} mm RMS at 8–12 Hz.",
@@ -156,15 +151,6 @@ def assumptions(task: str) -> list[str]:
     ]
 
 
-def paper_figures(task: str) -> dict[str, str]:
-    """Figures of Ren 2008, by condition: two means of tracking; the tables' figures are not known here."""
-    if task != "tracking":
-        return {condition.name: UNKNOWN for condition in TASKS[task]}
-    manual = f"manual {PAPER_MANUAL_MM:g} mm mean, condition unknown"
-    figures = {condition.name: manual for condition in TASKS[task]}
-    return {**figures, "automatic": f"{PAPER_AUTOMATIC_MM:g} mm mean"}
-
-
 def _of_task(task: str) -> list[str]:
     if task == "cutting":
         region, c = cutting_law(), tasks
@@ -175,12 +161,12 @@ def _of_task(task: str) -> list[str]:
             f"{c.PERFORATION_MM:g} mm beyond it; depths are those of the true surface."
         ]
     if task == "dissection":
-        wall, q = dissection_law(), tasks
+        pull, q = dissection_law(), tasks
         return [
-            f"Dissection: {q.PELLETS} pellets with centres {q.HEIGHT_MM:g} mm above the forbidden organ, "
+            f"Dissection: {q.PELLETS} pellets with centres {q.HEIGHT_MM:g} mm above the organ, "
             f"which stands still; removed after {q.REMOVED_AFTER_S:g} s within {q.REACH_MM:g} mm, left after "
-            f"{q.GIVEN_UP_S:g} s; forbidden region at the organ's surface, γ {wall.gamma_per_mm:.2f}/mm, "
-            f"{wall.cap_n:g} N.",
+            f"{q.GIVEN_UP_S:g} s; guidance to the pellets' height, δ {pull.delta_mm:.2f} mm, m {pull.m:g}, "
+            f"{pull.cap_n:g} N.",
             f"Fulcrum: instrument of {q.LENGTH_MM:g} mm, {q.INSIDE_MM:g} mm inside at the first pellet; "
             f"believed lever wrong by {100 * LEVER_GAIN_SD:g} % (SD), image turned by "
             f"{MISALIGNED_SD_RAD * 57.29578:.0f}° (SD); camera 30° from the instrument; mono: depth error × "
@@ -190,8 +176,8 @@ def _of_task(task: str) -> list[str]:
     return [
         f"Tracking: {tasks.CYCLES} cycles at one of the automatic kind's places, drawn by the operator's "
         f"seed; guidance δ {law.delta_mm:.2f} mm, m {law.m:g}, {law.cap_n:g} N. Automatic: the stylus in "
-        "nobody's hand at all places (`dvf-ig study tracking`). What the paper's manual figure was measured "
-        "with is not known here."
+        "nobody's hand at all places (`dvf-ig study tracking`). The paper does not say what its manual "
+        "figure was measured with."
     ]
 
 
@@ -200,7 +186,7 @@ def run(settings: OperatorsSettings, driver: Driver) -> Result:
     task = settings.task.value
     seeds = range(settings.seed, settings.seed + settings.seeds)
     lines = driver.trials(Trials("operators", operators_settings(task), operators_trial), seeds)
-    result, assumed, paper = summarise_operators(task, lines), assumptions(task), paper_figures(task)
+    result, assumed, paper = summarise_operators(task, lines), assumptions(task), figures_of(task)
     alone = automatic(surface_of(HEART_SEED)) if settings.task is TaskName.tracking else None
     summary = {
         **asdict(result),

@@ -18,7 +18,7 @@ from dvf_ig.study.operators.closed_loop import HAPTICS, NO_HAPTICS, TASKS, UNATT
 from dvf_ig.study.statistics import Estimate, bootstrap
 
 MEASURES = {
-    "cutting": ("depth_error_mm", "largest_excess_mm", "perforations", "time_s"),
+    "cutting": ("depth_rms_mm", "largest_excess_mm", "perforations", "time_s"),
     "dissection": ("removed", "errors", "violation_mm", "time_s"),
     "tracking": ("mean_mm", "p95_mm", "max_mm"),
 }

@@ -1,11 +1,11 @@
 """The tasks of Ren 2008: depth-controlled cutting, dissection through a fulcrum, manual tracking.
 
 Cutting is along a line of the epicardium, to a depth and no deeper (Table I); dissection is of ten pellets
-from a forbidden organ (Tables III and IV); tracking is of a place of the beating surface over 30 cycles
-(Figs 14, 15). Automatic tracking, a stylus in nobody's hand, is `dvf_ig.study.tracking`.
+above an organ, to which guidance pulls (Tables III and IV); tracking is of a place of the beating surface
+over 30 cycles (Figs 14, 15). Automatic tracking, a stylus in nobody's hand, is `dvf_ig.study.tracking`.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import NamedTuple
 
@@ -120,11 +120,12 @@ def line_to_cut(heart: OperatingHeart, seed: int) -> MovingLine:
 def cutting_measures(trace: Trace) -> dict[str, float]:
     """Measures of the paper's Table I, while cutting.
 
-    Depth error is the mean of |depth − 5 mm|; excess the largest depth beyond 5 mm.
+    Depth error is the mean of |depth − 5 mm|, RMS its root mean square; excess the largest depth beyond 5 mm.
     """
     cutting = trace.stage == CUT
     depth = trace.depth_mm[cutting]
     return {
+        "depth_rms_mm": float(np.sqrt(((depth - DEPTH_MM) ** 2).mean())),
         "depth_error_mm": float(np.abs(depth - DEPTH_MM).mean()),
         "depth_bias_mm": float((depth - DEPTH_MM).mean()),
         "largest_excess_mm": float(max(0.0, (depth - DEPTH_MM).max())),
@@ -137,7 +138,7 @@ def cutting_measures(trace: Trace) -> dict[str, float]:
 
 PELLETS = 10
 HEIGHT_MM = 1.0
-"""Height of a pellet's centre above the organ's surface, which is the forbidden surface."""
+"""Height of a pellet's centre above the organ's surface."""
 REACH_MM = 1.0
 REMOVED_AFTER_S = 0.3
 """A pellet is removed when the tip has stayed so long within so much of its centre."""
@@ -267,10 +268,9 @@ def dissect(heart: OperatingHeart, condition: Condition, seed: int) -> Dissectio
     return Dissection(trace, tuple(task.removed), fulcrum.lever(first))
 
 
-def dissection_law() -> Sigmoid:
-    """The steepest forbidden region that the device renders, guarding the organ's surface."""
-    cap_n = Sigmoid().cap_n
-    return Sigmoid((1.0 - 1e-9) * 4.0 * LIMITS.allowed_stiffness_n_per_mm / cap_n, cap_n)
+def dissection_law() -> Gaussian:
+    """Guidance to the height of the pellets, as in the paper."""
+    return replace(tracking_law(), depth_mm=-HEIGHT_MM)
 
 
 def pellet_mm(site: Site) -> FloatArray:
@@ -286,7 +286,7 @@ def hover_mm(site: Site) -> FloatArray:
 def dissection_measures(dissection: Dissection) -> dict[str, float]:
     """Measures of the paper's Tables III and IV.
 
-    An error is a touch of the forbidden organ: an excursion of the tip into it.
+    An error is a touch of the organ: an excursion of the tip into it.
     """
     trace = dissection.trace
     inside = np.maximum(trace.depth_mm, 0.0)
@@ -302,8 +302,6 @@ def dissection_measures(dissection: Dissection) -> dict[str, float]:
 
 
 CYCLES = 30
-PAPER_AUTOMATIC_MM, PAPER_MANUAL_MM = 0.29, 0.25
-"""Mean errors of Ren 2008."""
 TRACK = 0.0
 """Stage."""
 

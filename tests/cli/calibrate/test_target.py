@@ -17,10 +17,12 @@ def run(*arguments: object) -> tuple[int, str, str]:
 
 
 @pytest.mark.parametrize("phantom", ["cross-wire", "wall"])
-def test_json_is_as_for_n_wires_and_the_truth_is_met(tmp_path: Path, phantom: str) -> None:
-    assert run("synth", "calibration", phantom, "-o", tmp_path, "--seed", 5)[0] == 0
-    truth = json.loads((tmp_path / "truth.json").read_text())
-    sequence, points = tmp_path / f"{phantom}.igs.mha", tmp_path / f"{phantom}_points.csv"
+def test_json_is_as_for_n_wires_and_the_truth_is_met(
+    calibration_recordings: Path, tmp_path: Path, phantom: str
+) -> None:
+    folder = calibration_recordings / phantom
+    truth = json.loads((folder / "truth.json").read_text())
+    sequence, points = folder / f"{phantom}.igs.mha", folder / f"{phantom}_points.csv"
     files = ["--points", points, "--validate", sequence, "--validate-points", points]
     out = tmp_path / "probe.json"
     code, text, output = run(
@@ -45,13 +47,13 @@ def test_json_is_as_for_n_wires_and_the_truth_is_met(tmp_path: Path, phantom: st
     assert saved.tolist() == found["sensor_from_image"]
 
 
-def test_missing_points_and_wrong_options_are_said(tmp_path: Path) -> None:
-    assert run("synth", "calibration", "cross-wire", "-o", tmp_path, "--seed", 5)[0] == 0
-    sequence = tmp_path / "cross-wire.igs.mha"
+def test_missing_points_and_wrong_options_are_said(calibration_recordings: Path) -> None:
+    folder = calibration_recordings / "cross-wire"
+    sequence = folder / "cross-wire.igs.mha"
     code, _, output = run("calibrate", "probe", sequence, "--phantom", "cross-wire")
     assert code == 3
     assert "--points" in output
-    points = tmp_path / "cross-wire_points.csv"
+    points = folder / "cross-wire_points.csv"
     code, _, output = run(
         "calibrate", "probe", sequence, "--phantom", "cross-wire", "--points", points, "--method", "linear"
     )

@@ -70,22 +70,6 @@ def test_from_a_real_cine_to_a_checked_model_in_two_commands(expert: Path, tmp_p
     assert told["mean_mm"] < told["end_diastole"]["mean_mm"]
 
 
-def test_labels_without_a_word_on_blood_give_a_model_and_say_what_they_hold(
-    expert: Path, tmp_path: Path
-) -> None:
-    model = tmp_path / "heart.npz"
-    build = ("model", "build", "--image", expert / "cine.nii.gz", "--labels", expert / "ed.nii.gz")
-    done = run(*build, "--knot-mm", 8, "-o", model)
-    assert "chambers          none" in done.stdout
-    note = " ".join(line for line in done.stderr.splitlines() if "where the blood is" in line)
-    assert "give --cavity (1: " in note
-    grey = {
-        part.split(":")[0].strip(): float(part.split()[-1].strip(")"))
-        for part in note.split("(")[1].split(";")
-    }
-    assert min(grey, key=grey.__getitem__) == "2"  # muscle is the darkest
-
-
 def test_a_cine_that_lost_its_voxel_size_is_refused_before_anything_is_written(
     expert: Path, tmp_path: Path
 ) -> None:

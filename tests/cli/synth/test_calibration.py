@@ -12,9 +12,7 @@ from dvf_ig.cli.main import app
 from dvf_ig.io import read_sequence
 
 
-def made(kind: str, folder: Path) -> dict[str, object]:
-    done = CliRunner().invoke(app, ["synth", "calibration", kind, "-o", str(folder), "--seed", "5"])
-    assert done.exit_code == 0, done.output
+def truth_of(folder: Path) -> dict[str, object]:
     assert (folder / "README.md").is_file()
     truth: dict[str, object] = json.loads((folder / "truth.json").read_text())
     return truth
@@ -27,36 +25,40 @@ def result(*arguments: object) -> dict[str, object]:
     return found
 
 
-def test_pivot(tmp_path: Path) -> None:
-    truth = made("pivot", tmp_path)
-    found = result("pivot", tmp_path / "pivot.igs.mha")
+def test_pivot(calibration_recordings: Path) -> None:
+    folder = calibration_recordings / "pivot"
+    truth = truth_of(folder)
+    found = result("pivot", folder / "pivot.igs.mha")
     assert np.linalg.norm(np.subtract(found["tip_mm"], truth["tip_mm"])) < 0.2
 
 
-def test_nwire(tmp_path: Path) -> None:
-    truth = made("nwire", tmp_path)
-    files = ["--device-set", tmp_path / "nwire.xml", "--points", tmp_path / "nwire_points.xml"]
-    found = result("probe", tmp_path / "nwire.igs.mha", *files)
+def test_nwire(calibration_recordings: Path) -> None:
+    folder = calibration_recordings / "nwire"
+    truth = truth_of(folder)
+    files = ["--device-set", folder / "nwire.xml", "--points", folder / "nwire_points.xml"]
+    found = result("probe", folder / "nwire.igs.mha", *files)
     corner = np.array([[0.0, 0, 0, 1], [343, 319, 0, 1]]).T
     difference = (np.array(found["sensor_from_image"]) - np.array(truth["probe_from_image"])) @ corner
     assert np.linalg.norm(difference[:3], axis=0).max() < 1.0
-    images = read_sequence(tmp_path / "nwire.igs.mha").images
+    images = read_sequence(folder / "nwire.igs.mha").images
     assert images is not None
     assert images.shape == (120, 320, 344)
 
 
-def test_the_lag_is_found_from_the_images_as_from_the_lines(tmp_path: Path) -> None:
-    truth = made("watertank", tmp_path)
-    for lines in (["--line-table", tmp_path / "lines.xml"], []):
-        found = result("latency", tmp_path / "tracker.igs.mha", tmp_path / "video.igs.mha", *lines)
+def test_the_lag_is_found_from_the_images_as_from_the_lines(calibration_recordings: Path) -> None:
+    folder = calibration_recordings / "watertank"
+    truth = truth_of(folder)
+    for lines in (["--line-table", folder / "lines.xml"], []):
+        found = result("latency", folder / "tracker.igs.mha", folder / "video.igs.mha", *lines)
         assert found["lag_s"] == pytest.approx(truth["lag_s"], abs=0.003)
 
 
 @pytest.mark.parametrize("kind", ["cross-wire", "wall"])
-def test_points_belong_to_images(tmp_path: Path, kind: str) -> None:
-    truth = made(kind, tmp_path)
-    sequence = read_sequence(tmp_path / f"{kind}.igs.mha")
-    with (tmp_path / f"{kind}_points.csv").open() as stream:
+def test_points_belong_to_images(calibration_recordings: Path, kind: str) -> None:
+    folder = calibration_recordings / kind
+    truth = truth_of(folder)
+    sequence = read_sequence(folder / f"{kind}.igs.mha")
+    with (folder / f"{kind}_points.csv").open() as stream:
         rows = list(csv.DictReader(stream))
     assert len(rows) == len(sequence)
     to_probe, misses = np.array(truth["probe_from_image"]), []

@@ -72,16 +72,14 @@ def test_a_fulcrum_inverts_and_scales_what_goes_sideways_alone() -> None:
     tip = np.array([0.0, 0.0, -100.0])
     np.testing.assert_allclose(LEVER.hand(tip), [0.0, 0.0, 200.0])
     assert LEVER.lever(tip) == pytest.approx(0.5)
-    np.testing.assert_allclose(LEVER.tip_per_hand(tip), np.diag([-0.5, -0.5, 1.0]), atol=1e-12)
     np.testing.assert_allclose(LEVER.tip(LEVER.hand(np.array([7.0, -4.0, -90.0]))), [7.0, -4.0, -90.0])
 
 
-def test_the_jacobian_is_the_derivative_and_power_is_the_same_on_both_sides() -> None:
+def test_power_is_the_same_on_both_sides() -> None:
     tip = np.array([20.0, -10.0, -95.0])
     hand, h = LEVER.hand(tip), 1e-5
     steps = [LEVER.tip(hand + h * e) - LEVER.tip(hand - h * e) for e in np.eye(3)]
     jacobian = np.array(steps).T / (2 * h)
-    np.testing.assert_allclose(LEVER.tip_per_hand(tip), jacobian, atol=1e-8)
     instrument = HeldInstrument(tip, HandDynamics(), FREE, fulcrum=LEVER)
     force = np.array([0.2, 0.1, -0.3])
     moved(instrument, np.array([0.0, 0.001, 0.002]), force)

@@ -39,7 +39,7 @@ def solved_pivot(seed: int, spec: TrackerSpec) -> tuple[FloatArray, FloatArray]:
     return solution[:3] - tip.xyz_mm[0], (matrix @ solution - target).reshape(-1, 3)
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", [1, 2])
 def test_pivot_recording_gives_the_tip_back(seed: int) -> None:
     spec = TrackerSpec(rate_hz=20.0, position_mm=0.1, rotation_deg=0.05)
     error, residuals = solved_pivot(seed, spec)
@@ -68,7 +68,7 @@ def nwire(seed: int, tracker: TrackerSpec = EXACT, **changes: float) -> NWireRec
     )
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", [1, 2])
 def test_exact_crossings_lie_on_their_wires(seed: int) -> None:
     recording = nwire(seed, point_noise_mm=0.0, failed_share=0.0)
     probe_from_image = ground_truth(seed).probe_from_image
@@ -133,7 +133,7 @@ def lag_by_correlation(recording: LatencyRecording) -> float:
     return float(lags[int(np.argmax(score))])
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3, 4])
+@pytest.mark.parametrize("seed", [1, 2])
 def test_watertank_holds_the_true_lag_with_the_stated_sign(seed: int) -> None:
     truth = ground_truth(seed)
     assert 0.02 <= abs(truth.lag_s) <= 0.08

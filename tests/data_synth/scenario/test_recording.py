@@ -90,7 +90,7 @@ def test_a_longer_recording_keeps_what_does_not_depend_on_its_length() -> None:
 
 
 @pytest.mark.usefixtures("on_a_ball")
-@pytest.mark.parametrize("seed", [1, 2, 3, 4])
+@pytest.mark.parametrize("seed", [1, 2])
 def test_a_minute_keeps_its_promises(seed: int, ball: Any) -> None:
     made = phantom_scenario(ScenarioSpec(seed=seed))
     truth = made.truth

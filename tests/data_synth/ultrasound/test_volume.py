@@ -8,7 +8,7 @@ import pytest
 from data_synth.heart.tissue import Tissue
 from data_synth.realism.gates import FACING, point_gates
 from data_synth.realism.media import medium
-from data_synth.ultrasound.presets import PROBES, catheter_from_plane, probe_named
+from data_synth.ultrasound.presets import PROBES, probe_named
 from data_synth.ultrasound.probe import SectorProbe
 from data_synth.ultrasound.sequence import simulate_frame
 from data_synth.ultrasound.volume import MatrixProbe, simulate_pyramid, simulate_volume
@@ -79,13 +79,6 @@ def test_curved_array_looks_from_its_face() -> None:
     start = probe.apex_px[1] + probe.face_radius_mm / probe.mm_per_px[1]
     assert abs(np.flatnonzero(profile)[0] - start) <= 2
     assert all(gate.passed for gate in point_gates(probe))
-
-
-def test_side_fire_catheter_looks_sideways() -> None:
-    pose = catheter_from_plane(np.pi / 2)
-    assert np.allclose(pose.rotation[:, 1], [0, 1, 0])
-    assert np.allclose(pose.rotation[:, 0], [0, 0, -1])
-    assert (pose.target, pose.source) == ("catheter", "plane")
 
 
 def test_bad_probes_are_refused() -> None:

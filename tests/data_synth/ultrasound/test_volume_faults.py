@@ -33,7 +33,7 @@ def test_clutter_adds_its_power_and_dies_out_with_depth(factor: float) -> None:
     np.testing.assert_allclose(added, 10 ** (out.astype(np.float64) / 10), rtol=1e-2, atol=1e-5)
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize("seed", [0, 1])
 def test_a_shadow_takes_its_loss_from_its_cone_alone(seed: int) -> None:
     spec = ImageSpec(shadows=1, shadow_db=20.0)
     lost = FLAT_DB - degraded_pyramid(FLAT_DB, ARRAY, spec, np.random.default_rng(seed))

@@ -23,7 +23,7 @@ from dvf_ig.guidance import Fixtures, FixtureSet, Hazard, SupervisorState
 from dvf_ig.guidance.servo import Servo, ServoInputs, SimulatedServo
 from dvf_ig.kernels.servo import loop as kernel
 
-STOPS_MS = (12, 12, 12, 15, 15, 15, 30, 30, 30, 100, 100, 100, 500, 500, 2000)
+STOPS_MS = (12, 12, 15, 15, 30, 30, 100, 100, 500, 2000)
 TRIES = 5
 """For a stop that finds no force: the machine itself had stopped the servo before."""
 LIMIT_NS = 10_000_000

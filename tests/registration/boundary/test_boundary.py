@@ -10,12 +10,10 @@ from toy_heart import CENTER_MM, toy_mr, toy_pose, toy_slices
 from dvf_ig.core import (
     HEART_RADIUS_MM,
     CycleTiming,
-    DvfModel,
     FloatArray,
     FrameMismatchError,
     Grid,
     InvalidInputError,
-    Mesh,
     Rigid,
     VolumeSeries,
     mean_displacement_mm,
@@ -23,7 +21,6 @@ from dvf_ig.core import (
 from dvf_ig.kernels.boundary import SUMS, UNKNOWNS, DistanceSplines, OrientedPoints, boundary_step_sums
 from dvf_ig.kernels.spline import spline_batch
 from dvf_ig.registration import (
-    EPICARDIUM_FIT,
     Boundary,
     BoundaryFitOptions,
     BoundaryPoints,
@@ -35,7 +32,6 @@ from dvf_ig.registration import (
     fit_boundary,
     signed_distance_mm,
     target_from_labels,
-    target_from_model,
 )
 
 TARGETS = CENTER_MM + np.random.default_rng(1).uniform(-40, 40, (27, 3))
@@ -197,7 +193,7 @@ def test_the_kernel_s_sums_are_those_of_its_twin(points: BoundaryPoints, target:
     assert len(expected) == UNKNOWNS * (UNKNOWNS + 1) + 3
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3, 4])
+@pytest.mark.parametrize("seed", [1, 2])
 def test_recovers_a_15_mm_displacement(points: BoundaryPoints, target: BoundaryTarget, seed: int) -> None:
     fit = fit_boundary(Boundary(points, target), displaced(15.0, seed), CENTER_MM)
     assert fit.converged
@@ -269,44 +265,6 @@ def test_many_starts_reach_30_mm_and_their_ends_are_distinct(
         Boundary(points, target), displaced(30.0, 11), CENTER_MM, rng=np.random.default_rng(2), spread_mm=20.0
     )
     np.testing.assert_array_equal(ends[0].pose.matrix, again[0].pose.matrix)
-
-
-def _ellipsoid_model() -> DvfModel:
-    """An ellipsoid as a fixture: its softened distance on the toy's grid as the coefficients of a spline."""
-    grid = toy_mr().grid
-    inside = (((grid.centers_mm() - CENTER_MM) / (48, 40, 44)) ** 2).sum(axis=-1) < 1
-    distance = signed_distance_mm(inside, grid.spacing_mm)
-    mesh = Mesh("mr", np.eye(3), np.array([[0, 1, 2]]))
-    return DvfModel(
-        patient_id="toy",
-        surface_name="EPICARDIAL",
-        frame="mr",
-        timing=CycleTiming.uniform(2, 0.8),
-        es_fraction=0.35,
-        ed_phase=0,
-        coefficients=np.stack([distance, distance]),
-        origin_mm=grid.origin_mm + grid.spacing_mm,
-        knot_spacing_mm=float(grid.spacing_mm[0]),
-        reference=(mesh, mesh),
-        reference_caps=(np.zeros(1, bool), np.zeros(1, bool)),
-    )
-
-
-@pytest.mark.parametrize("fat_mm", [0.0, 5.0])
-def test_a_fixture_s_spline_serves_as_target_below_a_layer_of_fat(fat_mm: float) -> None:
-    """The ellipsoid's axes differ by 4 mm: rotation is hardly seen, so only translation is compared."""
-    mr = toy_mr(blood=100.0, outside=280.0)  # a bright solid body in dark surroundings
-    slices = toy_slices(mr, toy_pose(), np.random.default_rng(50), pitch_mm=1.5, speckle=0.1)
-    model = _ellipsoid_model()
-    model = replace(model, coefficients=model.coefficients - np.float32(fat_mm))
-    start = PoseChart(toy_pose(), CENTER_MM).pose(np.array([0.0, 0, 0, 6.0, -5.0, 4.0]))
-    fit = fit_boundary(
-        Boundary(boundary_points(slices), target_from_model(model)), start, CENTER_MM, options=EPICARDIUM_FIT
-    )
-    here = toy_pose().inverse().apply_array(CENTER_MM)
-    assert np.linalg.norm(fit.pose.apply_array(here) - CENTER_MM) < 0.5
-    assert fit.offset_mm == pytest.approx(-fat_mm, abs=0.6)
-    assert fit.share_near > 0.7
 
 
 def test_labels_on_a_turned_grid_give_the_same_distance() -> None:

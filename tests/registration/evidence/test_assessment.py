@@ -41,7 +41,7 @@ def table() -> Table:
 
 
 def features(evidence: Evidence = GOOD, predicted_mm: float = 1.2) -> dict[str, float | None]:
-    return features_of(evidence, STATISTICS.similarity, predicted_mm)
+    return features_of(evidence, STATISTICS.similarity, predicted_mm, None)
 
 
 def test_a_covariance_that_claims_less_than_the_checks_is_widened() -> None:

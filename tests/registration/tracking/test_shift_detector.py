@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import chi2
 
@@ -54,14 +54,14 @@ def statistics(shift_mm: FloatArray, seed: int, beats: int, known_mm: float = 0.
 
 
 def test_one_beat_of_a_still_patient_is_chi_squared_of_six_degrees() -> None:
-    drawn = np.array([statistics(np.zeros(6), seed, 1)[0] for seed in range(1500)])
+    drawn = np.array([statistics(np.zeros(6), seed, 1)[0] for seed in range(600)])
     for share in (0.5, 0.9, 0.99):
         assert np.mean(drawn > chi2.ppf(share, 6)) == pytest.approx(1 - share, abs=0.03)
 
 
 def test_the_worst_window_exceeds_a_limit_no_more_often_than_the_windows_together() -> None:
     limit = float(chi2.ppf(0.995, 6))
-    drawn = [statistics(np.zeros(6), seed, WINDOW_BEATS)[-1] > limit for seed in range(600)]
+    drawn = [statistics(np.zeros(6), seed, WINDOW_BEATS)[-1] > limit for seed in range(400)]
     assert np.mean(drawn) < WINDOW_BEATS * 0.005
 
 
@@ -108,9 +108,9 @@ def after_quiet(scatter: float, seed: int, beats: int, *, in_use: bool = True) -
 
 
 def test_beats_that_scatter_further_than_they_promise_are_believed_less() -> None:
-    tests = [after_quiet(2.0, seed, 45).test for seed in range(100)]
-    assert np.mean([found.statistic for found in tests if found is not None]) < 20.0
-    assert np.mean([after_quiet(2.0, seed, 45).variance for seed in range(20)]) == pytest.approx(3.6, abs=0.4)
+    wide = [after_quiet(2.0, seed, 45) for seed in range(20)]
+    assert np.mean([found.test.statistic for found in wide if found.test is not None]) < 20.0
+    assert np.mean([found.variance for found in wide]) == pytest.approx(3.6, abs=0.4)
     assert np.mean([after_quiet(0.8, seed, 45).variance for seed in range(20)]) < 1.05
 
 
@@ -169,6 +169,7 @@ def test_numbers_that_are_none_are_refused_and_change_nothing(wrong: float, plac
         calls[place]()
 
 
+@settings(max_examples=30)
 @given(exponent=st.floats(-12.0, 12.0), seed=st.integers(0, 9))
 def test_the_statistic_of_any_allowed_beat_is_a_number(exponent: float, seed: int) -> None:
     rng = np.random.default_rng(seed)

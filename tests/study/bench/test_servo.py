@@ -15,7 +15,7 @@ def model() -> DvfModel:
 
 
 def test_every_loop_has_its_row(model: DvfModel) -> None:
-    done = bench_servo(model, 0.4, seed=1)
+    done = bench_servo(model, 0.2, seed=1)
     rows = {row.what: row for row in done.rows}
     assert set(rows) == {
         "servo floor",

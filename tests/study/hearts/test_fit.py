@@ -39,6 +39,7 @@ def drawn(seed: int, hearts: int, trials: int = 3) -> list[Line]:
                 "phase_offset_ratio": 1.0,
                 "unexplained": 0.5,
                 "predicted_mm": float(predicted),
+                "not_imaged": None,
             }
             statistics = ImageStatistics(*rng.uniform(0.9, 1.1, 10)).values()
             lines.append(
@@ -113,7 +114,7 @@ def test_checks_that_tell_nothing_weigh_little_and_none_is_negative(fitted: Tabl
     assert (fitted.weights >= 0.0).all()
     named = dict(
         zip(
-            ["z", "half", "phase", "volume", "boundary", "offset", "lc2", "sigma"],
+            ["z", "half", "phase", "volume", "boundary", "offset", "lc2", "sigma", "imaged"],
             fitted.weights,
             strict=True,
         )
@@ -121,6 +122,7 @@ def test_checks_that_tell_nothing_weigh_little_and_none_is_negative(fitted: Tabl
     assert named["volume"] == pytest.approx(0.5, abs=0.12)
     assert named["sigma"] == pytest.approx(0.5, abs=0.12)
     assert named["half"] < 0.08
+    assert named["imaged"] == 0.0  # never measured of a heart that is covered
 
 
 def test_few_good_poses_are_refused(fitted: Table) -> None:
