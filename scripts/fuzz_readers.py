@@ -33,6 +33,7 @@ def write_seeds(folder: Path) -> None:
         io.write_volume_series(preop.mr, out / f"series.{ending}")
     io.write_volume(Volume(preop.mr.grid, preop.mr.values[0].astype(np.float32)), out / "grey.mha")
     io.write_volume(Volume(preop.mr.grid, preop.mr.values[0].astype(np.float64)), out / "grey.nii")
+    io.write_volume_series(preop.labels, out / "labels.nii")
     mesh = preop.surfaces[0].phase(0)
     for ending in ("obj", "stl", "ply", "vtp"):
         io.write_mesh(mesh, out / f"mesh.{ending}")
@@ -155,7 +156,7 @@ READERS: dict[str, tuple[tuple[str, ...], Read]] = {
     "series-nrrd": (("series.nrrd", "series.nhdr"), io.read_volume_series),
     "series-mha": (("series.mha",), io.read_volume_series),
     "series-nifti": (("series.nii", "series.nii.gz"), io.read_volume_series),
-    "labels": (("volume.nrrd", "volume.nii", "volume.mha", "series.nii"), io.read_labels),
+    "labels": (("volume.nrrd", "volume.nii", "volume.mha", "labels.nii"), io.read_labels),
     "mesh-text": (("mesh.obj",), io.read_mesh),
     "mesh-stl": (("mesh.stl",), io.read_mesh),
     "mesh-ply": (("mesh.ply",), io.read_mesh),

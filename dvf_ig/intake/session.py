@@ -209,7 +209,11 @@ def _named_by(path: Path) -> str:
 
 def _require_files(config: SessionConfig, folder: Path, named_by: str) -> None:
     """Raise UnreadableFileError if files are missing: one sentence that names them all."""
-    missing = [f"{name} ({key})" for key, name in named_files(config) if not is_there(folder / name, key)]
+    missing = [
+        f"{name.encode('unicode_escape').decode() if not name.isprintable() else name} ({key})"
+        for key, name in named_files(config)
+        if not is_there(folder / name, key)
+    ]
     if missing:
         hint = "; write out ~, your home" if any(name.startswith("~") for name in missing) else ""
         hint += "; write / for \\" if any("\\" in name for name in missing) else ""

@@ -67,8 +67,8 @@ def read_number_table(path: Path, what: str) -> NumberTable:
     for number, row in zip(table.lines, values[:, lengths], strict=True):
         if (np.abs(row) > LARGEST).any():
             raise UnreadableFileError(
-                f"{path}, line {number}: a number is beyond {LARGEST:g}; check its unit (a time in ns: name "
-                "the column t_ns), or export it again"
+                f"{path}, line {number}: a number is beyond {LARGEST:g}; check the unit (times in ns: name "
+                "their column t_ns), or export it again"
             )
     plain = tuple("" if part is None else part[1] for part in parts)
     texts = {name.lower(): cells for name, cells in table.texts.items()}

@@ -54,7 +54,10 @@ def parse_yaml(text: str, path: Path, what: str) -> Any:
         return _Document(text, path).read()
     except yaml.MarkedYAMLError as exc:
         line = "" if exc.problem_mark is None else f"line {exc.problem_mark.line + 1}: "
-        raise UnreadableFileError(f"{path} is not YAML: {line}{exc.problem or exc.context}") from exc
+        problem = exc.problem or exc.context or ""
+        if "escape character" in problem:
+            problem += "; in double quotes \\ begins an escape: write / instead"
+        raise UnreadableFileError(f"{path} is not YAML: {line}{problem}") from exc
     except yaml.YAMLError as exc:
         raise UnreadableFileError(f"{path} is not YAML: {' '.join(str(exc).split())[:400]}") from exc
     except UnreadableFileError:

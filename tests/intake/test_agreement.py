@@ -422,6 +422,7 @@ def test_names_of_surfaces_tell_their_patient(lab: Path, beating_sphere: Surface
     [
         ({"calibration": {"latency": "0.035 s"}}, "a number is written without quotes and unit"),
         ({"ecg": "csv:day\\\\ecg.csv"}, "write / for"),
+        ({"preop": {"labels": "C:\temp\new.nrrd"}}, r"C:.temp.new\.nrrd .*write / for"),
         ({"preop": {"labels": "~/ed.nrrd"}}, "write out ~, your home"),
     ],
 )

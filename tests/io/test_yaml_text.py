@@ -175,3 +175,8 @@ def test_a_number_of_a_session_is_no_text_and_no_yes(tmp_path: Path, value: str)
         path.write_text(f"schema: dvf_ig.session/1\n{text}\n")
         with pytest.raises(UnreadableFileError, match=rf"{key}: needed a (whole )?number"):
             open_session(path)
+
+
+def test_a_backslash_in_double_quotes_is_explained(tmp_path: Path) -> None:
+    with pytest.raises(UnreadableFileError, match=r"unknown escape character 'd'; in double quotes . begins"):
+        parse_yaml('model: "C:\\data\\a.npz"\n', tmp_path / "a.yaml", "a session")

@@ -55,6 +55,8 @@ _COUNT_NAMES = {
 _SHORTEST_STEP_S, _LONGEST_STEP_S = 1 / ECG_RATE_HZ[1], 1 / ECG_RATE_HZ[0]
 _LATEST = 1e19
 """Largest plausible time: nanoseconds since 1970 reach 1.8e18."""
+_FEWEST_SAME, _FAR = 3, 20.0
+"""Samples of one value, and its distance in ranges of all others, from which it stands for missing ones."""
 _AGREES = 0.01
 """Largest relative difference between the rate of rounded times and a stated rate."""
 
@@ -87,7 +89,8 @@ def read_ecg_table(path: Path, rate_hz: float | None = None, lead: str | None = 
     _leave_out_words(path, table)
     chosen = _leads(path, columns, others, lead)
     labels = tuple(columns[i].name for i in chosen)
-    samples, unit = _in_one_unit(path, table.values[:, chosen], [columns[i] for i in chosen])
+    recorded = _without_placeholders(path, table.values[:, chosen])
+    samples, unit = _in_one_unit(path, recorded, [columns[i] for i in chosen])
     stated_hz = _agreed(path, table.rate_hz, rate_hz)
     if times:
         t_s, measured_hz = _even_times(path, table, columns, times)
@@ -139,6 +142,11 @@ class LeadColumns:
             UnreadableFileError: no table of numbers, or no ECG among its columns.
         """
         table = parse_table(path, head)
+        if table.texts:
+            raise UnreadableFileError(
+                f"{path}: the columns {', '.join(table.texts)} hold words; needed numbers only in a table "
+                "that grows"
+            )
         columns, _, others = _channels(table)
         return cls(table.mark, len(columns), tuple(_leads(path, columns, others, lead)))
 
@@ -328,6 +336,24 @@ def _seconds(path: Path, table: Table, column: Column, at: int) -> FloatArray:
                 log.warning("%s: its times step by %g, so they are read as %s", path, step, unit)
             return times / IN_ONE_SECOND[unit]
     raise UnreadableFileError(f"{path}: times step by {step:g}; name their unit in the header, as in t_ms")
+
+
+def _without_placeholders(path: Path, samples: FloatArray) -> FloatArray:
+    """Return (n, leads) samples with NaN for a number such as -9999 that stands for missing ones.
+
+    It is the smallest or largest of its lead, repeats exactly, and is far beyond the range of all others.
+    """
+    cleared = np.array(samples)
+    for lead in cleared.T:
+        for value in (np.nanmin(lead, initial=np.inf), np.nanmax(lead, initial=-np.inf)):
+            same, others = lead == value, lead[np.isfinite(lead) & (lead != value)]
+            if same.sum() < _FEWEST_SAME or not len(others):
+                continue
+            middle = float(np.median(others))
+            if abs(value - middle) > _FAR * float(np.ptp(others)) > 0:
+                log.warning("%s: %d samples are %g and are taken as missing", path, same.sum(), value)
+                lead[same] = np.nan
+    return cleared
 
 
 def _are_counts(samples: FloatArray, rate_hz: float) -> bool:

@@ -85,7 +85,7 @@ def timing_from_document(path: Path, document: Any) -> CycleTiming:
         isinstance(number, bool | str) for number in (document["rr_s"], *numbers)
     ):
         raise UnreadableFileError(
-            f"{path}: needed numbers for fractions and rr_s, and true or false for what is assumed, no texts"
+            f"{path}: fractions or rr_s are not numbers, or rr_assumed or timing_assumed not true or false"
         )
     try:
         timing = CycleTiming(np.array(fractions, dtype=np.float64), float(document["rr_s"]), *assumed)

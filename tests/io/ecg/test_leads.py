@@ -308,3 +308,16 @@ def test_a_doubtful_choice_of_leads_is_said(
     (tmp_path / "a.csv").write_text(f"{header}\n{rows}")
     read_ecg(f"csv:{tmp_path / 'a.csv'}")
     assert note in caplog.text
+
+
+@pytest.mark.parametrize("missing", [-9999.0, -32768.0, 99999.0])
+def test_numbers_that_stand_for_missing_samples(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, missing: float
+) -> None:
+    lost = (T_S > 2) & (T_S < 3)
+    rows = "".join(f"{t},{missing if gone else v}\n" for t, v, gone in zip(T_S, MV, lost, strict=True))
+    (tmp_path / "a.csv").write_text(f"t,II\n{rows}")
+    samples = read_ecg(f"csv:{tmp_path / 'a.csv'}").samples[:, 0]
+    np.testing.assert_array_equal(np.isnan(samples), lost)
+    np.testing.assert_array_equal(samples[~lost], MV[~lost])
+    assert "are taken as missing" in caplog.text

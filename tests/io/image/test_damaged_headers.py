@@ -528,8 +528,8 @@ def test_every_segment_of_a_header_is_read_or_named(tmp_path: Path, caplog: pyte
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [
-        ('{"fractions": [0, 0.5], "rr_s": "0.8"}', "needed numbers for fractions and rr_s"),
-        ('{"fractions": [0, 0.5], "rr_s": 0.8, "rr_assumed": "false"}', "true or false for what is assumed"),
+        ('{"fractions": [0, 0.5], "rr_s": "0.8"}', "fractions or rr_s are not numbers"),
+        ('{"fractions": [0, 0.5], "rr_s": 0.8, "rr_assumed": "false"}', "timing_assumed not true or false"),
         ('{"sax": {"trigger_ms": [[0, 400]], "RR_ms": [800, 810]}}', "needed one RR interval each"),
     ],
 )
