@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from dvf_ig.core import Rigid, Stop, mean_displacement_mm, untold
+from dvf_ig.registration.boundary.target import target_from_model
 from dvf_ig.registration.evidence.assessment import (
     Assessment,
     ImageStatistics,
@@ -98,7 +99,9 @@ def register(
             overlap=overlap if coverage is None else inside.overlap,
             information=refined.inside.information,
         )
-        stop = _stop(images.options, refined, fused, evidence, moved_mm=moved_mm, overlap=overlap)
+        followed = shape is not None and shape.followed is not None
+        unexplained = evidence.of_changed_shape() if followed else evidence
+        stop = _stop(images.options, refined, fused, unexplained, moved_mm=moved_mm, overlap=overlap)
         if stop is Stop.CONVERGED and covered is None and _other_calibration(evidence):
             stop = Stop.DISAGREEMENT
         if shape is not None and shape.refusal is not None and stop in (Stop.CONVERGED, Stop.DISAGREEMENT):
@@ -107,6 +110,7 @@ def register(
             stop,
             table_of(images.options.kind, "" if covered is None else covered.kind),
             features_of(evidence, similarity, predicted_error_mm(fused.covariance)),
+            features_of(unexplained, similarity, predicted_error_mm(fused.covariance)),
             statistics,
             partly=covered is not None,
         )
@@ -185,7 +189,9 @@ def _change_of_shape(problem: Problem, fused: Fused) -> ShapeChange | None:
     boundary = problem.visible_boundary
     if boundary is None or fused.boundary is None or problem.heart.covered is not None:
         return None
-    return change_of_shape(boundary, fused.boundary.offset_mm, fused.pose, problem.center_mm)
+    model = problem.heart.model
+    organ = None if model is None else target_from_model(model)
+    return change_of_shape(boundary, fused.boundary.offset_mm, fused.pose, problem.center_mm, organ)
 
 
 def _second_best(problem: Problem, refined: Refined, pose: Rigid) -> float:
@@ -236,6 +242,7 @@ def _assessed(
     stop: Stop,
     table: Table | None,
     features: dict[str, float | None],
+    unexplained: dict[str, float | None],
     statistics: ImageStatistics,
     *,
     partly: bool,
@@ -247,10 +254,14 @@ def _assessed(
     they were like those; where nothing was calibrated for their kind, the checks' own limits decide.
 
     Args:
+        features: by which probability and bound are stated; unexplained: without what a change of the heart's
+            shape that fixtures follow explains, by which the pose is judged.
         partly: the heart's images cover it in part. What they do not hold pulls poses aside by more than any
             check's limit shows: without a bound up to LARGEST_OF_PART_MM its pose is refused.
     """
-    assessment = assess(table, features, statistics)
+    assessment = replace(
+        assess(table, features, statistics), doubtful=assess(table, unexplained, statistics).doubtful
+    )
     bound_mm = assessment.tre_bound_mm
     if stop.usable and not assessment.doubtful:
         if not partly:

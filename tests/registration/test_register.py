@@ -201,7 +201,7 @@ def test_target_error_of_a_known_shift_composes_and_is_frame_invariant() -> None
 def test_slices_that_show_none_of_the_models_boundary_end_in_disagreement() -> None:
     mr = toy_mr()
     labels = VolumeSeries(mr.grid, np.where(mr.values > 230, BLOOD, WALL).astype(np.uint8), mr.timing)
-    none = BoundaryPoints("tracker", np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros(0))
+    none = BoundaryPoints("tracker", *(np.zeros((0, 3)) for _ in range(3)), np.zeros(0), np.zeros(0))
     heart = replace(_heart(), surface=target_from_labels(labels, mr.timing.fractions))
     images = UltrasoundImages(*_levels(0.1), none, options=QUICK)
     result = register(
