@@ -49,6 +49,9 @@ PATCH_MM, PATCH_POINTS = 30.0, 8
 LARGEST_RIGID_MM = 1.0
 """RMS shift of the seen walls up to which fixtures stay rigid: hearts 1.2 mm different, which margins hold,
 show up to 0.85 mm, and following them brings the wall no nearer to the truth (docs/decisions/0042)."""
+ANOTHER_HEART_MM = 3.5
+"""RMS shift of the seen walls beyond which the model may be another patient's: load and filling move the
+walls of one heart by up to 5 mm, 3 mm RMS."""
 LARGEST_SLOPE = 0.5
 """Largest ‖Dm‖: 0.43 in threshold hearts 5 mm different, where the wall is right; folds begin at 1."""
 LARGEST_SHARED = 0.7
@@ -118,6 +121,8 @@ class ShapeChange:
         """Why fixtures cannot follow a change that they would have to; None if they can, or need not."""
         if not self.needed:
             return None
+        if self.seen_mm > ANOTHER_HEART_MM:
+            return "it has changed by more than load and filling change a heart"
         if self.warp.steepest > LARGEST_SLOPE:
             return "it has changed too abruptly for the model to follow"
         if self.shared > LARGEST_SHARED:
