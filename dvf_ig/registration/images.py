@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
 
-from dvf_ig.core import FloatArray, Rigid, TrackedVolume, read_only_arrays
+from dvf_ig.core import DvfModel, FloatArray, Rigid, TrackedVolume, read_only_arrays
 from dvf_ig.core.threads import thread_pool
 from dvf_ig.kernels.compiled import thread_count
 from dvf_ig.registration.boundary.fit import Boundary
@@ -137,6 +137,11 @@ class HeartTarget(Protocol):
         """The part of the heart that its images cover; None if they hold all of it."""
         ...
 
+    @property
+    def model(self) -> DvfModel | None:
+        """The guarded surface, from which the depth of walls is measured; None if it is not known."""
+        ...
+
 
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
@@ -147,6 +152,7 @@ class HeartChannels:
     center_mm: FloatArray
     surface: BoundaryTarget | None = None
     covered: CoveredPart | None = None
+    model: DvfModel | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from dvf_ig.core import Rigid, Stop, mean_displacement_mm, untold
+from dvf_ig.registration.boundary.target import target_from_model
 from dvf_ig.registration.evidence.assessment import (
     Assessment,
     ImageStatistics,
@@ -107,20 +108,19 @@ def register(
             overlap=overlap if coverage is None else inside.overlap,
             information=refined.inside.information,
         )
-        stop = _stop(images.options, refined, fused, evidence, moved_mm=moved_mm, overlap=overlap)
+        followed = shape is not None and shape.followed is not None
+        unexplained = evidence.of_changed_shape() if followed else evidence
+        stop = _stop(images.options, refined, fused, unexplained, moved_mm=moved_mm, overlap=overlap)
         if stop is Stop.CONVERGED and covered is None and _other_calibration(evidence):
             stop = Stop.DISAGREEMENT
         if shape is not None and shape.refusal is not None and stop in (Stop.CONVERGED, Stop.DISAGREEMENT):
             stop = Stop.CHANGED_SHAPE  # also why parts disagree on where a rigid heart is
+        share = None if coverage is None else coverage.share
         stop, assessment = _assessed(  # trust.md: probability, bound and scale of the covariance
             stop,
             table_of(images.options.kind, "" if covered is None else covered.kind),
-            features_of(
-                evidence,
-                similarity,
-                predicted_error_mm(fused.covariance),
-                None if coverage is None else coverage.share,
-            ),
+            features_of(evidence, similarity, predicted_error_mm(fused.covariance), share),
+            features_of(unexplained, similarity, predicted_error_mm(fused.covariance), share),
             statistics,
             partly=covered is not None,
         )
@@ -203,7 +203,9 @@ def _change_of_shape(problem: Problem, fused: Fused) -> ShapeChange | None:
     boundary = None if covered is not None and covered.views else problem.boundary_at(fused.pose)
     if boundary is None or fused.boundary is None:
         return None
-    change = change_of_shape(boundary, fused.boundary.offset_mm, fused.pose, problem.center_mm)
+    model = problem.heart.model
+    organ = None if model is None else target_from_model(model)
+    change = change_of_shape(boundary, fused.boundary.offset_mm, fused.pose, problem.center_mm, organ)
     if covered is None or change is None:
         return change
     return replace(change, partly=True) if change.evidence > PART_EVIDENCE else None
@@ -257,6 +259,7 @@ def _assessed(
     stop: Stop,
     table: Table | None,
     features: dict[str, float | None],
+    unexplained: dict[str, float | None],
     statistics: ImageStatistics,
     *,
     partly: bool,
@@ -268,10 +271,14 @@ def _assessed(
     they were like those; where nothing was calibrated for their kind, the checks' own limits decide.
 
     Args:
+        features: by which probability and bound are stated; unexplained: without what a change of the heart's
+            shape that fixtures follow explains, by which the pose is judged.
         partly: the heart's images cover it in part. What they do not hold pulls poses aside by more than any
             check's limit shows: without a bound up to LARGEST_OF_PART_MM its pose is refused.
     """
-    assessment = assess(table, features, statistics)
+    assessment = replace(
+        assess(table, features, statistics), doubtful=assess(table, unexplained, statistics).doubtful
+    )
     bound_mm = assessment.tre_bound_mm
     if stop.usable and not assessment.doubtful:
         if not partly:

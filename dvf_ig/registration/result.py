@@ -6,16 +6,13 @@ from dvf_ig.core import FloatArray, Rigid, Stop, read_only_arrays
 from dvf_ig.core.summary import Rows, summary_html, summary_text
 from dvf_ig.registration.evidence.assessment import ImageStatistics
 from dvf_ig.registration.evidence.checks import Evidence
-from dvf_ig.registration.shape.change import ShapeChange
+from dvf_ig.registration.shape.change import ANOTHER_HEART_MM, ShapeChange
 from dvf_ig.registration.surface_points.touched import SurfaceDisagreement
 
 from .coverage import Coverage
 from .images import RegistrationOptions
 from .start import LANDMARKS_MM, landmarks_disagree
 
-ANOTHER_HEART_MM = 3.5
-"""RMS shift of the seen walls beyond which the model may be another patient's: load and filling move the
-walls of one heart by up to 5 mm, 3 mm RMS."""
 LONG_AXIS = "the long-axis cines of the same examination (preop.views), or "
 """What bounds the pose of a heart of which the MR holds short-axis slices alone."""
 

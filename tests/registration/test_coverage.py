@@ -147,10 +147,10 @@ def test_a_bound_decides_of_a_part_alone_and_is_stated(
     module = "dvf_ig.registration.register"
     monkeypatch.setattr(sys.modules[module], "assess", lambda *_: Assessment(0.9, bound_mm))
     statistics = ImageStatistics(*([1.0] * 10))
-    ended, assessment = _assessed(Stop.CONVERGED, None, {}, statistics, partly=True)
+    ended, assessment = _assessed(Stop.CONVERGED, None, {}, {}, statistics, partly=True)
     assert ended is stop
     assert assessment.tre_bound_mm == bound_mm
-    assert _assessed(Stop.CONVERGED, None, {}, statistics, partly=False)[0] is Stop.CONVERGED
+    assert _assessed(Stop.CONVERGED, None, {}, {}, statistics, partly=False)[0] is Stop.CONVERGED
 
 
 def test_tables_of_whole_hearts_say_nothing_of_a_part() -> None:

@@ -39,6 +39,7 @@ from dvf_ig.registration import (
     target_errors_mm,
     target_from_labels,
 )
+from dvf_ig.registration.shape.change import Halves
 
 QUICK = RegistrationOptions(starts=4)
 register_module = importlib.import_module("dvf_ig.registration.register")
@@ -198,7 +199,8 @@ def test_target_error_of_a_known_shift_composes_and_is_frame_invariant() -> None
 def test_slices_that_show_none_of_the_models_boundary_end_in_disagreement() -> None:
     mr = toy_mr()
     labels = VolumeSeries(mr.grid, np.where(mr.values > 230, BLOOD, WALL).astype(np.uint8), mr.timing)
-    none = BoundaryPoints("tracker", np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros(0))
+    rows, numbers = np.zeros((0, 3)), np.zeros(0)
+    none = BoundaryPoints("tracker", rows, rows, rows, numbers, numbers)
     heart = replace(_heart(), surface=target_from_labels(labels, mr.timing.fractions))
     images = UltrasoundImages(*_levels(0.1), none, options=QUICK)
     result = register(
@@ -248,14 +250,14 @@ def test_landmarks_elsewhere_rule_a_pose_out(off_mm: float, stop: Stop) -> None:
 
 
 @pytest.mark.parametrize(
-    ("scale_mm", "seen_mm", "stop"),
-    [(1.5, 2.4, Stop.CONVERGED), (3.0, 2.4, Stop.CHANGED_SHAPE), (3.0, 4.5, Stop.CHANGED_SHAPE)],
+    ("shared", "seen_mm", "stop"),
+    [(0.2, 2.4, Stop.CONVERGED), (0.8, 2.4, Stop.CHANGED_SHAPE), (0.2, 4.5, Stop.CHANGED_SHAPE)],
 )
 def test_a_heart_of_another_shape_is_refused_by_name(
-    monkeypatch: pytest.MonkeyPatch, scale_mm: float, seen_mm: float, stop: Stop
+    monkeypatch: pytest.MonkeyPatch, shared: float, seen_mm: float, stop: Stop
 ) -> None:
     warp = Warp("mr", np.zeros(3), 16.0, np.zeros((15, 15, 15, 4), np.float32))
-    change = ShapeChange(warp, scale_mm, 90.0, seen_mm, "left", 4.04, 0.3, 0.2, 0.5)
+    change = ShapeChange(warp, 3.0, 90.0, seen_mm, "left", 4.04, 0.3, shared, Halves(0.5, 0.4))
     monkeypatch.setattr(register_module, "_change_of_shape", lambda problem, fused: change)
     result = _register(_levels(speckle=0.3), toy_pose(), options=RegistrationOptions(starts=0))
     assert result.stop is stop

@@ -12,8 +12,14 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from dvf_ig.core import BoolArray, FloatArray, IntArray, InvalidInputError, read_only_arrays
+from dvf_ig.kernels.boundary import DistanceSplines, boundary_distances
 from dvf_ig.registration.lc2.slices import SliceSet, subsample
 
+PATCH_MM, PATCH_PITCH_MM = 9.0, 1.5
+"""Half the edge and the pitch of the patch of the model about a place, three times the smoothing."""
+EDGE_MM, EDGE_STEPS = 4.0, 33
+LEAST_EDGE = 0.2
+"""Share of the steepest place that an edge has at least."""
 FULL_CONTRAST = 0.2
 """Boundaries above this count alike: weighting by contrast would drop the hazy walls of a poor image."""
 
@@ -44,6 +50,7 @@ class BoundaryPoints:
         frame: of points and normals, that of the slices.
         points_mm: (n, 3).
         normals: (n, 3) unit, in the slice's plane, from dark (blood) to bright (wall).
+        planes: (n, 3) unit normals of the slices.
         model_phase: (n,) where in the model's cycle each was seen.
         weights: (n,) relative contrast over FULL_CONTRAST, at most 1.
     """
@@ -51,6 +58,7 @@ class BoundaryPoints:
     frame: str
     points_mm: FloatArray
     normals: FloatArray
+    planes: FloatArray
     model_phase: FloatArray
     weights: FloatArray
 
@@ -64,7 +72,12 @@ class BoundaryPoints:
     def subset(self, keep: IntArray | BoolArray) -> "BoundaryPoints":
         """Some of the points."""
         return BoundaryPoints(
-            self.frame, self.points_mm[keep], self.normals[keep], self.model_phase[keep], self.weights[keep]
+            self.frame,
+            self.points_mm[keep],
+            self.normals[keep],
+            self.planes[keep],
+            self.model_phase[keep],
+            self.weights[keep],
         )
 
 
@@ -87,10 +100,12 @@ def boundary_points(slices: SliceSet, options: BoundaryPointOptions | None = Non
     along, contrast = along[keep], opts.smoothing_mm * magnitude[s, row, col] / smooth[s, row, col]
     place = np.column_stack([col + part[keep, 1], row + part[keep, 0], np.ones(len(s))])
     normals = np.einsum("nij,nj->ni", slices.frame_from_pixel[s][:, :, :2], along[:, ::-1])
+    planes = np.cross(slices.frame_from_pixel[:, :, 0], slices.frame_from_pixel[:, :, 1])
     return BoundaryPoints(
         slices.frame,
         np.einsum("nij,nj->ni", slices.frame_from_pixel[s], place),
         normals / np.linalg.norm(normals, axis=1, keepdims=True),
+        (planes / np.linalg.norm(planes, axis=1, keepdims=True))[s],
         slices.model_phase[s],
         np.minimum(contrast / FULL_CONTRAST, 1.0).astype(np.float64),
     ).subsampled(opts.points)
@@ -149,3 +164,42 @@ def _maxima(
     bend = np.minimum(before - 2 * here + after, -1e-12)
     part = np.where(keep, np.clip(0.5 * (before - after) / bend, -0.5, 0.5), 0.0)
     return keep, part[:, None] * step
+
+
+def edges_of_model_mm(
+    splines: DistanceSplines, feet_mm: FloatArray, normals: FloatArray, planes: FloatArray, phases: IntArray
+) -> FloatArray:
+    """Compute where `boundary_points` would find the model's boundary near (n, 3) places on it.
+
+    Smoothing moves the steepest place off a boundary that bends, or that has another near it.
+
+    Args:
+        feet_mm: places on the boundary, target frame.
+        normals, planes: (n, 3) as in `BoundaryPoints`, target frame.
+        phases: (n,) index of the spline of each place.
+    Returns:
+        (n,) displacement along the normals; NaN where no boundary is found within EDGE_MM.
+    """
+    sigma = BoundaryPointOptions().smoothing_mm
+    axis = np.arange(-PATCH_MM, PATCH_MM + 0.5 * PATCH_PITCH_MM, PATCH_PITCH_MM)
+    along, across = (grid.ravel() for grid in np.meshgrid(axis, axis, indexing="ij"))
+    places = (
+        feet_mm[:, None]
+        + along[:, None] * normals[:, None]
+        + across[:, None] * np.cross(planes, normals)[:, None]
+    ).reshape(-1, 3)
+    distance, gradient = np.empty(len(places)), np.empty((len(places), 3))
+    boundary_distances(splines, np.repeat(phases, len(along)), places, distance, gradient)
+    bright = np.clip(splines.polarity * distance / PATCH_PITCH_MM, -0.5, 0.5).reshape(len(feet_mm), -1)
+    steps = np.linspace(-EDGE_MM, EDGE_MM, EDGE_STEPS)
+    apart = along[:, None] - steps
+    slope = bright @ (apart * np.exp(-0.5 * (apart**2 + across[:, None] ** 2) / sigma**2))
+    before, here, after = slope[:, :-2], slope[:, 1:-1], slope[:, 2:]
+    highest = (here >= before) & (here > after) & (here > LEAST_EDGE * slope.max(axis=1, keepdims=True))
+    nearest = np.where(highest, np.abs(steps[1:-1]), np.inf)
+    k = np.argmin(nearest, axis=1)
+    rows = np.arange(len(k))
+    bend = np.minimum((before + after - 2.0 * here)[rows, k], -1e-12)
+    part = 0.5 * (before - after)[rows, k] / bend
+    found = steps[1:-1][k] + part * (steps[1] - steps[0])
+    return np.where(np.isfinite(nearest[rows, k]), found, np.nan)

@@ -15,6 +15,7 @@ from scipy.special import ndtri
 from dvf_ig.core import (
     AnyArray,
     BoolArray,
+    DvfModel,
     FloatArray,
     IntArray,
     InvalidInputError,
@@ -129,3 +130,11 @@ def _beside_surface(inside: AnyArray) -> BoolArray:
         out[tuple(low)] |= change
         out[tuple(high)] |= change
     return out
+
+
+def target_from_model(model: DvfModel) -> BoundaryTarget:
+    """The surface of a fixture model in darker surroundings."""
+    knots = np.empty((3, 4))
+    knots[:, :3] = np.eye(3) / model.knot_spacing_mm
+    knots[:, 3] = -model.origin_mm / model.knot_spacing_mm
+    return BoundaryTarget(model.frame, model.coefficients, knots, model.timing.fractions, 1.0)

@@ -80,6 +80,13 @@ class Evidence:
     image_offset: ImageOffset | None = None
     pair: PairEvidence | None = None
 
+    def of_changed_shape(self) -> "Evidence":
+        """Return the evidence without the tests that a change of the heart's shape makes fail.
+
+        Halves of space, and the boundary on its own, lie elsewhere as rigid hearts because they are.
+        """
+        return replace(self, half_volume_mm=None, boundary_mm=None)
+
     def worst_test_ratio(self, limits: Limits) -> float:
         """The worst test as a share of its limit: above 1 the pose must not guide."""
         ratios = [limits.z_score / max(self.z_score, 1e-9)]

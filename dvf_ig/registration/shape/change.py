@@ -18,24 +18,27 @@ from dvf_ig.registration.boundary.target import BoundaryTarget
 from dvf_ig.registration.pose_chart import DISTINCT_MM, rigid_motion
 
 from .modes import ShapeModes, shape_modes
-from .posterior import ShapePosterior, ShapeProblem
+from .posterior import FIXED, SeenBoundary, ShapePosterior, ShapeProblem
 
-MODES = 100
-"""Modes of a change of shape. Four chambers need more than a ventricle: on tuning hearts 1001 and 1002 that
-differ by 5 mm, 30 leave 2.1 mm where the wall is seen, 60 leave 1.7 and 100 leave 1.5, with no larger error
-where it is not seen."""
-SCALES_MM = (0.5, 1.5, 3.0, 5.0)
-NOISE_FACTORS = (1.0, 1.5, 2.25)
+MODES = 200
+"""Modes of a change of shape. With points exactly on the boundary of a heart 5 mm different, 100 leave 1.1 mm
+where the wall is seen, 200 and 400 leave 0.8; 30 leave 2.1 mm even if every point is matched to itself."""
+SCALES_MM = (6.0, 3.0, 1.5, 0.75)
+ABOUT_SCALE_MM = 3.0
+"""Scale of the first fit, at whose change of shape the points are compared with the model's edges again."""
+NOISE_FACTORS = (1.0, 1.5, 2.25, 3.4)
 NOISE_SCALE_MM = 1.5
 """The boundary's errors are those of calm images, or larger, as the evidence at this scale prefers: else the
 errors of poor images would count as a change of shape."""
-LEAST_EVIDENCE = 10.0
-"""Logarithm of the odds against a rigid heart from which its shape counts as changed."""
+LEAST_EVIDENCE = 20.0
+"""Logarithm of the odds against a rigid heart from which its shape counts as changed: up to 16 in ten
+threshold hearts that have not."""
 LEAST_POINTS = 150
 """Points near the model's boundary below which nothing is said of the shape."""
-SIGMA_FACTOR = 1.5
-"""Factor on standard deviations: of tuning hearts 1001 to 1005 the errors where the wall is seen are
-1.1 (filled) to 2.0 times (5 mm different) what prior and noise leave."""
+SIGMA_FACTOR, SIGMA_FLOOR_MM, SIGMA_SHARE = 1.3, 0.4, 0.13
+"""Standard deviations of prior and noise count SIGMA_FACTOR times; to them are added SIGMA_FLOOR_MM and
+SIGMA_SHARE of the scale, which no point near by removes. From threshold hearts 2106 to 2110, 0 to 5 mm
+different: errors are 0.8 to 1.2 of the sum in every range of it, of seen and of unseen walls."""
 MARGIN_MM = 30.0
 """How far the pull-back is given beyond the walls."""
 WALL_MM = (-12.0, 2.0)
@@ -46,17 +49,34 @@ PATCH_MM, PATCH_POINTS = 30.0, 8
 LARGEST_RIGID_MM = 1.0
 """RMS shift of the seen walls up to which fixtures stay rigid: hearts 1.2 mm different, which margins hold,
 show up to 0.85 mm, and following them brings the wall no nearer to the truth (docs/decisions/0042)."""
-LARGEST_SCALE_MM = 3.0
-"""Scale of a change from which fixtures do not follow it: of the wall that is then known well enough for a
-force, up to 5 % is more than 3 mm off (docs/theory/registration.md)."""
-LARGEST_SLOPE = 0.35
-"""Largest ‖Dm‖: beyond it the warped distance is none, and folds are near."""
+ANOTHER_HEART_MM = 3.5
+"""RMS shift of the seen walls beyond which the model may be another patient's: load and filling move the
+walls of one heart by up to 5 mm, 3 mm RMS."""
+LARGEST_SLOPE = 0.5
+"""Largest ‖Dm‖: 0.43 in threshold hearts 5 mm different, where the wall is right; folds begin at 1."""
 LARGEST_SHARED = 0.7
 """Mean square of the boundary's shared error beyond which what is seen is no change of shape."""
+LARGEST_APART_MM = 1.0
+"""RMS distance between the seen walls by either half of the frames: at most 0.55 in threshold hearts 5 mm
+different."""
 HELD_OUT_FRAMES = 4
 """Frames in a row that are held out together."""
 SIDES = (("right", "left"), ("anterior", "posterior"), ("inferior", "superior"))
 """Names of the sides of the heart along the axes of LPS, negative and positive."""
+
+
+@dataclass(frozen=True, slots=True)
+class Halves:
+    """Changes of shape by either half of the frames.
+
+    Attributes:
+        held_out: misfit of each half by the change that the other shows, over that by the rigid heart; below
+            1 if the change explains it better.
+        apart_mm: RMS distance between the seen walls by either, along their normals.
+    """
+
+    held_out: float
+    apart_mm: float
 
 
 @read_only_arrays
@@ -72,8 +92,8 @@ class ShapeChange:
         wall: which wall has moved most, for example "left anterior"; shift_mm: by how much, positive
             outward; sigma_mm: its standard deviation.
         shared: mean square of the boundary's shared error after the change, see `ShapePosterior`.
-        held_out: misfit of every second group of frames by the change that the others show, over that by the
-            rigid heart; below 1 if the change explains them better. None if nothing is to follow the change.
+        halves: what every second group of frames shows and the others show; None if nothing is to follow
+            the change.
         partly: the heart's images cover it in part, so that nothing shows how the rest has changed.
     """
 
@@ -85,29 +105,36 @@ class ShapeChange:
     shift_mm: float
     sigma_mm: float
     shared: float
-    held_out: float | None = None
+    halves: Halves | None = None
     partly: bool = False
 
     @property
+    def needed(self) -> bool:
+        """Whether the walls have moved by more than those of a rigid heart may."""
+        return self.seen_mm > LARGEST_RIGID_MM
+
+    @property
     def followed(self) -> Warp | None:
-        """The warp that fixtures follow; None of a change that a rigid heart may have."""
-        return self.warp if self.seen_mm > LARGEST_RIGID_MM and not self.partly else None
+        """The warp that fixtures follow; None if they need not, or cannot."""
+        return self.warp if self.needed and self.refusal is None else None
 
     @property
     def refusal(self) -> str | None:
         """Why fixtures cannot follow a change that they would have to; None if they can, or need not."""
         if self.partly:
             return "the images cover a part of the heart, and do not show how the rest has changed"
-        if self.followed is None:
+        if not self.needed:
             return None
-        if self.scale_mm >= LARGEST_SCALE_MM:
-            return f"it has changed by about {self.scale_mm:g} mm, more than the model can follow"
+        if self.seen_mm > ANOTHER_HEART_MM:
+            return "it has changed by more than load and filling change a heart"
         if self.warp.steepest > LARGEST_SLOPE:
             return "it has changed too abruptly for the model to follow"
         if self.shared > LARGEST_SHARED:
             return "the change leaves errors in the images that no shape explains"
-        if self.held_out is not None and self.held_out >= 1.0:
+        if self.halves is not None and self.halves.held_out >= 1.0:
             return "the change does not explain frames that were held out"
+        if self.halves is not None and self.halves.apart_mm > LARGEST_APART_MM:
+            return "half of the frames show another change than the others"
         return None
 
     @property
@@ -122,7 +149,11 @@ class ShapeChange:
 
 
 def change_of_shape(
-    boundary: Boundary, offset_mm: float, pose: Rigid, center_mm: FloatArray
+    boundary: Boundary,
+    offset_mm: float,
+    pose: Rigid,
+    center_mm: FloatArray,
+    organ: BoundaryTarget | None = None,
 ) -> ShapeChange | None:
     """Estimate the change of shape at a registered pose; None if the boundary shows none.
 
@@ -130,46 +161,63 @@ def change_of_shape(
 
     Args:
         offset_mm: of the boundary, see `BoundaryFit`.
+        organ: outer surface of the organ, which says where its walls are thin.
     """
     modes = _modes_of(boundary.target, tuple(center_mm.tolist()))
-    problem = ShapeProblem(boundary, offset_mm, pose, modes, MODES)
+    seen = SeenBoundary(boundary, offset_mm, pose, organ)
+    problem = ShapeProblem(seen, modes, MODES)
     if len(problem) < LEAST_POINTS:
         return None
-    noise = max(NOISE_FACTORS, key=lambda tried: problem.fit(NOISE_SCALE_MM, tried).log_evidence)
-    rigid = problem.fit(0.0, noise)
-    if np.linalg.norm(rigid.state[:6]) > DISTINCT_MM:
+    about = problem.fit(ABOUT_SCALE_MM, NOISE_FACTORS[0])
+    if np.linalg.norm(about.state[:6]) > DISTINCT_MM:
         return None
-    fits: list[ShapePosterior] = []
-    for scale_mm in SCALES_MM:
-        fits.append(problem.fit(scale_mm, noise, fits[-1] if fits else rigid))
-    best = max(fits, key=lambda tried: tried.log_evidence)
+    problem = ShapeProblem(seen, modes, MODES, about)
+    if len(problem) < LEAST_POINTS:
+        return None
+    noise = max(NOISE_FACTORS, key=lambda tried: problem.fit(NOISE_SCALE_MM, tried, about).log_evidence)
+    rigid = problem.fit(0.0, noise)
+    best = _most_likely(problem, noise, about)
     evidence = best.log_evidence - rigid.log_evidence
     if evidence < LEAST_EVIDENCE:
         return None
     change = _change(boundary.target, problem, modes, best, evidence)
-    if change.followed is None or change.refusal is not None:
+    if change.followed is None:
         return change
-    return replace(change, held_out=_held_out(boundary, offset_mm, pose, modes, best.scale_mm, noise))
+    return replace(change, halves=_halves(problem, seen, modes, best, noise))
 
 
-def _held_out(
-    boundary: Boundary, offset_mm: float, pose: Rigid, modes: ShapeModes, scale_mm: float, noise: float
-) -> float:
-    """Compute how much better the change that half of the frames show explains the other half."""
-    frame = np.cumsum(np.diff(boundary.points.model_phase, prepend=0.0) != 0.0)
+def _most_likely(problem: ShapeProblem, noise: float, about: ShapePosterior) -> ShapePosterior:
+    """Fit at the scale where the evidence is largest, by the parabola through SCALES_MM near it."""
+    fits = [about]
+    for scale_mm in SCALES_MM:
+        fits.append(problem.fit(scale_mm, noise, fits[-1]))
+    evidence = np.array([tried.log_evidence for tried in fits[1:]])
+    k = min(max(int(np.argmax(evidence)), 1), len(SCALES_MM) - 2)
+    before, here, after = evidence[k - 1 : k + 2]
+    bend = min(before + after - 2.0 * here, -1e-9)
+    part = float(np.clip(0.5 * (before - after) / bend, -1.0, 1.0))
+    scale_mm = SCALES_MM[k] * (SCALES_MM[1] / SCALES_MM[0]) ** part
+    return max([problem.fit(scale_mm, noise, fits[1 + k]), *fits[1:]], key=lambda tried: tried.log_evidence)
+
+
+def _halves(
+    problem: ShapeProblem, seen: SeenBoundary, modes: ShapeModes, best: ShapePosterior, noise: float
+) -> Halves:
+    """Compare the changes that either half of the frames shows, with the other half and with each other."""
+    frame = np.cumsum(np.diff(seen.boundary.points.model_phase, prepend=0.0) != 0.0)
     odd = frame // HELD_OUT_FRAMES % 2 == 1
-    halves = [
-        ShapeProblem(Boundary(boundary.points.subset(part), boundary.target), offset_mm, pose, modes, MODES)
-        for part in (odd, ~odd)
-    ]
+    halves = [ShapeProblem(seen.part(part), modes, MODES, best) for part in (odd, ~odd)]
     if min(len(half) for half in halves) < LEAST_POINTS:
-        return np.inf
+        return Halves(np.inf, np.inf)
     changed = rigid = 0.0
-    for seen, unseen in (halves, halves[::-1]):
-        alone = seen.fit(0.0, noise)
-        rigid += unseen.misfit(alone)
-        changed += unseen.misfit(seen.fit(scale_mm, noise, alone))
-    return changed / rigid
+    shifts = []
+    for half, other in (halves, halves[::-1]):
+        rigid += other.misfit(half.fit(0.0, noise))
+        fit = half.fit(best.scale_mm, noise, best)
+        changed += other.misfit(fit)
+        shifts.append(problem.shift_mm(fit))
+    apart_mm = float(np.sqrt(np.mean((shifts[0] - shifts[1]) ** 2)))
+    return Halves(changed / rigid, apart_mm)
 
 
 def _change(
@@ -205,14 +253,16 @@ def _field(
 ) -> tuple[FloatArray, FloatArray]:
     """(n, 3) pull-back m at (n, 3) places, and (n,) variance of q − m(q) along (n, 3) normals."""
     moved, motion = modes.at(places_mm, MODES), rigid_motion(places_mm, modes.center_mm)
-    pulled = moved @ best.state[7:] - motion @ best.state[:6]
+    pulled = moved @ best.state[FIXED:] - motion @ best.state[:6]
     along = np.einsum("ni,nik->nk", normals, moved)
     columns = np.concatenate([np.einsum("ni,nip->np", normals, motion), -along], axis=1)
-    known = np.delete(np.delete(best.covariance_mm2, 6, axis=0), 6, axis=1)  # of all but the offset
+    kept = np.r_[:6, FIXED : len(best.state)]  # all but the offsets
+    known = best.covariance_mm2[np.ix_(kept, kept)]
     left_out = modes.variance_along(places_mm, normals) - (along**2).sum(axis=1)
     variance = ((columns @ known) * columns).sum(axis=1)
     variance = variance + best.scale_mm**2 * np.maximum(left_out, 0.0)
-    return pulled, SIGMA_FACTOR**2 * variance
+    floor = SIGMA_FLOOR_MM**2 + (SIGMA_SHARE * best.scale_mm) ** 2
+    return pulled, SIGMA_FACTOR**2 * variance + floor
 
 
 def _most_moved(

@@ -3,44 +3,55 @@
 A boundary point that lies at y at the registered pose belongs to q' = y + X(y) ξ − B(y) z in the model: ξ a
 small rigid motion, B(y) z the change of shape in modes (`modes`), z ~ N(0, s² I). Its residual is
 
-    r = d(q') − o − N w
+    r = d(q') − e − a (o + t τ) − N w
 
-with d the distance of the model's boundary at the point's phase, o an offset common to all, and N w what
-neighbouring points share of the boundary's own error: a second process along the normal, smooth over
-SHARED_OVER_MM, of w ~ N(0, I) on a lattice. (With one weight for all points instead, the evidence is blind.)
-ξ, o, z and w are fitted together by Gauss–Newton with the weights of Geman and McClure; then w is integrated
-out. Evidence is that of Laplace (MacKay 1992).
+with d the distance of the model's boundary at the point's phase, e that of the place where smoothed images
+would show it (`edges_of_model_mm`), a the cosine between its normal and the image's, o an offset common to
+all, τ one of thin walls (t = exp(−depth/THIN_MM) less its mean), N w what neighbouring points share of the
+boundary's own error: a second process along the normal, smooth over SHARED_OVER_MM, of w ~ N(0, I) on a
+lattice. (With one weight for all points instead, the evidence is blind.) All are fitted together by
+Gauss–Newton with the weights of Geman and McClure; then w is integrated out. Evidence is that of Laplace
+(MacKay 1992).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
-from dvf_ig.core import FloatArray, IntArray, Rigid, read_only_arrays
+from dvf_ig.core import BoolArray, FloatArray, IntArray, Rigid, read_only_arrays
 from dvf_ig.kernels.boundary import DistanceSplines, boundary_distances
 from dvf_ig.registration.boundary.fit import Boundary, BoundaryProblem
+from dvf_ig.registration.boundary.points import edges_of_model_mm
+from dvf_ig.registration.boundary.target import BoundaryTarget
 from dvf_ig.registration.pose_chart import rigid_motion
 
 from .modes import ShapeModes
 
-NOISE_MM = 0.9
+NOISE_MM = 0.5
 """Standard deviation of a point's own error along the normal."""
-SHARED_MM, SHARED_OVER_MM = 0.7, 12.0
-"""Standard deviation and length of the error that points share. At the true pose and shape of tuning heart
-1001 residuals of points of different frames have a covariance of 0.3 mm² up to 6 mm apart, half of that at 11
-mm and none beyond 20; those of one frame have 0.7 mm² within 6 mm."""
+SHARED_MM, SHARED_OVER_MM = 0.4, 12.0
+"""Standard deviation and length of the error that points share. At the true pose and shape of threshold
+hearts 2104 to 2107 residuals of points of different frames have a covariance of 0.06 to 0.26 mm² up to 3 mm
+apart, half of that at 10 mm; 0.2 to 0.4 mm² without e and τ."""
 POSE_SIGMA_MM = 3.0
-OFFSET_SIGMA_MM = 0.5
-OUTLIER_MM = 2.5
+OFFSET_SIGMA_MM, THIN_SIGMA_MM = 0.3, 2.0
+THIN_MM = 6.0
+"""Depth of the boundary in the organ over which the offset of thin walls decays: what lies behind a wall
+moves its edge. In threshold hearts 2104 to 2107 o is 0.9 to 1.4 mm and τ −1.7 to −3.1 mm."""
+FIXED = 8
+"""Unknowns before those of the modes: six of the pose, o and τ."""
+OUTLIER_MM = 1.25
 """Residual at which a point counts a quarter."""
 REACH_MM = 10.0
 """Points further from the model's boundary than this at the given pose do not count."""
-POINTS = 1500
-STEPS, FAR_STEPS = 6, 3
-"""Most steps of a descent, and of a rigid one those with three times OUTLIER_MM."""
+POINTS = 2500
+STEPS = 6
+"""Most steps of a descent with OUTLIER_MM."""
+FAR = (3.0, 3.0, 3.0)
+"""Factors on OUTLIER_MM in the first steps of a descent that begins at a rigid heart: walls may be far."""
 SETTLED_MM = 0.02
 KERNEL_CUT = 2.5
 """Where the kernel of the shared error is cut, in its standard deviations."""
@@ -52,8 +63,8 @@ class ShapePosterior:
     """Rigid motion and change of shape that explain the boundary best, and how well they are known.
 
     Attributes:
-        state: (7 + k,) mm: ξ in the coordinates of `PoseChart`, offset, z.
-        covariance_mm2: (7 + k, 7 + k) of the state.
+        state: (FIXED + k,) mm: ξ in the coordinates of `PoseChart`, o, τ, z.
+        covariance_mm2: (FIXED + k, FIXED + k) of the state.
         scale_mm: s; 0 if the heart was taken to be rigid.
         log_evidence: up to a constant that fits of one problem share.
         shared: mean square of the shared error's coefficients w, a priori 1.
@@ -66,6 +77,27 @@ class ShapePosterior:
     shared: float
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class SeenBoundary:
+    """The boundary in the images, at a registered pose.
+
+    Attributes:
+        boundary: points, and the model's boundary.
+        offset_mm: of the points from the model's boundary, about which it is free.
+        pose: target_from_source.
+        organ: outer surface, from which depths are measured; None: no wall counts as thin.
+    """
+
+    boundary: Boundary
+    offset_mm: float
+    pose: Rigid
+    organ: BoundaryTarget | None
+
+    def part(self, keep: BoolArray) -> "SeenBoundary":
+        """Keep some of the points."""
+        return replace(self, boundary=replace(self.boundary, points=self.boundary.points.subset(keep)))
+
+
 class ShapeProblem:
     """Boundary points that lie near the model's boundary at a pose.
 
@@ -75,31 +107,48 @@ class ShapeProblem:
     """
 
     def __init__(
-        self, boundary: Boundary, offset_mm: float, pose: Rigid, modes: ShapeModes, count: int
+        self, seen: SeenBoundary, modes: ShapeModes, count: int, about: ShapePosterior | None = None
     ) -> None:
         """Place the points and evaluate the modes at them.
 
         Args:
-            offset_mm: of the points from the model's boundary, about which it is free.
             count: how many modes.
+            about: change of shape at which points are compared with the model's edges; None: rigid.
         """
+        boundary, offset_mm, pose = seen.boundary, seen.offset_mm, seen.pose
         few = boundary.points.subsampled(POINTS)
         points = BoundaryProblem(Boundary(few, boundary.target), modes.center_mm).points
         self._splines = DistanceSplines(
             boundary.target.coefficients, boundary.target.knots_from_mm, boundary.target.polarity
         )
-        places = pose.apply_array(points.points)
-        distance, gradient = self._distance(places, points.phases)
-        unit = gradient / np.maximum(np.linalg.norm(gradient, axis=1, keepdims=True), 1e-6)
+        places, phases = pose.apply_array(points.points), points.phases
+        pulled = places
+        if about is not None:
+            pulled = places + rigid_motion(places, modes.center_mm) @ about.state[:6]
+            pulled = pulled - modes.at(places, len(about.state) - FIXED) @ about.state[FIXED:]
+        distance, gradient = self._distance(pulled, phases)
+        length = np.maximum(np.linalg.norm(gradient, axis=1, keepdims=True), 1e-6)
+        unit = gradient / length
         outward = boundary.target.polarity * unit
-        agreement = np.einsum("ni,ni->n", points.normals @ pose.rotation.T, outward)
+        normals = points.normals @ pose.rotation.T
+        agreement = np.einsum("ni,ni->n", normals, outward)
         near = (np.abs(distance - offset_mm) < REACH_MM) & (agreement > 0.0)
+        foot = -np.where(near, distance / length[:, 0], 0.0)[:, None] * unit
+        edge = edges_of_model_mm(self._splines, pulled + foot, normals, few.planes @ pose.rotation.T, phases)
+        near &= np.isfinite(edge)
         self.places_mm, self.outward = places[near], outward[near]
-        self._phases, self._offset_mm = points.phases[near], offset_mm
+        self._phases = phases[near]
+        depth = _depth_mm(seen.organ, few.model_phase, pulled + foot)[near]
+        thin = np.exp(-np.maximum(depth, 0.0) / THIN_MM)
+        thin -= thin.mean() if near.any() else 0.0
+        self._offsets = agreement[near, None] * np.column_stack([np.ones(len(thin)), thin])
+        at_edge = pulled + foot + np.nan_to_num(edge)[:, None] * normals
+        self._edge_mm = self._distance(at_edge[near], self._phases)[0]
+        self._offset_mm = offset_mm - (float(np.median(self._edge_mm)) if near.any() else 0.0)
         self._weight = points.weights[near] * agreement[near]
         self._motion = rigid_motion(self.places_mm, modes.center_mm)
         # modes at the feet of the points: at the points, a change that varies along the normal explains noise
-        feet = self.places_mm - (distance - offset_mm)[near, None] * unit[near]
+        feet = (places + foot)[near]
         self._modes = modes.at(feet, count)
         inside = np.einsum("ni,nik->nk", gradient[near], self._modes)
         every = modes.variance_along(feet, gradient[near])
@@ -125,15 +174,16 @@ class ShapeProblem:
         modes = self._modes if scale_mm > 0 else self._modes[:, :, :0]
         count, rows = modes.shape[2], noise * self._shared
         variance = (noise * NOISE_MM) ** 2 + scale_mm**2 * self._left_out
-        prior = np.full(7 + count, max(scale_mm, 1e-3) ** -2.0)
-        prior[:7] = [POSE_SIGMA_MM**-2] * 6 + [OFFSET_SIGMA_MM**-2]
-        state, w = np.zeros(7 + count), np.zeros(rows.shape[1])
+        prior = np.full(FIXED + count, max(scale_mm, 1e-3) ** -2.0)
+        prior[:FIXED] = [POSE_SIGMA_MM**-2] * 6 + [OFFSET_SIGMA_MM**-2, THIN_SIGMA_MM**-2]
+        state, w = np.zeros(FIXED + count), np.zeros(rows.shape[1])
         if begin is not None:
             state[: len(begin.state)] = begin.state
-        for step in range(STEPS):
+        far = FAR if begin is None or begin.scale_mm == 0.0 else ()
+        for step in range(len(far) + STEPS):
             residual, columns = self._expansion(state, modes)
             residual = residual - rows @ w
-            outlier = OUTLIER_MM * (3.0 if begin is None and step < FAR_STEPS else 1.0)
+            outlier = OUTLIER_MM * (far[step] if step < len(far) else 1.0)
             near = 1.0 / (1.0 + (residual / outlier) ** 2)
             weight = self._weight / variance * near**2
             weighted = weight[:, None] * columns
@@ -147,35 +197,54 @@ class ShapeProblem:
             slope = weighted.T @ residual + prior * state
             change = -np.linalg.solve(reduced, slope - mixed.T @ solved[:, -1])
             state, w = state + change, w - solved[:, -1] - solved[:, :-1] @ change
-            if np.linalg.norm(change[:6]) < SETTLED_MM and (begin is not None or step >= FAR_STEPS):
+            if np.linalg.norm(change[:6]) < SETTLED_MM and step >= len(far):
                 break
         residual = self._expansion(state, modes)[0] - rows @ w
         near = 1.0 / (1.0 + (residual / OUTLIER_MM) ** 2)
         log_evidence = (
             -0.5 * float(self._weight @ (residual**2 / variance * near + np.log(variance)))
-            - 0.5 * float(prior @ state**2 + w @ w - np.log(prior[7:]).sum())
+            - 0.5 * float(prior @ state**2 + w @ w - np.log(prior[FIXED:]).sum())
             - 0.5 * float(np.linalg.slogdet(reduced)[1])
             - float(np.log(np.diag(factor[0])).sum())
         )
         shared = float(np.mean(w**2))
         return ShapePosterior(state, np.linalg.inv(reduced), scale_mm, log_evidence, shared)
 
+    def shift_mm(self, fit: ShapePosterior) -> FloatArray:
+        """(n,) pull-back along the normals that a fit gives at the points, also one to other points."""
+        pulled = (
+            self._modes[:, :, : len(fit.state) - FIXED] @ fit.state[FIXED:] - self._motion @ fit.state[:6]
+        )
+        return np.asarray(np.einsum("ni,ni->n", self.outward, pulled))
+
     def misfit(self, fit: ShapePosterior) -> float:
         """Mean of the points' robust squared residuals by a fit, also one to other points."""
-        residual = self._expansion(fit.state, self._modes[:, :, : len(fit.state) - 7])[0]
+        residual = self._expansion(fit.state, self._modes[:, :, : len(fit.state) - FIXED])[0]
         near = 1.0 / (1.0 + (residual / OUTLIER_MM) ** 2)
         return float(self._weight @ (residual**2 * near) / self._weight.sum())
 
     def _expansion(self, state: FloatArray, modes: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(n,) residual without the shared error, and (n, 7 + k) its derivative by the state."""
-        pulled = self.places_mm + self._motion @ state[:6] - modes @ state[7:]
+        """(n,) residual without the shared error, and (n, FIXED + k) its derivative by the state."""
+        pulled = self.places_mm + self._motion @ state[:6] - modes @ state[FIXED:]
         distance, gradient = self._distance(pulled, self._phases)
         columns = [
             np.einsum("ni,nip->np", gradient, self._motion),
-            -np.ones((len(pulled), 1)),
+            -self._offsets,
             -np.einsum("ni,nik->nk", gradient, modes),
         ]
-        return distance - self._offset_mm - state[6], np.concatenate(columns, axis=1)
+        offset = self._offsets @ (state[6:FIXED] + np.array([self._offset_mm, 0.0]))
+        residual = distance - self._edge_mm - offset
+        return residual, np.concatenate(columns, axis=1)
+
+
+def _depth_mm(organ: BoundaryTarget | None, model_phase: FloatArray, places_mm: FloatArray) -> FloatArray:
+    """(n,) depth of (n, 3) places within an organ at (n,) phases; infinite without one."""
+    if organ is None:
+        return np.full(len(places_mm), np.inf)
+    distance, gradient = np.empty(len(places_mm)), np.empty((len(places_mm), 3))
+    splines = DistanceSplines(organ.coefficients, organ.knots_from_mm, organ.polarity)
+    boundary_distances(splines, organ.nearest_phase(model_phase), places_mm, distance, gradient)
+    return np.asarray(distance / np.maximum(np.linalg.norm(gradient, axis=1), 0.5))
 
 
 def shared_error(points_mm: FloatArray) -> csr_array:

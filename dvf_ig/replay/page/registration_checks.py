@@ -9,7 +9,7 @@ from dvf_ig.registration import LANDMARKS_MM, PairEvidence, RegistrationResult
 from dvf_ig.registration.evidence.checks import WRONG_MM
 from dvf_ig.registration.evidence.image_offset import SUSPICIOUS_LOG_RATIO as CALIBRATION_LOG_RATIO
 from dvf_ig.registration.evidence.phase_offset import SUSPICIOUS_LOG_RATIO, SUSPICIOUS_S
-from dvf_ig.registration.shape.change import LARGEST_SCALE_MM, LARGEST_SHARED, LARGEST_SLOPE
+from dvf_ig.registration.shape.change import LARGEST_APART_MM, LARGEST_SHARED, LARGEST_SLOPE, Halves
 from dvf_ig.report.registration import Check, Outcome
 
 BOUNDARY_UNSEEN = "no boundary seen"
@@ -72,6 +72,8 @@ def _z_score(result: RegistrationResult) -> Check:
 
 def _disagreements(result: RegistrationResult) -> list[Check]:
     evidence, limits = result.evidence, result.options.limits
+    if result.shape is not None and result.shape.followed is not None:
+        evidence = evidence.of_changed_shape()
     return [
         _at_most(
             "Interleaved halves",
@@ -136,7 +138,7 @@ def _image_offset(result: RegistrationResult) -> Check:
 def _shape(result: RegistrationResult) -> list[Check]:
     """Whether fixtures can follow the change of the heart's shape, where they have to."""
     shape = result.shape
-    if shape is None or shape.followed is None:
+    if shape is None or not shape.needed:
         return []
     return [
         Check(
@@ -147,29 +149,36 @@ def _shape(result: RegistrationResult) -> list[Check]:
             _outcome(shape.warp.steepest <= LARGEST_SLOPE),
         ),
         Check(
-            "Size of the change of shape",
-            "RMS size of changes that the evidence prefers",
-            f"{shape.scale_mm:g} mm",
-            f"below {LARGEST_SCALE_MM:g} mm",
-            _outcome(shape.scale_mm < LARGEST_SCALE_MM),
-        ),
-        Check(
             "What the change of shape leaves",
             "mean square of the boundary's shared error, 1 a priori",
             f"{shape.shared:.2f}",
             f"at most {LARGEST_SHARED:g}",
             _outcome(shape.shared <= LARGEST_SHARED),
         ),
-        _held_out(shape.held_out),
+        *_halves(shape.halves),
     ]
 
 
-def _held_out(misfit: float | None) -> Check:
-    name = "Frames held out"
-    measures = "misfit of half of the frames by the change of shape that the others show, 1 without a change"
-    if misfit is None:
-        return Check(name, measures, "", "", Outcome.NOT_CHECKED)
-    return Check(name, measures, f"{misfit:.2f}", "below 1", _outcome(misfit < 1.0))
+def _halves(halves: Halves | None) -> list[Check]:
+    """Whether either half of the frames shows the same change of shape."""
+    if halves is None:
+        return []
+    return [
+        Check(
+            "Frames held out",
+            "misfit of half of the frames by the change of shape that the others show, 1 without a change",
+            f"{halves.held_out:.2f}",
+            "below 1",
+            _outcome(halves.held_out < 1.0),
+        ),
+        Check(
+            "Halves of the frames",
+            "RMS distance between the seen walls by either half of the frames",
+            f"{halves.apart_mm:.2f} mm",
+            f"at most {LARGEST_APART_MM:g} mm",
+            _outcome(halves.apart_mm <= LARGEST_APART_MM),
+        ),
+    ]
 
 
 def _pair(pair: PairEvidence) -> Check:

@@ -71,7 +71,7 @@ def _shape_change(shape: ShapeChange | None) -> dict[str, Any] | None:
         return None
     return {
         "sentence": shape.sentence,
-        "followed": shape.followed is not None and shape.refusal is None,
+        "followed": shape.followed is not None,
         "wall": shape.wall,
         "outward_mm": shape.shift_mm,
         "sigma_mm": shape.sigma_mm,
@@ -80,7 +80,8 @@ def _shape_change(shape: ShapeChange | None) -> dict[str, Any] | None:
         "log_evidence": shape.evidence,
         "steepest": shape.warp.steepest,
         "shared_error": shape.shared,
-        "held_out": _finite(shape.held_out),
+        "held_out": None if shape.halves is None else _finite(shape.halves.held_out),
+        "halves_apart_mm": None if shape.halves is None else _finite(shape.halves.apart_mm),
     }
 
 

@@ -33,6 +33,7 @@ from dvf_ig.registration import (
     signed_distance_mm,
     target_from_labels,
 )
+from dvf_ig.registration.boundary.points import edges_of_model_mm
 
 TARGETS = CENTER_MM + np.random.default_rng(1).uniform(-40, 40, (27, 3))
 
@@ -82,6 +83,24 @@ def test_boundary_points_of_a_ball_lie_on_its_circle_with_normals_outward() -> N
         assert abs(error.mean()) < 0.05
         cosine = np.einsum("ni,ni->n", points.normals[mine], outward) / radius
         assert cosine.min() > 0.995
+
+
+@pytest.mark.parametrize("radius_mm", [12.0, 22.0])
+def test_edges_of_the_model_lie_where_points_of_its_images_do(radius_mm: float) -> None:
+    """A ball seen in planes through its middle: as above, on the other side of a plane there is none."""
+    index = np.stack(np.meshgrid(*[np.arange(50.0)] * 3, indexing="ij"), axis=-1)
+    distance = radius_mm - np.linalg.norm(2.0 * index - 50.0, axis=-1)
+    knots = np.column_stack([0.5 * np.eye(3), -np.ones(3)])
+    splines = DistanceSplines(distance[None].astype(np.float32), knots, -1.0)
+    normals = np.random.default_rng(2).normal(size=(40, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    planes = np.cross(normals, np.array([0.3, 0.5, 0.8]))
+    planes /= np.linalg.norm(planes, axis=1, keepdims=True)
+    phases = np.zeros(40, dtype=np.int64)
+    found = edges_of_model_mm(splines, 50.0 + radius_mm * normals, normals, planes, phases)
+    assert found == pytest.approx(np.full(40, -(3.0**2) / (2.0 * radius_mm)), abs=0.12)
+    inwards = edges_of_model_mm(splines, 50.0 + radius_mm * normals, -normals, planes, phases)
+    assert np.isnan(inwards).all()
 
 
 def test_the_rim_of_the_sector_is_no_boundary() -> None:

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from dvf_ig.core import CycleTiming, FloatArray, Grid, Rigid, VolumeSeries
 from dvf_ig.registration import BLOOD, WALL, BoundaryPoints, BoundaryTarget, target_from_labels
 from dvf_ig.registration.boundary.fit import Boundary
 from dvf_ig.registration.pose_chart import rigid_motion
-from dvf_ig.registration.shape.change import ShapeChange, change_of_shape
+from dvf_ig.registration.shape.change import Halves, ShapeChange, change_of_shape
 from dvf_ig.registration.shape.modes import shape_modes
 
 CENTER = np.array([5.0, -10.0, 20.0])
@@ -63,6 +64,12 @@ def _on_wall(count: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArr
     return np.concatenate(places), np.concatenate(normals)
 
 
+def _across(normal: FloatArray) -> FloatArray:
+    """(n, 3) unit vectors at right angles to normals."""
+    across = np.cross(normal, np.array([0.3, 0.5, 0.8]))
+    return np.asarray(across / np.linalg.norm(across, axis=1, keepdims=True))
+
+
 def _boundary(seed: int, *, pressed: float) -> Boundary:
     """Noisy boundary points of 0.7 mm with 5 % outliers, in the tracker's frame."""
     rng = np.random.default_rng(seed)
@@ -75,6 +82,7 @@ def _boundary(seed: int, *, pressed: float) -> Boundary:
         "tracker",
         back.apply_array(seen + off[:, None] * normal),
         normal @ back.rotation.T,
+        _across(normal) @ back.rotation.T,
         1e-3 * (np.arange(len(seen)) // 50 % 2),  # frames of 50 points
         np.ones(len(seen)),
     )
@@ -109,26 +117,26 @@ def test_a_pressed_wall_is_found_where_it_is(seed: int) -> None:
 def test_a_change_is_said_in_words() -> None:
     change = _change(1, pressed=1.0)
     assert change is not None
-    assert change.wall == "left anterior"
-    assert change.shift_mm == pytest.approx(-4.8, abs=1.5), (
-        "the mean over a patch of it, less the pose's part"
-    )
-    assert f"the left anterior wall lies {-change.shift_mm:.1f} mm further in" in change.sentence
-    assert replace(change, scale_mm=1.5).refusal is None
+    pressed = PRESSED + _pressed_mm(PRESSED[None])
+    assert change.warp.at(pressed)[0][0, 1] > 3.0, "pressed backwards by 8 mm, less the pose's part"
+    assert abs(change.shift_mm) > 3.0
+    way = "out" if change.shift_mm > 0 else "in"
+    assert f"the {change.wall} wall lies {abs(change.shift_mm):.1f} mm further {way}" in change.sentence
+    assert change.refusal is None
 
 
 @pytest.mark.parametrize(
     ("changed", "words"),
     [
-        ({"scale_mm": 5.0}, "more than the model can follow"),
         ({"shared": 0.8}, "no shape explains"),
-        ({"held_out": 1.01}, "held out"),
+        ({"halves": Halves(1.01, 0.3)}, "held out"),
+        ({"halves": Halves(0.5, 1.1)}, "half of the frames"),
     ],
 )
-def test_what_the_model_cannot_hold_is_refused_by_name(changed: dict[str, float], words: str) -> None:
+def test_what_the_model_cannot_hold_is_refused_by_name(changed: dict[str, Any], words: str) -> None:
     change = _change(1, pressed=1.0)
     assert change is not None
-    assert words in str(replace(change, **({"scale_mm": 1.5} | changed)).refusal)
+    assert words in str(replace(change, **changed).refusal)
 
 
 def test_a_change_explains_frames_that_were_held_out() -> None:
@@ -136,23 +144,25 @@ def test_a_change_explains_frames_that_were_held_out() -> None:
     change = _change(1, pressed=0.5)
     assert change is not None
     assert change.refusal is None
-    assert change.held_out is not None
-    assert change.held_out < 0.8
+    assert change.halves is not None
+    assert change.halves.held_out < 0.8
+    assert change.halves.apart_mm < 1.0
 
 
 def test_fixtures_follow_what_the_margins_of_an_unchanged_heart_do_not_hold() -> None:
     change = _change(1, pressed=1.0)
     assert change is not None
     assert change.followed is change.warp
-    small = replace(change, seen_mm=0.99, scale_mm=5.0)
+    small = replace(change, seen_mm=0.99, shared=0.8)
     assert (small.followed, small.refusal) == (None, None)
+    assert replace(change, shared=0.8).followed is None
 
 
 def test_an_abrupt_change_is_refused() -> None:
     change = _change(1, pressed=1.0)
     assert change is not None
     steep = replace(change.warp, coefficients=4.0 * change.warp.coefficients)
-    assert "abruptly" in str(replace(change, scale_mm=1.5, warp=steep).refusal)
+    assert "abruptly" in str(replace(change, warp=steep).refusal)
 
 
 @pytest.mark.parametrize("away_mm", [7.0, 45.0, 300.0])
