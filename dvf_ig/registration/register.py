@@ -38,10 +38,10 @@ from .start import LandmarkPrior, landmarks_disagree
 LARGEST_OF_PART_MM = 5.0
 """Bound on the largest error over the covered part of a heart above which its pose is refused: a force on a
 pose further off is a hazard."""
-PART_EVIDENCE = 30.0
+PART_EVIDENCE = 145.0
 """Evidence of a change of shape from which a heart known from a short-axis stack alone is refused. Shifts
-between breath-holds look like a change too: calm sweeps of threshold hearts stay below 29, but for one that
-ends 5.6 mm off; of hearts changed by 1 to 5 mm seven in ten are above 36."""
+between breath-holds and the rounding between slices look like a change too: calm sweeps of threshold hearts
+stay below 144; of hearts changed by 1 to 5 mm, those that end more than 5 mm off are above 150."""
 LEAST_OF_STACK = 0.5
 """Least share of a short-axis stack without long-axis views that a sweep must image: a calm threshold heart
 of which 0.42 is imaged is 6.5 mm off with every other check passed."""
