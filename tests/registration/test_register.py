@@ -277,10 +277,10 @@ def test_a_part_of_a_heart_that_has_clearly_changed_is_refused_and_never_followe
     monkeypatch: pytest.MonkeyPatch, evidence: float
 ) -> None:
     warp = Warp("mr", np.zeros(3), 16.0, np.zeros((15, 15, 15, 4), np.float32))
-    found = ShapeChange(warp, 1.5, evidence, 2.4, "left", 4.0, 0.3, 0.2, 0.5)
+    found = ShapeChange(warp, 1.5, evidence, 2.4, "left", 4.0, 0.3, 0.2, Halves(0.5, 0.3))
     assert found.followed is not None
     monkeypatch.setattr(register_module, "change_of_shape", lambda *_: found)
-    heart = SimpleNamespace(covered=SimpleNamespace(views=False))
+    heart = SimpleNamespace(covered=SimpleNamespace(views=False), model=None)
     problem: Any = SimpleNamespace(boundary_at=lambda pose: "seen", heart=heart, center_mm=CENTER_MM)
     fused: Any = SimpleNamespace(boundary=SimpleNamespace(offset_mm=0.0), pose=toy_pose())
     change = register_module._change_of_shape(problem, fused)
