@@ -293,7 +293,7 @@ def _forked(name: str, trials: int, rng: random.Random, answer: int) -> bool:
 
 
 def _fork(name: str, *, alone: bool = False) -> int:
-    """Fork a child that goes on with the command; a live session, whose threads a fork loses, begins anew.
+    """Fork a child that goes on with the command; a live session, whose threads a fork loses, starts again.
 
     Args:
         alone: in a process group of its own, which Ctrl-C ends.

@@ -72,7 +72,7 @@ class Way(NamedTuple):
     Attributes:
         spec: of the breath.
         recorded: a channel or marker follows it; otherwise the ECG may.
-        late_s: delay of that channel, beside its own.
+        late_s: delay of that channel, added to its own.
         rhythm: of the heart.
     """
 
@@ -250,26 +250,26 @@ def breathing_trial(settings: Settings, number: int) -> Line:
     name, way = list(WAYS.items())[place]
     until_s, records = settings["seconds"], list[BreathingRecord]()
     if way.recorded:
-        found = follow(way.spec, until_s, seed, way.late_s, records.append)
+        course = follow(way.spec, until_s, seed, way.late_s, records.append)
     else:
-        found = follow_by_ecg(way.spec, until_s, seed, way.rhythm, records.append)
-    served = ~found.withheld & (found.t_s > LEARNT_S)
-    errors_mm = found.error_mm[served]
+        course = follow_by_ecg(way.spec, until_s, seed, way.rhythm, records.append)
+    served = ~course.withheld & (course.t_s > LEARNT_S)
+    errors_mm = course.error_mm[served]
     latencies = [record.latency_s for record in records if record.latency_s is not None]
     line: dict[str, Any] = {
         "way": name,
         "world_seed": seed,
-        "served": float(served.sum() / (found.t_s > LEARNT_S).sum()),
+        "served": float(served.sum() / (course.t_s > LEARNT_S).sum()),
         "median_mm": float(np.median(errors_mm)) if served.any() else None,
         "p95_mm": float(np.percentile(errors_mm, 95)) if served.any() else None,
         "largest_mm": float(errors_mm.max()) if served.any() else None,
         "latency_s": latencies[-1] if latencies else None,
         "breathing_found": any(record.unfollowed_mm is not None for record in records),
     }
-    return line | (_event(found, way, until_s, seed) if way.spec.events else {})
+    return line | (_event(course, way, until_s, seed) if way.spec.events else {})
 
 
-def _event(found: Followed, way: Way, until_s: float, seed: int) -> Line:
+def _event(course: Followed, way: Way, until_s: float, seed: int) -> Line:
     """How soon the pose was withheld at an event, and how soon it came back."""
     breaths = draw_breaths(way.spec, until_s, np.random.default_rng(seed))
     beyond = (breaths.volume < -0.05) | (breaths.volume > BEYOND_VOLUME)
@@ -277,13 +277,13 @@ def _event(found: Followed, way: Way, until_s: float, seed: int) -> Line:
     if not len(times):
         return {}
     begin_s, end_s = float(times[0]), float(times[-1])
-    after = (found.t_s > begin_s) & found.withheld
-    line: Line = {"withheld_s": float(found.t_s[after][0]) - begin_s if after.any() else None}
+    after = (course.t_s > begin_s) & course.withheld
+    line: Line = {"withheld_s": float(course.t_s[after][0]) - begin_s if after.any() else None}
     if way.spec.events[0][0] in PERMANENT:
         return line
-    again = (found.t_s > end_s) & ~found.withheld
+    again = (course.t_s > end_s) & ~course.withheld
     breath_s = 60.0 / way.spec.per_minute
-    return line | {"back_breaths": float(found.t_s[again][0] - end_s) / breath_s if again.any() else None}
+    return line | {"back_breaths": float(course.t_s[again][0] - end_s) / breath_s if again.any() else None}
 
 
 def run(settings: BreathingSettings, driver: Driver) -> Result:

@@ -56,7 +56,7 @@ _SHORTEST_STEP_S, _LONGEST_STEP_S = 1 / ECG_RATE_HZ[1], 1 / ECG_RATE_HZ[0]
 _LATEST = 1e19
 """Largest plausible time: nanoseconds since 1970 reach 1.8e18."""
 _FEWEST_SAME, _FAR = 3, 20.0
-"""Samples of one value, and its distance in ranges of all others, from which it stands for missing ones."""
+"""Samples of one value, and its distance in ranges of all others, from which it means missing ones."""
 _AGREES = 0.01
 """Largest relative difference between the rate of rounded times and a stated rate."""
 
@@ -339,7 +339,7 @@ def _seconds(path: Path, table: Table, column: Column, at: int) -> FloatArray:
 
 
 def _without_placeholders(path: Path, samples: FloatArray) -> FloatArray:
-    """Return (n, leads) samples with NaN for a number such as -9999 that stands for missing ones.
+    """Return (n, leads) samples with NaN for a number such as -9999 that means missing ones.
 
     It is the smallest or largest of its lead, repeats exactly, and is far beyond the range of all others.
     """

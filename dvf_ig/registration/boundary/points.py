@@ -201,5 +201,5 @@ def edges_of_model_mm(
     rows = np.arange(len(k))
     bend = np.minimum((before + after - 2.0 * here)[rows, k], -1e-12)
     part = 0.5 * (before - after)[rows, k] / bend
-    found = steps[1:-1][k] + part * (steps[1] - steps[0])
-    return np.where(np.isfinite(nearest[rows, k]), found, np.nan)
+    edges = steps[1:-1][k] + part * (steps[1] - steps[0])
+    return np.where(np.isfinite(nearest[rows, k]), edges, np.nan)

@@ -70,8 +70,8 @@ class Condition:
 STILL, BEATING = "still heart", "beating heart"
 MONO, STEREO = "mono", "stereo"
 MONO_NOISE = 1.96
-"""Depth is seen so much worse with one eye: with it, 40 operators (seeds 901 to 940) cut without a force as
-people do in Table I of Ren 2008, 1.64 mm RMS about the wanted depth."""
+"""Factor on the error of depth with one eye, with which 40 operators (seeds 901 to 940) cut without a force
+as people do in Table I of Ren 2008, 1.64 mm RMS about the wanted depth."""
 
 
 def _three(prefix: str, common: Condition) -> tuple[Condition, ...]:
