@@ -111,10 +111,10 @@ def register(
         followed = shape is not None and shape.followed is not None
         unexplained = evidence.of_changed_shape() if followed else evidence
         stop = _stop(images.options, refined, fused, unexplained, moved_mm=moved_mm, overlap=overlap)
-        if stop is Stop.CONVERGED and covered is None and _other_calibration(evidence):
-            stop = Stop.DISAGREEMENT
         if shape is not None and shape.refusal is not None and stop in (Stop.CONVERGED, Stop.DISAGREEMENT):
             stop = Stop.CHANGED_SHAPE  # also why parts disagree on where a rigid heart is
+        if stop in (Stop.CONVERGED, Stop.CHANGED_SHAPE) and covered is None and _other_calibration(evidence):
+            stop = Stop.DISAGREEMENT  # an image that lies elsewhere on its probe looks like another shape
         share = None if coverage is None else coverage.share
         stop, assessment = _assessed(  # trust.md: probability, bound and scale of the covariance
             stop,

@@ -184,7 +184,7 @@ def test_versions_name_what_computes() -> None:
 
 
 def test_every_segment_of_a_wfdb_record_counts(tmp_path: Path) -> None:
-    (tmp_path / "all.hea").write_text("all/3 1 250 1000\n~ 100\none 400\ntwo 500\n")
+    (tmp_path / "all.hea").write_text("all/2 1 250 900\none 400\ntwo 500\n")
     for name, length, signals in (("one", 400, ["a.dat", "a.dat"]), ("two", 500, ["b.dat"])):
         lines = [
             f"{name} {len(signals)} 250 {length}",
