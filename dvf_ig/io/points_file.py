@@ -15,10 +15,10 @@ from . import limits
 from .landmarks import LANDMARK_ENDINGS, named_points
 from .number_table import read_number_table, scaled
 from .reading import reading
+from .table_text import MM_IN
 
 log = logging.getLogger(__name__)
 
-_IN_MM = {"mm": 1.0, "cm": 10.0, "m": 1e3}
 _SPACE = re.compile(r"\b(RAS|LAS|RPI)\b")
 _UNIT = re.compile(r"\bunits?\s*[=:]\s*(cm|m|um|(centi|micro)?met(er|re)s?|inch(es)?)\b", re.IGNORECASE)
 _AXES = {"x": (0, 1.0), "y": (1, 1.0), "z": (2, 1.0), "l": (0, 1.0), "p": (1, 1.0), "s": (2, 1.0)} | {
@@ -70,5 +70,5 @@ def _from_table(path: Path) -> FloatArray:
     for line, row in zip(table.lines, table.values[:, at], strict=True):
         if not np.isfinite(row).all():
             raise UnreadableFileError(f"{path}, line {line}: a cell is empty or nan; needed x,y,z in mm")
-    stored = scaled(path, table, at, _IN_MM) * [sign for _, sign in axes]
+    stored = scaled(path, table, at, MM_IN) * [sign for _, sign in axes]
     return stored[:, np.argsort([axis for axis, _ in axes])]

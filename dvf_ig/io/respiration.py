@@ -17,7 +17,7 @@ from dvf_ig.io.ecg.trigger import EcgName
 from dvf_ig.io.ecg.wfdb import read_wfdb_signals
 from dvf_ig.io.plus.poses import read_poses
 from dvf_ig.io.reading import read_text, reading
-from dvf_ig.io.table_text import IN_ONE_SECOND, Column, parse_table
+from dvf_ig.io.table_text import IN_ONE_SECOND, MM_IN, Column, parse_table
 from dvf_ig.io.writing.atomic import write_text
 
 log = logging.getLogger(__name__)
@@ -28,7 +28,6 @@ Table = tuple[FloatArray, tuple[str, ...], FloatArray]
 
 _BREATH = re.compile(r"resp|rsp|breath|thor|abdom|chest|volume|pressure|paw|flow|cvp", re.IGNORECASE)
 _COORDINATE = re.compile(r"(?:[tp]|pos_|position_)?([xyz])(?:[ _]*[\[(]?(mm|cm|m)[\])]?)?", re.IGNORECASE)
-_IN_MM = {"mm": 1.0, "cm": 10.0, "m": 1e3}
 _RATE = re.compile(r"rate|/min|bpm", re.IGNORECASE)
 """Name or unit of a number of breaths per minute, which does not follow the breath."""
 _TIME = re.compile(r"t|times?|timestamps?|stamp|elapsed( time)?|seconds|zeit|uhrzeit", re.IGNORECASE)
@@ -82,7 +81,7 @@ def _marker(path: Path, names: tuple[str, ...], values: FloatArray) -> FloatArra
     parts = [_COORDINATE.fullmatch(name) for name in names]
     plain = tuple(names[i] if part is None else part[1].lower() for i, part in enumerate(parts))
     at = [choose_channel(path, plain, axis) for axis in "xyz"]
-    scale = [_IN_MM[(part[2] or "mm").lower()] if (part := parts[i]) is not None else 1.0 for i in at]
+    scale = [MM_IN[(part[2] or "mm").lower()] if (part := parts[i]) is not None else 1.0 for i in at]
     return values[:, at] * scale
 
 
@@ -134,8 +133,8 @@ def choose_channel(source: object, names: tuple[str, ...], wanted: str | None, a
         if wanted not in names:
             raise UnreadableFileError(f"{source} has no channel '{wanted}'; it has {', '.join(names)}")
         return names.index(wanted)
-    likely = [i for i, name in enumerate(names) if _BREATH.search(name)]
-    likely = [i for i in likely if not _RATE.search(names[i])] or likely or list(range(len(names)))
+    likely = [i for i, name in enumerate(names) if names_breathing(name)]
+    likely = likely or [i for i, name in enumerate(names) if _BREATH.search(name)] or list(range(len(names)))
     if names and all(_RATE.search(name) for name in names):
         raise UnreadableFileError(
             f"{source} has only {', '.join(names)[:60]}, breaths per minute; needed what follows each breath"

@@ -35,6 +35,8 @@ IN_ONE_SECOND = {
     "h": 1 / 3600,
 }
 IN_ONE_SECOND |= {"ms": 1e3, "msec": 1e3, "us": 1e6, "µs": 1e6, "μs": 1e6, "usec": 1e6, "ns": 1e9}
+MM_IN = {"mm": 1.0, "cm": 10.0, "m": 1e3}
+"""Lengths of columns of positions."""
 _OTHER_UNITS = re.compile(
     r"mmhg|cmh2o|kpa|mbar|%|bpm|/min|1/min|deg ?c|°?c|l/min|l/s|ml|k?ohm|k?ω|g|m/s2|hz|rpm", re.IGNORECASE
 )

@@ -305,8 +305,8 @@ class BreathingTracker:
 
     def _followed(self, changed_s: float, now_s: float) -> "_Moment":
         motion, reading = self._motion, self._clock.reading(now_s)
-        ahead_s = 0.0 if self._clock.continuous else REST_LEFT_S
-        features = motion.features(np.array([now_s, now_s + ahead_s]))
+        times = [now_s] if self._clock.continuous else [now_s, now_s + REST_LEFT_S]
+        features = motion.features(np.array(times))
         unknown = _unknown(reading, bool(np.isfinite(features).all()))
         if unknown is not None:
             return _Moment(changed_s, True, np.zeros((6, 6)), 0.0, unknown)

@@ -21,6 +21,7 @@ from scipy.spatial.transform import Rotation
 from data_synth.breathing.breaths import BreathEvent, BreathSpec, draw_breaths
 from data_synth.breathing.motion import Breathing, breathing_of
 from data_synth.breathing.recorded import recorded_breathing
+from data_synth.scenario.presets import PRESETS
 from data_synth.signals.ecg import EcgSpec, synthetic_ecg
 from data_synth.signals.rhythm import RhythmSpec, beat_series
 from dvf_ig.cardiac import detect_r_peaks
@@ -51,9 +52,8 @@ LEARNT_S, EVENT_S = 66.0, 90.0
 PERMANENT = ("doubled-rate", "deepened")
 GRID = 40.0 * np.vstack([np.eye(3), -np.eye(3)])
 RESTING = PoseMotion.still(Rigid.from_rotation_vector([0.4, 0.1, -0.3], [20.0, 5.0, 9.0], "mr", "tracker"))
-VENTILATED = BreathSpec("ventilated", excursion_mm=10.0)
-SPONTANEOUS = BreathSpec("spontaneous", excursion_mm=6.0, tilt_deg=1.5, stretch_mm=0.35, nonrigid_mm=0.2)
-STILL = BreathSpec("ventilated", excursion_mm=0.0)
+VENTILATED, SPONTANEOUS = (PRESETS[name].respiration for name in ("ventilated", "breathing"))
+STILL = BreathSpec()
 SINUS = RhythmSpec()
 
 

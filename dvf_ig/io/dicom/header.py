@@ -19,8 +19,6 @@ SLICES_OF = tuple(f"{_CLASS}{number}" for number in (2, 4))
 """Classes of slices, CT and MR, and first parts of those of enhanced ones: without pixels one is damaged."""
 SECONDARY_CAPTURES = f"{_CLASS}7"
 """First part of the classes of screen shots and scanned pages: they have no place in the body."""
-NO_SLICES = {"SEG": "a segmentation: convert it to NIfTI or NRRD labels"}
-"""Modalities (0008,0060) with pixels that are no grey levels."""
 _LEVELS = "PhotometricInterpretation"
 PADDING_BYTES = 15
 """Most bytes after the pixels of a file."""
@@ -121,8 +119,8 @@ def _no_slice(tags: Tags) -> str:
     modality, kind = general.get("Modality", ""), general.get("SOPClassUID", "")
     if not tags["pixels"] and kind and not any(f"{kind}.".startswith(f"{one}.") for one in SLICES_OF):
         return f"{modality or 'files'} without pixels"
-    if modality in NO_SLICES:
-        return NO_SLICES[modality]
+    if modality == "SEG":
+        return "a segmentation: convert it to NIfTI or NRRD labels"
     if general.get("SamplesPerPixel", "1") != "1" or general.get(_LEVELS, "").startswith("PALETTE"):
         return "colour pictures"
     return "screen shots" if kind.startswith(SECONDARY_CAPTURES) else ""

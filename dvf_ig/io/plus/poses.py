@@ -15,12 +15,12 @@ from dvf_ig.core.recordings.stream import PoseStream
 from dvf_ig.io import limits
 from dvf_ig.io.number_table import NumberTable, read_number_table, scaled
 from dvf_ig.io.reading import reading
+from dvf_ig.io.table_text import MM_IN
 
 from .sequence_read import SEQUENCE_SUFFIXES as SEQUENCE_SUFFIXES
 from .sequence_read import read_sequence
 
 _USUAL_TOOLS = ("stylus", "tool")
-_IN_MM = {"mm": 1.0, "cm": 10.0, "m": 1e3}
 _IN_S = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 _NAMES = {
     "t": {"t", "time", "times", "timestamp", "stamp", "seconds", "sec"},
@@ -155,7 +155,7 @@ def _read_table(path: Path) -> tuple[FloatArray, FloatArray]:
     """Read (n,) times and (n, 4, 4) matrices; NaN for rows that are incomplete or all zero."""
     table = read_number_table(path, "poses: rows x y z qx qy qz qw, or with a time first")
     at = _columns(path, table)
-    position = scaled(path, table, at[1:4], _IN_MM)
+    position = scaled(path, table, at[1:4], MM_IN)
     quaternion = table.values[:, at[4:]]
     if at[0] < 0:
         times = np.arange(len(position), dtype=np.float64)

@@ -79,6 +79,14 @@ def target_from_labels(labels: VolumeSeries, model_phase: FloatArray) -> Boundar
     return BoundaryTarget(grid.frame, distance, knots, labels.timing.fractions[used], -1.0)
 
 
+def target_from_model(model: DvfModel) -> BoundaryTarget:
+    """The surface of a fixture model in darker surroundings."""
+    knots = np.empty((3, 4))
+    knots[:, :3] = np.eye(3) / model.knot_spacing_mm
+    knots[:, 3] = -model.origin_mm / model.knot_spacing_mm
+    return BoundaryTarget(model.frame, model.coefficients, knots, model.timing.fractions, 1.0)
+
+
 def signed_distance_mm(inside: BoolArray, spacing_mm: FloatArray) -> NDArray[np.float32]:
     """Distance to the surface of a voxel mask, positive inside, to a tenth of a voxel.
 
@@ -130,11 +138,3 @@ def _beside_surface(inside: AnyArray) -> BoolArray:
         out[tuple(low)] |= change
         out[tuple(high)] |= change
     return out
-
-
-def target_from_model(model: DvfModel) -> BoundaryTarget:
-    """The surface of a fixture model in darker surroundings."""
-    knots = np.empty((3, 4))
-    knots[:, :3] = np.eye(3) / model.knot_spacing_mm
-    knots[:, 3] = -model.origin_mm / model.knot_spacing_mm
-    return BoundaryTarget(model.frame, model.coefficients, knots, model.timing.fractions, 1.0)
