@@ -3,6 +3,9 @@
 from collections.abc import Sequence
 from typing import Any
 
+MOSTLY_KNOWN = 0.99
+"""Share of contact, from which on the part that no slice shows is not stated."""
+
 
 def table(result: dict[str, Any]) -> list[tuple[str, str, str]]:
     """Build the short table: quantity, estimate, and its error if the truth is known (else empty)."""
@@ -197,7 +200,11 @@ def _force_rows(result: dict[str, Any]) -> list[tuple[str, str, str]]:
         rows.append(("wall", "", f"{text}; force on one 3 mm off for {wall['force_far_off_s']:.1f} s"))
     if contact is not None:
         share, served = 100 * contact["share"], 100 * contact["served_share"]
-        rows.append(("contact", "", f"in {share:.0f} % of ticks, force given in {served:.0f} % of those"))
+        text = f"in {share:.0f} % of ticks, force given in {served:.0f} % of those"
+        if contact["known_share"] < MOSTLY_KNOWN:
+            known, served = 100 * contact["known_share"], 100 * contact["served_known_share"]
+            text += f"; in {served:.0f} % of the {known:.0f} % where the model knows the heart"
+        rows.append(("contact", "", text))
     return rows
 
 

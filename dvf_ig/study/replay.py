@@ -112,7 +112,7 @@ class PresetSummary:
         wall_rms_mm: RMS error of the wall's place at the tool: median; wall_far_off_s: largest time with a
             force on one more than 3 mm off.
         valid_share: of the ticks.
-        served_share: of the ticks in contact.
+        served_share: of the ticks in contact; served_known_share: of those where the model knows the heart.
         hazard_s: largest time with a force on a pose more than 5 mm off; hazard_longest_s: at a stretch.
         withheld_s: time in which the pose was suspended or unconfirmed.
         latched_s: time in which the operator had to re-arm.
@@ -139,6 +139,7 @@ class PresetSummary:
     wall_far_off_s: float | None
     valid_share: float | None
     served_share: float | None
+    served_known_share: float | None
     hazard_s: float | None
     hazard_longest_s: float | None
     withheld_s: float | None
@@ -195,6 +196,7 @@ def _summary(
         ),
         valid_share=median_of([x["valid_ticks"] / x["ticks"] for x in scored]),
         served_share=median_of([x["contact"]["served_share"] for x in scored if x["contact"]]),
+        served_known_share=median_of([x["contact"]["served_known_share"] for x in scored if x["contact"]]),
         hazard_s=max((x["hazard_s"] for x in scored), default=None),
         hazard_longest_s=max((x["hazard_longest_s"] for x in scored), default=None),
         withheld_s=median_of([x["withheld_s"] for x in scored]),
@@ -390,7 +392,7 @@ def _table(rows: Sequence[PresetSummary]) -> Rows:
         "wall mm",
         "3 mm off s",
         "valid",
-        "in contact",
+        "in contact, where known",
         "hazard s",
     )
     more = ("at a stretch", "withheld s", "latched s", "tip seen, elsewhere", "pose bound mm", "it covers")
@@ -409,7 +411,7 @@ def _cells(row: PresetSummary) -> tuple[str, ...]:
         number_text(row.wall_rms_mm, "{:.2f}", ""),
         number_text(row.wall_far_off_s, "{:.2f}", ""),
         number_text(row.valid_share, "{:.0%}", ""),
-        number_text(row.served_share, "{:.0%}", ""),
+        number_text(row.served_share, "{:.0%}", "") + number_text(row.served_known_share, ", {:.0%}", ""),
         number_text(row.hazard_s, "{:.2f}", ""),
         number_text(row.hazard_longest_s, "{:.2f}", ""),
         number_text(row.withheld_s, "{:.1f}", ""),

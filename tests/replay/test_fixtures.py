@@ -104,6 +104,8 @@ def test_dynamic_guidance_is_scored_against_guidance(replay: Replay) -> None:
     assert result["contact"]["served_share"] == pytest.approx(
         before["contact"]["served_share"], abs=sent_later
     )
+    assert result["contact"]["known_share"] == 1.0
+    assert result["contact"]["served_known_share"] == result["contact"]["served_share"]
     assert result["tre_mm"] == before["tre_mm"]
     outside = ok & (ticks.distance_mm < -1.0)
     inward = np.einsum("ij,ij->i", ticks.force_n[outside], gradient[outside])

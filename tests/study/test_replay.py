@@ -15,7 +15,7 @@ def line(number: int, tre_mm: float | None, hazard_s: float) -> dict[str, Any]:
         "scenario_seed": number // 2,
         "tre_mm": None if tre_mm is None else {"median": tre_mm},
         "force_error_n": None if tre_mm is None else {"median": 0.1 * tre_mm},
-        "contact": {"served_share": 0.5},
+        "contact": {"served_share": 0.5, "served_known_share": 0.9},
         "surface_error_mm": None
         if tre_mm is None
         else {"rms": 0.5 * tre_mm, "force_far_off_s": 0.2 * hazard_s},

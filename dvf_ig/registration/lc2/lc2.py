@@ -239,9 +239,11 @@ class Lc2:
         return self._scores(self._placed(target_from_source)[0])
 
     def score(self, target_from_source: Rigid) -> Score:
-        """Similarity and overlap of all slices together."""
+        """Similarity and overlap of all slices together; slices without a pixel have no overlap."""
         out = self.per_slice(target_from_source)
-        return Score(_similarity(out), float(out[:, SLICE_OVERLAP].mean()))
+        filled = np.diff(self._patched.first_run) > 0
+        overlap = float(out[filled, SLICE_OVERLAP].mean()) if filled.any() else 0.0
+        return Score(_similarity(out), overlap)
 
     def similarity_at_shift(self, target_from_source: Rigid, shift: float) -> float:
         """Similarity if every slice belonged `shift` of a cycle later in the model's cycle than was taken."""

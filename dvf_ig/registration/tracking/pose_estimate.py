@@ -16,8 +16,8 @@ so that directions which one beat cannot observe keep what earlier beats knew of
 is known against the beats to come. What all beats have in common (calibration, mismatch of the anatomy) no
 beat reduces: the covariance S of the registration that the pose goes back to is kept as well as P, and P +
 S is how well the pose is known against the truth (a consider covariance: Schmidt 1966). A later
-registration is made of frames that the beats have used: it is fused by covariance intersection with S, and
-leaves P as it is.
+registration is made of frames that the beats have used, with an error of unknown correlation: it is fused by
+covariance intersection of P + S, which keeps both parts (`split_intersection`).
 """
 
 import math
@@ -72,18 +72,23 @@ BEAT_OPTIMISER = OptimiserOptions(steps=10, cap_mm=5.0, tolerance_mm=0.1)
 """Descents of a beat's slices, from the pose in use."""
 
 
-def covariance_intersection(
-    first_mm2: FloatArray, second_mm2: FloatArray, offset_mm: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Fuse two estimates of the same quantity.
+def split_intersection(
+    first_mm2: tuple[FloatArray, FloatArray], second_mm2: tuple[FloatArray, FloatArray], offset_mm: FloatArray
+) -> tuple[FloatArray, tuple[FloatArray, FloatArray]]:
+    """Fuse two estimates of one quantity by covariance intersection, for errors of two independent parts.
+
+    With T = P + S and C = (ω T₁⁻¹ + (1 − ω) T₂⁻¹)⁻¹, a part A becomes C (ω T₁⁻¹ A₁ T₁⁻¹ + (1 − ω) T₂⁻¹ A₂
+    T₂⁻¹) C, no smaller than its true covariance for any correlation between the estimates; ω minimises det C.
 
     Args:
-        first_mm2, second_mm2: (n, n) covariances, positive definite.
+        first_mm2, second_mm2: (P, S), each (n, n); their sum is positive definite.
         offset_mm: (n,) second estimate minus the first.
     Returns:
-        (n,) fused estimate minus the first, and its (n, n) covariance.
+        (n,) fused estimate minus the first, and its (P, S).
+
+    Source: Julier and Uhlmann 1997.
     """
-    first, second = np.linalg.inv(first_mm2), np.linalg.inv(second_mm2)
+    first, second = np.linalg.inv(sum(first_mm2)), np.linalg.inv(sum(second_mm2))
 
     def log_determinant(weight: float) -> float:
         size = -float(np.linalg.slogdet(weight * first + (1.0 - weight) * second)[1])
@@ -93,8 +98,14 @@ def covariance_intersection(
         log_determinant, bounds=(0.0, 1.0), method="bounded", options={"xatol": WEIGHT_TOLERANCE}
     )
     weight = min((0.0, 1.0, float(inner.x)), key=log_determinant)
-    covariance = np.asarray(np.linalg.inv(weight * first + (1.0 - weight) * second))
-    return covariance @ ((1.0 - weight) * (second @ offset_mm)), covariance
+    covariance = np.linalg.inv(weight * first + (1.0 - weight) * second)
+    gain, other_gain = covariance @ first, covariance @ second
+
+    def fused(part: FloatArray, other: FloatArray) -> FloatArray:
+        return np.asarray(weight * gain @ part @ gain.T + (1.0 - weight) * other_gain @ other @ other_gain.T)
+
+    random, shared = map(fused, first_mm2, second_mm2)
+    return (1.0 - weight) * (other_gain @ offset_mm), (random, shared)
 
 
 @read_only_arrays
@@ -198,20 +209,21 @@ class PoseEstimate:
             beats: since the middle of its frames; the heart may have moved meanwhile.
         """
         chart = PoseChart(self.pose, self.center_mm)
-        offset, shared = covariance_intersection(
-            self.shared_mm2,
-            registered.shared_mm2 + beats * PROCESS_NOISE_MM**2 * np.eye(6),
+        moved_mm2 = registered.predict(beats).covariance_mm2
+        offset, (random, shared) = split_intersection(
+            (self.covariance_mm2, self.shared_mm2),
+            (moved_mm2, registered.shared_mm2),
             chart.coordinates(registered.pose),
         )
         pose, warp = chart.pose(offset), registered.warp
         if warp is not None:  # the walls are where the registration saw them
             warp = warp.at_pose(registered.pose, pose)
-        there = replace(self, pose=pose, shared_mm2=shared, warp=warp)
+        there = replace(self, pose=pose, covariance_mm2=random, shared_mm2=shared, warp=warp)
         if registered.shape_step is self.shape_step:
             return there
         reshaped = replace(there, shape_step=registered.shape_step)
         pulled = PoseChart(there.matched_pose, self.center_mm).coordinates(reshaped.matched_pose)
-        return replace(reshaped, covariance_mm2=self.covariance_mm2 + np.outer(pulled, pulled))
+        return replace(reshaped, covariance_mm2=random + np.outer(pulled, pulled))
 
     def sigma_mm(self) -> float:
         """Standard deviation per coordinate by `total_mm2`, RMS over the six."""

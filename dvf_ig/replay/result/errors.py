@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from dvf_ig.core import FloatArray, InvalidInputError, ScenarioTruth, summarise_errors
-from dvf_ig.guidance import Confinement, Gaussian, force_at_distance
+from dvf_ig.core import BoolArray, FloatArray, InvalidInputError, Rigid, ScenarioTruth, summarise_errors
+from dvf_ig.guidance import Confinement, Fixtures, Gaussian, Status, force_at_distance
 from dvf_ig.registration import target_errors_mm
 from dvf_ig.replay.engine import Replay
 from dvf_ig.replay.preconditions import RATE_HZ
@@ -73,11 +73,7 @@ def error_fields(replay: Replay) -> dict[str, Any]:
     distance, true_force = true_contact(replay)
     contact = distance >= CONTACT_MM
     with_force = ticks.guided & ticks.force_n.any(axis=1)
-    out["contact"] = {
-        "ticks": int(contact.sum()),
-        "share": float(contact.mean()),
-        "served_share": float(with_force[contact].mean()) if contact.any() else 0.0,
-    }
+    out["contact"] = contact_served(replay, with_force)
     if true_force is not None:
         believed = np.where(valid, ticks.distance_mm, np.nan)
         surface = score_surface(believed, distance, with_force, 1.0 / RATE_HZ)
@@ -86,6 +82,40 @@ def error_fields(replay: Replay) -> dict[str, Any]:
         if force is not None:
             out["force_error_n"] = {"median": force.error_n_median, "p95": force.error_n_p95}
     return out
+
+
+def contact_served(replay: Replay, with_force: BoolArray) -> dict[str, float]:
+    """Compute the share of ticks in contact, and of those with a force, also where the model knows the heart.
+
+    Args:
+        with_force: (n,) whether a tick has a force.
+    """
+    contact = true_contact(replay)[0] >= CONTACT_MM
+    known = contact & _known_at_tip(replay, contact)
+    return {
+        "ticks": int(contact.sum()),
+        "share": float(contact.mean()),
+        "served_share": float(with_force[contact].mean()) if contact.any() else 0.0,
+        "known_share": float(known.sum() / max(1, contact.sum())),
+        "served_known_share": float(with_force[known].mean()) if known.any() else 0.0,
+    }
+
+
+def _known_at_tip(replay: Replay, chosen: BoolArray) -> BoolArray:
+    """Flag (n,) chosen ticks where the model knows the heart at the true tip; False at others."""
+    truth = replay.scenario.truth
+    if truth is None:
+        raise InvalidInputError("the scenario carries no truth")
+    nearest = _nearest(truth.tool.t_s, replay.ticks.t_s[chosen])
+    model = replay.setup.heart.model
+    samples = Fixtures(model).evaluate(
+        Rigid.identity(model.frame, model.frame),
+        truth.tool.tip_mr_mm[nearest],
+        truth.tool.model_phase[nearest],
+    )
+    known = np.zeros(len(chosen), dtype=np.bool_)
+    known[chosen] = samples.status == Status.OK
+    return known
 
 
 def _hazard(ticks: Ticks, truth: ScenarioTruth) -> dict[str, float]:

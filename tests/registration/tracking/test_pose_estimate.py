@@ -66,8 +66,17 @@ def test_a_registration_that_shares_frames_with_the_beats_leaves_the_tracked_pos
         PoseChart(TRUTH, CENTER_MM).pose(offset), covariance, covariance, CENTER_MM
     )
     fused = tracked.intersected_with(again, 0.0)
-    np.testing.assert_array_equal(fused.covariance_mm2, tracked.covariance_mm2)
+    np.testing.assert_allclose(fused.covariance_mm2, tracked.covariance_mm2)
     np.testing.assert_allclose(fused.shared_mm2, 0.5**2 * np.eye(6), atol=1e-9)
+
+
+def test_a_registration_renews_a_pose_that_beats_hold_less_well() -> None:
+    covariance = np.diag([(0.5 / HEART_RADIUS_MM) ** 2] * 3 + [0.5**2] * 3)
+    registered = PoseEstimate.from_registration(TRUTH, covariance, covariance, CENTER_MM)
+    renewed = registered.predict(100.0).intersected_with(registered, 4.0)
+    expected = 0.5**2 + 4 * PROCESS_NOISE_MM**2
+    np.testing.assert_allclose(np.diag(renewed.covariance_mm2), expected)
+    np.testing.assert_allclose(renewed.shared_mm2, 0.5**2 * np.eye(6), atol=1e-9)
 
 
 def test_a_registration_that_pulls_images_aside_otherwise_leaves_open_where_beats_match() -> None:
