@@ -15,6 +15,9 @@ class Stop(Enum):
     POOR_MATCH = "image and model do not agree at the best pose found; do not guide by it"
     PHASE_OFFSET = "ECG and ultrasound disagree on the heart's phase; check the ECG's clock and latency"
     DOUBTFUL = "the checks together make a good pose too unlikely; do not guide by it"
+    UNBOUNDED = (
+        "nothing bounds the error of a heart that its images cover in part well enough to begin with it"
+    )
     CHANGED_SHAPE = "the heart's shape differs too much from that in the pre-operative images to guide by it"
     DISAGREEMENT = "independent checks of the pose disagree; do not guide by it"
 

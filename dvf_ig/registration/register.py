@@ -274,7 +274,8 @@ def _assessed(
         features: by which probability and bound are stated; unexplained: without what a change of the heart's
             shape that fixtures follow explains, by which the pose is judged.
         partly: the heart's images cover it in part. What they do not hold pulls poses aside by more than any
-            check's limit shows: without a bound up to LARGEST_OF_PART_MM its pose is refused.
+            check's limit shows: without a bound up to LARGEST_OF_PART_MM its pose is UNBOUNDED, which may
+            renew a pose in use, but begin none.
     """
     assessment = replace(
         assess(table, features, statistics), doubtful=assess(table, unexplained, statistics).doubtful
@@ -283,8 +284,8 @@ def _assessed(
     if stop.usable and not assessment.doubtful:
         if not partly:
             return stop, assessment
-        if bound_mm is not None:
-            return (stop if bound_mm <= LARGEST_OF_PART_MM else Stop.DOUBTFUL), assessment
+        bounded = bound_mm is not None and bound_mm <= LARGEST_OF_PART_MM
+        return (stop if bounded else Stop.UNBOUNDED), assessment
     chance = assessment.success_probability
     if not stop.usable and table is not None and chance is not None:
         chance = min(chance, table.refused_probability)

@@ -134,7 +134,7 @@ class RegistrationResult:
             return sentence
         if self.stop is Stop.LOW_OVERLAP and self.coverage is not None:
             return self.coverage.advice
-        if self.stop is Stop.DOUBTFUL and self.coverage is not None:
+        if self.stop in (Stop.DOUBTFUL, Stop.UNBOUNDED) and self.coverage is not None:
             instead = f"or give {'' if self.coverage.views else LONG_AXIS}MR of the whole heart"
             why = f"the MR ends within the heart, and {self._why_doubtful}"
             return f"{why}; {self.coverage.advice}, {instead}"

@@ -9,7 +9,7 @@ from scipy.ndimage import map_coordinates
 
 from dvf_ig.core.arrays import AnyArray, FloatArray
 from dvf_ig.core.recordings.scenario import Preop, Scenario
-from dvf_ig.core.space.volume import Grid, VolumeSeries
+from dvf_ig.core.space.volume import Grid, Volume, VolumeSeries
 from dvf_ig.core.timing.trigger import TriggerTimes
 
 from .style import ON_GREY, TRUTH, png_bytes, without_ticks
@@ -72,12 +72,20 @@ def _draw_preop(axes: AnyArray, preop: Preop) -> None:
         axes[row, 0].set_ylabel(f"{name}, pre-operative", fontsize=9)
 
 
+def _labels(preop: Preop, phase: int) -> Volume | None:
+    """Return the labels at a phase; None if there are none."""
+    if preop.labels is not None and phase < len(preop.labels.timing):
+        return Volume(preop.labels.grid, preop.labels.values[phase])
+    return preop.ed_labels if phase == preop.ed_phase else None
+
+
 def _heart_center(preop: Preop) -> FloatArray:
     """Return the (3,) middle of the organ at end-diastole, frame "mr"."""
-    if preop.labels is not None:
-        where = np.argwhere(np.isin(preop.labels.values[0], preop.organ_labels))
+    labelled = _labels(preop, preop.ed_phase)
+    if labelled is not None:
+        where = np.argwhere(np.isin(labelled.values, preop.organ_labels))
         if len(where):
-            return preop.labels.grid.to_mm(0.5 * (where.min(axis=0) + where.max(axis=0)))
+            return labelled.grid.to_mm(0.5 * (where.min(axis=0) + where.max(axis=0)))
     if preop.surfaces:
         return np.asarray(preop.surfaces[0].vertices_mm[0].mean(axis=0))
     return np.zeros(3)
@@ -91,9 +99,10 @@ def _draw_slice(
     extent = (-HALF_MM, HALF_MM, -HALF_MM, HALF_MM)
     top = max(float(np.percentile(shown.values[0], 99.7)), 1.0)
     axis.imshow(values, cmap="gray", vmin=0, vmax=top, origin="lower", extent=extent)
-    if preop.labels is not None and phase < len(preop.labels.timing):
-        organ = np.isin(preop.labels.values[phase], preop.organ_labels).astype(np.float32)
-        outline = _plane(organ, preop.labels.grid, center, normal)
+    labelled = _labels(preop, phase)
+    if labelled is not None:
+        organ = np.isin(labelled.values, preop.organ_labels).astype(np.float32)
+        outline = _plane(organ, labelled.grid, center, normal)
         if outline.min() < 0.5 < outline.max():
             axis.contour(outline, levels=[0.5], colors=[ON_GREY], linewidths=0.9, extent=extent)
     _head_up(axis, normal)

@@ -168,7 +168,7 @@ class PoseTracker:
             self.history.append(RegistrationDecision(record, Refused(Refusal.SUSPENDED_MEANWHILE)))
         elif record.result is None or record.frames is None:
             self._plan.change(retry_after(record.asked_s, now_s))
-        elif not record.usable:
+        elif not (record.usable or (isinstance(self.pose, InUse) and record.renews)):
             self._apply(RegistrationRefused(now_s, record.asked_s, record.result.stop))
         else:
             middle_s = float(record.frames.event_s[record.frames.used].mean())

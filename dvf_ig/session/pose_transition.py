@@ -3,7 +3,7 @@
     NoPose ──────── usable registration ─────────► Candidate
     Candidate ───── consistent heart beats ──────► InUse
     Candidate ───── a beat that contradicts it ──► NoPose, or the suspended pose before it
-    InUse ───────── registration 2.5 mm away ────► Candidate, with the pose in use suspended
+    InUse ───────── usable registration 2.5 mm away ► Candidate, with the pose in use suspended
     InUse ───────── contradicted by beats, registrations or the tool's tip ──► Suspended: no force
     Suspended ───── consistent heart beats ──────► InUse
     Suspended ───── usable registration ─────────► Candidate
@@ -89,7 +89,7 @@ RECOVER_S = 3.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Registered:
-    """A registration is ready, and its own evidence allows its use.
+    """A registration is ready, and its own evidence allows its use, or its renewing a pose in use.
 
     Attributes:
         now_s: when it is taken.
@@ -214,13 +214,16 @@ def next_pose(pose: Pose, event: PoseEvent) -> Transition:
 
 
 def _fuse(pose: InUse, event: Registered) -> Transition:
-    """Fuse a registration near the pose in use; one elsewhere suspends it."""
+    """Fuse a registration near the pose in use; one elsewhere suspends it, or weakens it if
+    it could begin no pose itself."""
     registration, now_s = event.registration, event.now_s
     off_mm = mean_displacement_mm(event.estimate.pose, pose.estimate.pose, pose.estimate.center_mm)
     if off_mm <= JUMP_MM:
         estimate = pose.estimate.intersected_with(event.estimate, event.beats)
         pose, update = _moved(replace(pose, refusals=0), estimate, now_s)
         return pose, (update, _refresh(registration, now_s))
+    if registration.renews:
+        return _weaken(pose, RegistrationRefused(now_s, registration.asked_s, Stop.UNBOUNDED))
     doubt = Doubt(DoubtCause.REGISTERED_ELSEWHERE, distance_mm=off_mm)
     before = Suspended(pose.estimate, doubt, pose.confirmation, Trial(pose.shift.restarted(), pose.tip))
     return Candidate(event.estimate, registration, before.trial, before), (

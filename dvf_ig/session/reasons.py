@@ -112,8 +112,9 @@ class NoForce(Enum):
         "check calibrations and clocks; the last registration: {reason}"
     )
     OUT_OF_VOLUME = (
-        "the tool stayed outside the box of the model in {share:.0%} of the ticks: check that its poses and "
-        "tip are in mm, relative to the same frame as the probe's, and of this intervention"
+        "the tool stayed outside the box of the model in {share:.0%} of the ticks: check that the MR shows "
+        "where it works (dvf-ig view MODEL), and that its poses and tip are in mm, relative to the same frame "
+        "as the probe's, and of this intervention"
     )
     UNSEEN = (
         "the tool was at a part of the heart that no MR slice shows in {share:.0%} of the ticks: check "

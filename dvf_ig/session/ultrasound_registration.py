@@ -14,6 +14,7 @@ from dvf_ig.core import (
     InvalidInputError,
     NoOverlapError,
     Rigid,
+    Stop,
     TrackedVolume,
     VolumeSeries,
     phase_distance,
@@ -99,6 +100,11 @@ class RegistrationRecord:
     @property
     def usable(self) -> bool:
         return self.result is not None and self.result.stop.usable and self.refused is None
+
+    @property
+    def renews(self) -> bool:
+        """Whether it may renew a pose in use near it, though it must not begin one."""
+        return self.result is not None and self.result.stop is Stop.UNBOUNDED and self.refused is None
 
     @property
     def reason(self) -> str:

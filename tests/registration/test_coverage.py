@@ -119,7 +119,7 @@ def test_voxels_that_are_not_shown_at_every_phase_are_not_compared() -> None:
 def test_a_half_covered_heart_is_registered_by_its_half_and_refused_without_a_bound() -> None:
     start = toy_pose().perturbed_left([0.08, -0.06, 0.05], [5.0, -4.0, 6.0], CENTER_MM)
     result = registered(levels(), start)
-    assert result.stop is Stop.DOUBTFUL, "every check passes, but nothing bounds what the other half does"
+    assert result.stop is Stop.UNBOUNDED, "every check passes, but nothing bounds what the other half does"
     assert result.options.limits.boundary_mm == PART_BOUNDARY_MM
     assert result.tre_bound_mm is None
     assert result.outside
@@ -140,7 +140,7 @@ def test_a_half_covered_heart_is_registered_by_its_half_and_refused_without_a_bo
     assert result.statistics.overlap > 0.8, "of what is compared, chosen half a voxel wider"
 
 
-@pytest.mark.parametrize(("bound_mm", "stop"), [(LARGEST_OF_PART_MM, Stop.CONVERGED), (5.1, Stop.DOUBTFUL)])
+@pytest.mark.parametrize(("bound_mm", "stop"), [(LARGEST_OF_PART_MM, Stop.CONVERGED), (5.1, Stop.UNBOUNDED)])
 def test_a_bound_decides_of_a_part_alone_and_is_stated(
     bound_mm: float, stop: Stop, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -2,12 +2,14 @@
 
 from dataclasses import replace
 from math import inf
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
 
 from dvf_ig.core import FloatArray, PoseMotion, Rigid, Stop, Warp
-from dvf_ig.registration import BeatMeasurement, PoseEstimate, TipSighting
+from dvf_ig.registration import BeatMeasurement, PoseEstimate, RegistrationResult, TipSighting
 from dvf_ig.registration.tracking.pose_estimate import INFORMATIVE_LOG_RATIO
 from dvf_ig.session import (
     BeatEvaluation,
@@ -41,6 +43,7 @@ from dvf_ig.session.pose_states import (
 )
 from dvf_ig.session.pose_transition import (
     CONSISTENT_LOG_RATIO,
+    JUMP_MM,
     RECOVER_S,
     REFRESH_S,
     RETRY_S,
@@ -367,6 +370,20 @@ def test_a_change_that_no_pose_explains_suspends_until_a_registration_is_usable_
     pose = after(pose, *CONFIRMING, *CONFIRMING)
     assert isinstance(pose, Suspended)
     assert isinstance(after(pose, registered(0.0), *CONFIRMING), InUse)
+
+
+def test_a_registration_without_a_bound_renews_a_pose_near_it_and_weakens_one_elsewhere() -> None:
+    unbounded = replace(RECORD, result=cast(RegistrationResult, SimpleNamespace(stop=Stop.UNBOUNDED)))
+    assert unbounded.renews
+    assert not unbounded.usable
+    aged = replace(IN_USE, estimate=IN_USE.estimate.predict(40.0))
+    near = after(aged, replace(registered(1.0), registration=unbounded))
+    assert isinstance(near, InUse)
+    assert near.estimate.pose_bound_mm == pytest.approx(IN_USE.estimate.pose_bound_mm, rel=0.05)
+    elsewhere = after(IN_USE, replace(registered(JUMP_MM + 0.1), registration=unbounded))
+    assert isinstance(elsewhere, InUse)
+    assert elsewhere.refusals == 1
+    assert elsewhere.estimate.pose_bound_mm > IN_USE.estimate.pose_bound_mm
 
 
 def test_a_tool_that_is_seen_elsewhere_keeps_every_pose_from_use_until_it_is_not() -> None:

@@ -218,6 +218,7 @@ class Lc2:
         radius = max(2, round(patch_mm / pitch_mm / 2))
         pixels = pixel_runs(slices)
         self.patches = patches = patches_of(slices, pixels, radius, density_width_mm)
+        self._slice_pixels = slices.masks.sum(axis=(1, 2)).astype(np.float64)
         self._patch_pixels = (2 * radius + 1) ** 2
         self._patched = PatchedSlices(
             pixels.values,
@@ -239,11 +240,10 @@ class Lc2:
         return self._scores(self._placed(target_from_source)[0])
 
     def score(self, target_from_source: Rigid) -> Score:
-        """Similarity and overlap of all slices together; slices without a pixel have no overlap."""
+        """Similarity and overlap of all slices together: overlap is the share of their pixels."""
         out = self.per_slice(target_from_source)
-        filled = np.diff(self._patched.first_run) > 0
-        overlap = float(out[filled, SLICE_OVERLAP].mean()) if filled.any() else 0.0
-        return Score(_similarity(out), overlap)
+        inside = float(out[:, SLICE_OVERLAP] @ self._slice_pixels)
+        return Score(_similarity(out), inside / max(1.0, float(self._slice_pixels.sum())))
 
     def similarity_at_shift(self, target_from_source: Rigid, shift: float) -> float:
         """Similarity if every slice belonged `shift` of a cycle later in the model's cycle than was taken."""

@@ -50,7 +50,7 @@ threshold hearts 0.3 and 3 have the same coverage and a mean χ² of 5.7 and 5.4
 images."""
 RANGE_MARGIN = 0.25
 """Share of the range of an image statistic over the hearts that is added at either end."""
-JUDGED_LATER = ("DOUBTFUL", "CONVERGED")
+JUDGED_LATER = ("DOUBTFUL", "UNBOUNDED", "CONVERGED")
 """Stops of poses that no check refused by its own limit: the others come before the tables."""
 
 
