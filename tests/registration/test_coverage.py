@@ -158,8 +158,13 @@ def test_tables_of_whole_hearts_say_nothing_of_a_part() -> None:
     assert table_of("volumes", OF_STACK) is None
     assert table_of("sweep", OF_STACK) is not table_of("sweep")
     assert table_of("sweep", OF_STACK_AND_VIEWS) is not table_of("sweep")
-    part = covered()
-    assert (part.kind, replace(part, views=True).kind) == (OF_STACK, OF_STACK_AND_VIEWS)
+    whole, part = table_of("sweep"), table_of("sweep", OF_STACK)
+    assert whole is not None
+    assert part is not None
+    assert part.ranges["structure"][1] == whole.ranges["structure"][1], "what ultrasound looks like is shared"
+    assert part.ranges["overlap"] != whole.ranges["overlap"]
+    half = covered()
+    assert (half.kind, replace(half, views=True).kind) == (OF_STACK, OF_STACK_AND_VIEWS)
 
 
 def test_a_sweep_of_a_corner_is_refused_with_the_side_to_image() -> None:

@@ -14,7 +14,7 @@ Sources: Barlow 1972 (isotonic regression); Lei et al. 2018 (split conformal pre
 
 import json
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from importlib import resources
 from typing import Any
@@ -61,6 +61,8 @@ NAMES = {
     "overlap": "the overlap with the model",
     "information": "the amount of ultrasound",
 }
+OF_ULTRASOUND = ("brightness", "contrast", "structure", "fill", "slices", "view_spread_deg", "extent_mm")
+"""Statistics that do not depend on the heart's images: all hearts calibrated with such ultrasound count."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -270,7 +272,7 @@ def _outside(table: Table, statistics: ImageStatistics) -> str:
         if beyond > worst:
             worst = beyond
             sentence = (
-                f"outside what was calibrated: {NAMES[name]} is {value:.3g}, in {table.hearts} hearts it was "
+                f"outside what was calibrated: {NAMES[name]} is {value:.3g}, where calibrated it was "
                 f"{low:.3g} to {high:.3g}"
             )
     return sentence
@@ -281,9 +283,17 @@ def table_of(kind: str | None, covered: str = "") -> Table | None:
 
     Args:
         covered: ending of the kind where the heart's images cover it in part, for which whole hearts say
-            nothing; see OF_STACK.
+            nothing, but of what ultrasound looks like; see OF_STACK and OF_ULTRASOUND.
     """
-    return None if kind is None else _tables().get(f"{kind}{covered}")
+    table, whole = _tables().get(f"{kind}{covered}"), _tables().get(str(kind))
+    if table is None or whole is None:
+        return table
+    return replace(table, ranges=table.ranges | {name: _united(table, whole, name) for name in OF_ULTRASOUND})
+
+
+def _united(table: Table, other: Table, name: str) -> tuple[float, float]:
+    (low, high), (other_low, other_high) = table.ranges[name], other.ranges[name]
+    return min(low, other_low), max(high, other_high)
 
 
 @lru_cache(maxsize=1)

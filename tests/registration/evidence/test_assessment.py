@@ -99,7 +99,7 @@ def test_images_unlike_all_that_was_calibrated_get_a_sentence_instead_of_a_numbe
     flat = assess(table(), features(), replace(STATISTICS, view_spread_deg=2.0))
     assert flat.success_probability is flat.tre_bound_mm is None
     assert flat.outside == (
-        "outside what was calibrated: the spread of the views (°) is 2, in 200 hearts it was 15 to 45"
+        "outside what was calibrated: the spread of the views (°) is 2, where calibrated it was 15 to 45"
     )
     none = assess(None, features(), STATISTICS)
     assert none.success_probability is None
