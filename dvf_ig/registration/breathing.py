@@ -53,6 +53,8 @@ class BreathingPose:
         own_mm2: variance of each coordinate that the beats have beyond their noise: the model's own error.
         center: (4,), whitening: (4, 4): of the features it was learnt from.
         radius: largest whitened distance of a frame's features that counts as learnt.
+        along: (6,) ξ of 1 mm of the heart's centre along the main direction of its motion, towards the top
+            of a breath.
         held_out_mm: RMS over the heart of what held-out breaths missed, beyond their noise.
         breaths: number of breaths it was learnt from.
     """
@@ -63,6 +65,7 @@ class BreathingPose:
     center: FloatArray
     whitening: FloatArray
     radius: float
+    along: FloatArray
     held_out_mm: float
     breaths: int
 
@@ -79,6 +82,23 @@ class BreathingPose:
         """Return whether each of (n, 4) features lies in the ellipsoid of what was learnt; False for NaN."""
         apart = (features - self.center) @ self.whitening
         return np.asarray(np.linalg.norm(apart, axis=1) <= self.radius)
+
+    def displacement_mm(self, features: FloatArray) -> FloatArray:
+        """Compute how far (n, 4) features move the heart's centre along the main direction of its motion."""
+        return np.asarray(self.xi_mm(features) @ self.along)
+
+    def residuals_mm(self, beats: "tuple[BreathBeat, ...]") -> tuple[FloatArray, FloatArray]:
+        """Compute what (n,) beats miss along the main direction, and its standard deviation.
+
+        The latter holds the noise of the beat, whose views do not see all directions alike, and the model's
+        own error.
+        """
+        table = _Table.of(beats)
+        missed = table.offsets - np.einsum("nij,nj->ni", table.information, self.xi_mm(table.features))
+        covariance = np.linalg.inv(table.information + np.eye(6) / CONSTANT_MM**2)
+        seen = covariance @ self.along
+        square_mm2 = np.asarray(seen @ self.along) + self.own_mm2
+        return np.asarray(np.einsum("ni,ni->n", seen, missed)), np.sqrt(square_mm2)
 
 
 def learn_breathing(beats: tuple[BreathBeat, ...]) -> BreathingPose | None:
@@ -104,9 +124,8 @@ def learn_breathing(beats: tuple[BreathBeat, ...]) -> BreathingPose | None:
     whitening[1:, 1:] = np.linalg.cholesky(np.linalg.inv(spread + 1e-4 * np.eye(FEATURES - 1)))
     reach = np.linalg.norm((frames - center) @ whitening, axis=1)
     radius = BEYOND * float(np.quantile(reach, 0.995))
-    return BreathingPose(
-        b_mm, covariance, own, center, whitening, radius, _held_out_mm(table, breaths, own), len(breaths)
-    )
+    along, held_out_mm = _main_direction(b_mm, spread), _held_out_mm(table, breaths, own)
+    return BreathingPose(b_mm, covariance, own, center, whitening, radius, along, held_out_mm, len(breaths))
 
 
 def misfits(beats: tuple[BreathBeat, ...], features: FloatArray) -> FloatArray:
@@ -168,6 +187,14 @@ class _Table:
         """Sum the squared residuals over their noise."""
         apart = self.xi_mm - self.features @ b_mm
         return float(np.einsum("ni,nij,nj->", apart, self.information, apart, optimize=True))
+
+
+def _main_direction(b_mm: FloatArray, spread: FloatArray) -> FloatArray:
+    """Find (6,) `BreathingPose.along` by B and the (3, 3) covariance of ρ and its lags."""
+    shifts = b_mm[1:, 3:]
+    _, axes = np.linalg.eigh(shifts.T @ spread @ shifts)
+    top = 1.0 if shifts.sum(axis=0) @ axes[:, -1] >= 0.0 else -1.0
+    return np.concatenate([np.zeros(3), top * axes[:, -1]])
 
 
 def normal_matrix(features: FloatArray, information: FloatArray) -> FloatArray:
