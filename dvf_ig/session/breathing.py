@@ -48,6 +48,8 @@ LEAST_EXCURSION_MM = 2.0 * GONE_MM
 """A heart that moves by less with the breath of the ECG does not follow it."""
 REST_LEFT_S = 0.2
 """Force on a forecast rest ends so long before it: a breath may come early, or rise faster than others."""
+CONFIRMED_S = 0.6
+"""Force on a forecast rest begins no later than this after a beat: the next one may show something else."""
 UNFOLLOWED_S = 40.0
 """A clock from the ECG that has not been locked for so long is given up."""
 UNFOLLOWED = -1
@@ -351,10 +353,18 @@ class BreathingTracker:
             withheld = not motion.model.knows(features)[0]
             cause = BreathingReason.NOT_LEARNT if withheld else None
         else:
-            withheld = not motion.rests(features).all()
+            withheld = not motion.rests(features).all() or self._unconfirmed(now_s)
             cause = self._gated_by
         reason = None if cause is None else cause.value
         return _Moment(changed_s, withheld, covariance, bound_mm, reason, breath)
+
+    def _unconfirmed(self, now_s: float) -> bool:
+        """Return whether a rest began by its forecast alone, too long after the last beat."""
+        beat_s = self._clock.latest_s
+        if self._clock.continuous or now_s <= beat_s + CONFIRMED_S:
+            return False
+        times = np.arange(beat_s + CONFIRMED_S, now_s, 0.05)
+        return not self._motion.rests(self._motion.features(times)).all()
 
     @property
     def _gated_by(self) -> BreathingReason:
