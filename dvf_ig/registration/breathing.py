@@ -17,8 +17,10 @@ from .tracking.pose_estimate import MEAN_SQUARE_OF_COORDINATES
 
 FEATURES = 4
 CONSTANT_MM = 20.0
-"""Prior SD of the constant part of ξ, and of its change with each other feature at unit SD."""
-MOTION_MM = 8.0
+"""Prior SD of the constant part of ξ."""
+MOTION_MM = np.array([1.0, 1.0, 1.0, 8.0, 8.0, 8.0])
+"""Prior SD of the change of ξ with each other feature at unit SD, a third of a breath: no heart is known to turn
+by more than 4° or to move by more than 23 mm in one."""
 REST_MM = 2.0
 """SD of each coordinate of the pose taken for that of rest, from breath to breath."""
 LEAST_BEATS = 12
@@ -255,8 +257,8 @@ def _ridge(beats: _Table, own_mm2: float) -> tuple[FloatArray, FloatArray]:
     shared = beats.by_breath(np.einsum("ni,nkl->nikl", scaled, information)).reshape(-1, 6 * FEATURES, 6)
     absorbed = shared @ beats.rests(information)
     right = (scaled.T @ offsets).ravel() - np.einsum("bij,bj->i", absorbed, beats.by_breath(offsets))
-    prior = np.concatenate([[CONSTANT_MM], np.full(FEATURES - 1, MOTION_MM)])
-    matrix = normal_matrix(scaled, information) + np.diag(np.repeat(prior**-2.0, 6))
+    prior = np.vstack([np.full(6, CONSTANT_MM), np.tile(MOTION_MM, (FEATURES - 1, 1))])
+    matrix = normal_matrix(scaled, information) + np.diag(prior.ravel() ** -2.0)
     matrix -= np.einsum("bij,bkj->ik", absorbed, shared)
     covariance = np.linalg.inv(matrix).reshape(FEATURES, 6, FEATURES, 6)
     b_mm = np.einsum("ikjl,jl->ik", covariance, right.reshape(FEATURES, 6))
