@@ -19,8 +19,8 @@ FEATURES = 4
 CONSTANT_MM = 20.0
 """Prior SD of the constant part of ξ."""
 MOTION_MM = np.array([1.0, 1.0, 1.0, 8.0, 8.0, 8.0])
-"""Prior SD of the change of ξ with each other feature at unit SD, a third of a breath: no heart is known to turn
-by more than 4° or to move by more than 23 mm in one."""
+"""Prior SD of the change of ξ with each other feature at unit SD, a third of a breath: hearts hardly turn by
+more than 4°, or move by more than 23 mm, in one."""
 REST_MM = 2.0
 """SD of each coordinate of the pose taken for that of rest, from breath to breath."""
 LEAST_BEATS = 12

@@ -125,7 +125,6 @@ def _breath_loop(replay: Replay) -> BreathLoop | None:
         course_mm=model.displacement_mm(breath.features - breath.rest),
         course_inspiration=_rises(breath.features),
         true_mm=_true_displacement_mm(replay, breath),
-        own_sigma_mm=float(np.sqrt(model.own_mm2)),
         breaths=model.breaths,
         held_out_mm=model.held_out_mm,
     )

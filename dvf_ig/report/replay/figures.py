@@ -163,9 +163,8 @@ def breathing_figure(loop: BreathLoop) -> Figure:
             )
         handles += marks
     lower.axhline(0.0, color=TRUTH, lw=0.6)
-    for sigma_mm in (-loop.own_sigma_mm, loop.own_sigma_mm):
-        model = lower.axhline(sigma_mm, color=GUIDE, lw=0.8, ls=":", label="±σ of the model")
-    handles.append(model)
+    rms_mm, sigma_mm = (float(np.sqrt(np.mean(x**2))) for x in (loop.residual_mm, loop.sigma_mm))
+    lower.set_title(f"RMS {rms_mm:.1f} mm, σ {sigma_mm:.1f} mm", fontsize=9, loc="right")
     upper.set_ylabel("displacement, mm")
     lower.set(ylabel="residual, mm", xlabel=f"surrogate ρ ({loop.surrogate}): 0 end-expiration, 1 usual top")
     open_frame(upper, lower)

@@ -123,7 +123,6 @@ class BreathLoop:
         course_rho, course_mm: (m,) of the model, over the mean of the last breaths; course_inspiration: (m,)
             as above.
         true_mm: (m,) of the ground truth; None without it.
-        own_sigma_mm: standard deviation of the motion that the model misses.
         breaths: number of breaths it was learnt from; held_out_mm: its error in others, over the heart.
     """
 
@@ -137,7 +136,6 @@ class BreathLoop:
     course_mm: FloatArray
     course_inspiration: BoolArray
     true_mm: FloatArray | None
-    own_sigma_mm: float
     breaths: int
     held_out_mm: float
 

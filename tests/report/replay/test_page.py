@@ -122,7 +122,6 @@ def breath() -> BreathLoop:
         course_mm=5.0 * np.sin(turn),
         course_inspiration=rising,
         true_mm=5.2 * np.sin(turn),
-        own_sigma_mm=0.3,
         breaths=12,
         held_out_mm=0.7,
     )
