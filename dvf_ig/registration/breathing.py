@@ -1,7 +1,9 @@
 """Pose of the heart in breathing: ξ(t) = B s(t), learnt from the poses of single beats.
 
 s = [1, ρ, L₀.₃ρ, L₀.₇ρ] follows the breath; its two lags stand for the hysteresis of the motion. The pose of
-a beat is paired with the mean of s over its frames, since the heart moves while they are taken.
+a beat is paired with the mean of s over its frames, since the heart moves while they are taken. It counts
+from the pose that was taken for that of rest then, which registrations and beats move: each breath has a
+constant of its own, so that only what changes within a breath is learnt.
 Source: docs/theory/respiration.md.
 """
 
@@ -15,8 +17,12 @@ from .tracking.pose_estimate import MEAN_SQUARE_OF_COORDINATES
 
 FEATURES = 4
 CONSTANT_MM = 20.0
-"""Prior SD of the constant part of ξ, and of its change with each other feature at unit SD."""
-MOTION_MM = 8.0
+"""Prior SD of the constant part of ξ."""
+MOTION_MM = np.array([1.0, 1.0, 1.0, 8.0, 8.0, 8.0])
+"""Prior SD of the change of ξ with each other feature at unit SD, a third of a breath: hearts hardly turn by
+more than 4°, or move by more than 23 mm, in one."""
+REST_MM = 2.0
+"""SD of each coordinate of the pose taken for that of rest, from breath to breath."""
 LEAST_BEATS = 12
 FOLDS = 4
 """Blocks of consecutive breaths, each held out once."""
@@ -53,6 +59,8 @@ class BreathingPose:
         own_mm2: variance of each coordinate that the beats have beyond their noise: the model's own error.
         center: (4,), whitening: (4, 4): of the features it was learnt from.
         radius: largest whitened distance of a frame's features that counts as learnt.
+        along: (6,) ξ of 1 mm of the heart's centre along the main direction of its motion, towards the top
+            of a breath.
         held_out_mm: RMS over the heart of what held-out breaths missed, beyond their noise.
         breaths: number of breaths it was learnt from.
     """
@@ -63,6 +71,7 @@ class BreathingPose:
     center: FloatArray
     whitening: FloatArray
     radius: float
+    along: FloatArray
     held_out_mm: float
     breaths: int
 
@@ -79,6 +88,21 @@ class BreathingPose:
         """Return whether each of (n, 4) features lies in the ellipsoid of what was learnt; False for NaN."""
         apart = (features - self.center) @ self.whitening
         return np.asarray(np.linalg.norm(apart, axis=1) <= self.radius)
+
+    def displacement_mm(self, features: FloatArray) -> FloatArray:
+        """Compute how far (n, 4) features move the heart's centre along the main direction of its motion."""
+        return np.asarray(self.xi_mm(features) @ self.along)
+
+    def residuals_mm(self, beats: "tuple[BreathBeat, ...]") -> tuple[FloatArray, FloatArray]:
+        """Compute what (n,) beats miss along the main direction, and its standard deviation.
+
+        The constant of each breath is taken out. The deviation holds the noise of the beat, whose views do
+        not see all directions alike, and the model's own error.
+        """
+        table = _Table.of(beats)
+        covariance = np.linalg.inv(table.information + np.eye(6) / CONSTANT_MM**2)
+        square_mm2 = np.einsum("i,nij,j->n", self.along, covariance, self.along) + self.own_mm2
+        return table.apart_mm(self.b_mm) @ self.along, np.sqrt(square_mm2)
 
 
 def learn_breathing(beats: tuple[BreathBeat, ...]) -> BreathingPose | None:
@@ -104,9 +128,8 @@ def learn_breathing(beats: tuple[BreathBeat, ...]) -> BreathingPose | None:
     whitening[1:, 1:] = np.linalg.cholesky(np.linalg.inv(spread + 1e-4 * np.eye(FEATURES - 1)))
     reach = np.linalg.norm((frames - center) @ whitening, axis=1)
     radius = BEYOND * float(np.quantile(reach, 0.995))
-    return BreathingPose(
-        b_mm, covariance, own, center, whitening, radius, _held_out_mm(table, breaths, own), len(breaths)
-    )
+    along, held_out_mm = _main_direction(b_mm, spread), _held_out_mm(table, breaths, own)
+    return BreathingPose(b_mm, covariance, own, center, whitening, radius, along, held_out_mm, len(breaths))
 
 
 def misfits(beats: tuple[BreathBeat, ...], features: FloatArray) -> FloatArray:
@@ -115,14 +138,13 @@ def misfits(beats: tuple[BreathBeat, ...], features: FloatArray) -> FloatArray:
     Args:
         features: (m, n, 4) m alternatives for n beats; NaN for a beat that one of them does not have.
     Returns:
-        (m,) χ² over its expected value, times the number of directions that the beats tell anything of.
+        (m,) χ² over its expected value, times the degrees of freedom.
     """
     known = np.asarray(np.isfinite(features).all(axis=(0, 2)))
     table = _Table.of(tuple(beat for beat, here in zip(beats, known, strict=True) if here))
     tables = [replace(table, features=one[known]) for one in features]
     missed = np.array([one.missed(_ridge(one, 0.0)[0]) for one in tables])
-    seen = float(table.seen.sum())
-    return np.asarray(missed / max(1.0, float(missed.min()) / max(seen * (1.0 - FEATURES / len(known)), 1.0)))
+    return np.asarray(missed / max(1.0, float(missed.min()) / max(tables[0].fitted_freedom, 1.0)))
 
 
 @read_only_arrays
@@ -132,7 +154,7 @@ class _Table:
 
     Attributes:
         features: (n, 4); information: (n, 6, 6); offsets: (n, 6) J ξ; xi_mm: (n, 6).
-        traces: (n,) of the information; seen: (n,) directions that a beat tells anything of.
+        seen: (n,) directions that a beat tells anything of.
         breaths: (n,)
     """
 
@@ -140,7 +162,6 @@ class _Table:
     information: FloatArray
     offsets: FloatArray
     xi_mm: FloatArray
-    traces: FloatArray
     seen: FloatArray
     breaths: IntArray
 
@@ -155,7 +176,6 @@ class _Table:
             information,
             offsets,
             np.einsum("nij,nj->ni", inverses, offsets),
-            np.trace(information, axis1=1, axis2=2),
             np.trace(shares, axis1=1, axis2=2),
             np.array([beat.breath for beat in beats]),
         )
@@ -164,10 +184,57 @@ class _Table:
         """Choose beats."""
         return _Table(*(getattr(self, name)[chosen] for name in self.__slots__))
 
-    def missed(self, b_mm: FloatArray) -> float:
-        """Sum the squared residuals over their noise."""
+    @property
+    def first(self) -> BoolArray:
+        """(n,) beats that are the first of their breath."""
+        return np.append(True, self.breaths[1:] != self.breaths[:-1])
+
+    def by_breath(self, values: FloatArray) -> FloatArray:
+        """Sum (n, …) values over the beats of each breath, which follow one another."""
+        return np.asarray(np.add.reduceat(values, np.flatnonzero(self.first), axis=0))
+
+    def rests(self, information: FloatArray) -> FloatArray:
+        """Compute the (breaths, 6, 6) covariance of the constant of each breath, given B."""
+        return np.asarray(np.linalg.inv(self.by_breath(information) + np.eye(6) / REST_MM**2))
+
+    @property
+    def freedom(self) -> float:
+        """Directions that the beats tell beyond the constants of their breaths: the expected χ² of noise."""
+        constants = np.einsum("bij,bji->", self.rests(self.information), self.by_breath(self.information))
+        return float(self.seen.sum() - constants)
+
+    @property
+    def fitted_freedom(self) -> float:
+        """Expected χ² of noise of beats from which B was learnt, which takes the share of its lags and ρ."""
+        return self.freedom - float(self.seen.sum()) * (FEATURES - 1) / len(self.features)
+
+    @property
+    def trace(self) -> float:
+        """Expected χ² of a variance of 1 mm² of each coordinate of each beat."""
+        square = self.by_breath(self.information @ self.information)
+        whole = np.einsum("nii->", self.information)
+        return float(whole - np.einsum("bij,bji->", self.rests(self.information), square))
+
+    def apart_mm(self, b_mm: FloatArray) -> FloatArray:
+        """Compute (n, 6) ξ less that of B and of the constant that suits its breath best."""
         apart = self.xi_mm - self.features @ b_mm
-        return float(np.einsum("ni,nij,nj->", apart, self.information, apart, optimize=True))
+        pulls = self.by_breath(np.einsum("nij,nj->ni", self.information, apart))
+        constants = np.einsum("bij,bj->bi", self.rests(self.information), pulls)
+        return np.asarray(apart - constants[np.cumsum(self.first) - 1])
+
+    def missed(self, b_mm: FloatArray) -> float:
+        """Sum the squared residuals over their noise, and those of the constants of breaths."""
+        apart = self.apart_mm(b_mm)
+        whole = self.xi_mm - self.features @ b_mm
+        return float(np.einsum("ni,nij,nj->", whole, self.information, apart, optimize=True))
+
+
+def _main_direction(b_mm: FloatArray, spread: FloatArray) -> FloatArray:
+    """Find (6,) `BreathingPose.along` by B and the (3, 3) covariance of ρ and its lags."""
+    shifts = b_mm[1:, 3:]
+    _, axes = np.linalg.eigh(shifts.T @ spread @ shifts)
+    top = 1.0 if shifts.sum(axis=0) @ axes[:, -1] >= 0.0 else -1.0
+    return np.concatenate([np.zeros(3), top * axes[:, -1]])
 
 
 def normal_matrix(features: FloatArray, information: FloatArray) -> FloatArray:
@@ -186,27 +253,30 @@ def _ridge(beats: _Table, own_mm2: float) -> tuple[FloatArray, FloatArray]:
     widened = np.linalg.inv(np.eye(6) + own_mm2 * beats.information)
     information = widened @ beats.information
     information = 0.5 * (information + information.transpose(0, 2, 1))
-    right = scaled.T @ np.einsum("nij,nj->ni", widened, beats.offsets)
-    prior = np.concatenate([[CONSTANT_MM], np.full(FEATURES - 1, MOTION_MM)])
-    matrix = normal_matrix(scaled, information) + np.diag(np.repeat(prior**-2.0, 6))
+    offsets = np.einsum("nij,nj->ni", widened, beats.offsets)
+    shared = beats.by_breath(np.einsum("ni,nkl->nikl", scaled, information)).reshape(-1, 6 * FEATURES, 6)
+    absorbed = shared @ beats.rests(information)
+    right = (scaled.T @ offsets).ravel() - np.einsum("bij,bj->i", absorbed, beats.by_breath(offsets))
+    prior = np.vstack([np.full(6, CONSTANT_MM), np.tile(MOTION_MM, (FEATURES - 1, 1))])
+    matrix = normal_matrix(scaled, information) + np.diag(prior.ravel() ** -2.0)
+    matrix -= np.einsum("bij,bkj->ik", absorbed, shared)
     covariance = np.linalg.inv(matrix).reshape(FEATURES, 6, FEATURES, 6)
-    b_mm = np.einsum("ikjl,jl->ik", covariance, right)
+    b_mm = np.einsum("ikjl,jl->ik", covariance, right.reshape(FEATURES, 6))
     covariance = covariance / scale[:, None, None, None] / scale[None, None, :, None]
     return b_mm / scale[:, None], covariance
 
 
 def _own_variance(beats: _Table, b_mm: FloatArray) -> float:
-    """Estimate the variance of a coordinate beyond the noise, of which the fit absorbs a share."""
-    expected = float(beats.seen.sum()) * (1.0 - FEATURES / len(beats.features))
-    return max(0.0, (beats.missed(b_mm) - expected) / float(beats.traces.sum()))
+    """Estimate the variance of a coordinate beyond the noise."""
+    return max(0.0, (beats.missed(b_mm) - beats.fitted_freedom) / beats.trace)
 
 
 def _held_out_mm(beats: _Table, breaths: IntArray, own_mm2: float) -> float:
     """Learn without each block of breaths in turn, and measure what it misses of them beyond the noise."""
-    square = 0.0
+    beyond = 0.0
     for block in np.array_split(breaths, min(FOLDS, len(breaths))):
         out = np.isin(beats.breaths, block)
         b_mm, _ = _ridge(beats.part(~out), own_mm2)
-        square += beats.part(out).missed(b_mm)
-    beyond = max(0.0, (square - float(beats.seen.sum())) / float(beats.traces.sum()))
-    return float(np.sqrt(beyond * MEAN_SQUARE_OF_COORDINATES.sum()))
+        beyond += beats.part(out).missed(b_mm) - beats.part(out).freedom
+    mean_mm2 = max(0.0, beyond / beats.trace)
+    return float(np.sqrt(mean_mm2 * MEAN_SQUARE_OF_COORDINATES.sum()))

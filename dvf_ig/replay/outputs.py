@@ -6,10 +6,12 @@ from pathlib import Path
 
 import numpy as np
 
+from dvf_ig.cardiac.respiration import BreathState
 from dvf_ig.core import IntArray, InvalidInputError, Rigid
 from dvf_ig.core.arrays import AnyArray
 from dvf_ig.guidance import Hazard, Status, SupervisorState
 from dvf_ig.io import write_pose_sequence, write_registration, write_text, write_transforms
+from dvf_ig.session import UNFOLLOWED
 
 from .ticks import Ticks
 
@@ -33,6 +35,9 @@ COLUMNS = (
     ("pose_age_s", "%.3f"),
     ("pose_bound_mm", "%.3f"),
     ("margin_mm", "%.4f"),
+    ("breath_phase", "%.6f"),
+    ("breath_mm", "%.4f"),
+    ("breath_state", "%s"),
 )
 """Columns of the ticks, each with its format: 1 µs, 0.1 µm, 1 µN."""
 _HEADER = ",".join(name for name, _ in COLUMNS)
@@ -41,10 +46,11 @@ _HEADER = ",".join(name for name, _ in COLUMNS)
 def write_outputs(
     poses: Sequence[tuple[float, Rigid]], ticks: Ticks, folder: Path, tracked_against: str = "tracker"
 ) -> dict[str, str]:
-    """Write the last pose in use and the poses over time, if any, and the ticks.
+    """Write the last pose in use and the published poses over time, if any, and the ticks.
 
     Args:
-        poses: (time from which it was in use, mr_from_tracker) in order of time.
+        poses: (time from which it was in use, mr_from_tracker) in order of time; of the heart at rest in
+            breathing.
         ticks: ticks of the replay.
         folder: existing folder.
         tracked_against: PLUS's name of the frame that poses are relative to, for the files that it reads.
@@ -59,13 +65,25 @@ def write_outputs(
         for path in write_transforms(pose, folder / NAMES[0]):
             frames[path.name] = pose.name
         frames[f"{POSE}.json"] = pose.name
-        for_plus = [(from_s, replace(pose, source=tracked_against)) for from_s, pose in poses]
-        frames[write_registration(for_plus[-1][1], folder / f"{POSE}.xml").name] = for_plus[-1][1].name
-        write_pose_sequence(for_plus, folder / POSES)
-        frames[POSES] = f"ras_from_{tracked_against}"
+        for_plus = replace(pose, source=tracked_against)
+        frames[write_registration(for_plus, folder / f"{POSE}.xml").name] = for_plus.name
+    published = _published_poses(ticks, tracked_against)
+    if published:
+        write_pose_sequence(published, folder / POSES)
+        frames[POSES] = published[0][1].name.replace("mr", "ras", 1)
     write_text(folder / TICKS, ticks_csv(ticks))
     frames[TICKS] = "tracker; tip_mr in mr"
     return frames
+
+
+def _published_poses(ticks: Ticks, tracked_against: str) -> list[tuple[float, Rigid]]:
+    """List the poses through which forces came, motion in breathing included, thinned."""
+    t_s, poses = ticks.thinned_poses()
+    used = np.isfinite(poses[:, 0, 0])
+    return [
+        (at_s, Rigid.from_matrix(np.vstack([pose, [0.0, 0.0, 0.0, 1.0]]), "mr", tracked_against))
+        for at_s, pose in zip(t_s[used].tolist(), poses[used], strict=True)
+    ]
 
 
 def ticks_csv(ticks: Ticks) -> str:
@@ -106,11 +124,19 @@ def _columns(ticks: Ticks) -> list[AnyArray]:
         ticks.pose_age_s,
         ticks.pose_bound_mm,
         ticks.margin_mm,
+        np.minimum(ticks.breath_phase, _BELOW_ONE),
+        ticks.breath_mm,
+        _words(ticks.breath_state, breath_word),
     ]
 
 
 _BELOW_ONE = 0.999999
 """Largest phase written, so that a phase in [0, 1) is not rounded to 1."""
+
+
+def breath_word(state: int) -> str:
+    """Return the word for a state of the clock of breathing; empty if nothing follows the breath."""
+    return "" if state == UNFOLLOWED else BreathState(state).name.lower()
 
 
 def _words(codes: IntArray, word: Callable[[int], str]) -> AnyArray:

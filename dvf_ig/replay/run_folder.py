@@ -7,10 +7,12 @@ from typing import Any
 
 import numpy as np
 
+from dvf_ig.cardiac.respiration import BreathState
 from dvf_ig.core import InvalidInputError, UnreadableFileError, read_only_arrays
 from dvf_ig.core.arrays import AnyArray
 from dvf_ig.guidance import Hazard, Status, SupervisorState
 from dvf_ig.io import read_json
+from dvf_ig.session import UNFOLLOWED
 
 from .outputs import COLUMNS, TICKS
 from .result.schema import SCHEMA
@@ -99,6 +101,8 @@ def _column(name: str, cells: tuple[str, ...]) -> AnyArray:
         return _codes(cells, lambda word: int(Status[word.upper()]))
     if name == "supervisor":
         return _codes(cells, lambda word: int(SupervisorState[word.upper()]))
+    if name == "breath_state":
+        return _codes(cells, lambda word: int(BreathState[word.upper()]) if word else UNFOLLOWED)
     if name == "hazards":
         return _codes(cells, _bits)
     return np.array([cell or "nan" for cell in cells]).astype(np.float64)

@@ -8,6 +8,11 @@ from dvf_ig.core import BoolArray, FloatArray, IntArray, PhaseTrack, read_only_a
 from dvf_ig.guidance import PoseAndPhase, Status, SupervisorState
 from dvf_ig.session import GuidanceState
 
+POSE_STEP_S = 0.05
+"""Step between thinned poses, which move steadily, or with the breath."""
+CORNER = 1e-4
+"""Change of a pose's step from tick to tick, mm or 1, above which that tick is kept."""
+
 
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
@@ -25,6 +30,7 @@ class Ticks:
         distance_mm: (n,) signed distance of the primary fixture, at NO_PHASE of the first wall at its worst
             phase; else NaN.
         margin_mm: (n,) by which the primary fixture is widened.
+        breath_phase, breath_mm, breath_state: (n,) as in `BreathMoment`.
         status: (n,) `Status` of the fixtures.
         supervisor: (n,) `SupervisorState`; hazards: (n,) bits of `Hazard`.
     """
@@ -39,6 +45,9 @@ class Ticks:
     wanted_n: FloatArray
     distance_mm: FloatArray
     margin_mm: FloatArray
+    breath_phase: FloatArray
+    breath_mm: FloatArray
+    breath_state: IntArray
     status: IntArray
     supervisor: IntArray
     hazards: IntArray
@@ -61,6 +70,24 @@ class Ticks:
         """(n,) ticks in which the supervisor follows the fixtures: it neither fades nor is latched."""
         return np.asarray(self.supervisor <= int(SupervisorState.DEGRADED))
 
+    def thinned_poses(self) -> tuple[FloatArray, FloatArray]:
+        """Thin poses to one every POSE_STEP_S and those at which motion begins or ends, without repetitions.
+
+        Returns:
+            (m,) times; (m, 3, 4) poses.
+        """
+        step = max(1, round(POSE_STEP_S / float(np.median(np.diff(self.t_s)))))
+        used = np.isfinite(self.mr_from_tracker[:, 0, 0])
+        edges = np.flatnonzero(used[1:] != used[:-1])
+        bend = np.abs(np.diff(self.mr_from_tracker, n=2, axis=0)).max(axis=(1, 2), initial=0.0)
+        corners = np.flatnonzero(np.nan_to_num(bend) > CORNER) + 1
+        ends = [0, len(self) - 1]
+        rows = np.unique(np.concatenate([np.arange(0, len(self), step), edges, edges + 1, corners, ends]))
+        poses = self.mr_from_tracker[rows]
+        same = (np.nan_to_num(poses[1:]) == np.nan_to_num(poses[:-1])).all(axis=(1, 2))
+        needed = np.concatenate([[True], ~(same[:-1] & same[1:]), [True]])
+        return self.t_s[rows[needed]], poses[needed]
+
 
 class TickRecorder:
     """Collects states, one for each of (n,) tick times."""
@@ -71,7 +98,8 @@ class TickRecorder:
         self._tip, self._force, self._wanted = np.full((n, 3), np.nan), np.zeros((n, 3)), np.zeros((n, 3))
         self._model_phase, self._distance, self._age = np.empty(n), np.empty(n), np.empty(n)
         self._margin, self._bound = np.zeros(n), np.empty(n)
-        self._codes = np.empty((n, 3), dtype=np.int64)
+        self._breath = np.empty((n, 2))
+        self._codes = np.empty((n, 4), dtype=np.int64)
         self._transforms: list[tuple[int, PoseAndPhase]] = []
 
     def add(self, i: int, state: GuidanceState) -> None:
@@ -84,7 +112,9 @@ class TickRecorder:
         self._model_phase[i], self._distance[i] = state.model_phase, state.distance_mm
         self._age[i], self._margin[i] = state.pose_age_s, state.margin_mm[0]
         self._bound[i] = state.pose_bound_mm
-        self._codes[i] = state.status, state.supervisor, state.supervised.hazards
+        breath = state.breath
+        self._breath[i] = breath.phase, breath.displacement_mm
+        self._codes[i] = state.status, state.supervisor, state.supervised.hazards, breath.state
 
     def finish(self) -> Ticks:
         """All ticks; phase and pose are read from the transforms that held."""
@@ -108,6 +138,9 @@ class TickRecorder:
             wanted_n=self._wanted,
             distance_mm=self._distance,
             margin_mm=self._margin,
+            breath_phase=self._breath[:, 0],
+            breath_mm=self._breath[:, 1],
+            breath_state=self._codes[:, 3],
             status=self._codes[:, 0],
             supervisor=self._codes[:, 1],
             hazards=self._codes[:, 2],

@@ -16,14 +16,9 @@ from dvf_ig.guidance import PathTarget
 from dvf_ig.io import read_json, write_sidecar
 
 from .engine import Replay
-from .ticks import Ticks
 
 VIEW = "view.json"
 KIND = "view"
-POSE_STEP_S = 0.05
-"""Step between stored poses, which move steadily at 10 mm/s at most and are interpolated."""
-CORNER = 1e-4
-"""Change of a pose's step from tick to tick, mm or 1, above which that tick is stored."""
 _AT = 0.01
 """Share of the way to a stored pose within which it applies, as none exists before the first."""
 
@@ -69,7 +64,7 @@ def write_view_file(replay: Replay, folder: Path, run: Path, recording: Path, mo
     Raises:
         OutputError: not writable.
     """
-    t_s, poses = _thinned(replay.ticks)
+    t_s, poses = replay.ticks.thinned_poses()
     rows = [row if np.isfinite(row).all() else None for row in poses.reshape(-1, 12).round(9)]
     content = {
         "recording": _relative(recording, run),
@@ -137,18 +132,3 @@ def _relative(path: Path, run: Path) -> str:
 
 def _place(run: Path, relative: str) -> Path:
     return Path(os.path.normpath(run / relative))
-
-
-def _thinned(ticks: Ticks) -> tuple[FloatArray, FloatArray]:
-    """Thin poses to one every POSE_STEP_S and those at which motion begins or ends, without repetitions."""
-    step = max(1, round(POSE_STEP_S / float(np.median(np.diff(ticks.t_s)))))
-    used = np.isfinite(ticks.mr_from_tracker[:, 0, 0])
-    edges = np.flatnonzero(used[1:] != used[:-1])
-    bend = np.abs(np.diff(ticks.mr_from_tracker, n=2, axis=0)).max(axis=(1, 2), initial=0.0)
-    corners = np.flatnonzero(np.nan_to_num(bend) > CORNER) + 1
-    ends = [0, len(ticks) - 1]
-    rows = np.unique(np.concatenate([np.arange(0, len(ticks), step), edges, edges + 1, corners, ends]))
-    poses = ticks.mr_from_tracker[rows]
-    same = (np.nan_to_num(poses[1:]) == np.nan_to_num(poses[:-1])).all(axis=(1, 2))
-    needed = np.concatenate([[True], ~(same[:-1] & same[1:]), [True]])
-    return ticks.t_s[rows[needed]], poses[needed]

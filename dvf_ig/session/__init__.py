@@ -1,6 +1,7 @@
 """The push-driven engine: events in, pose and phase and a supervised force out; no file, network or clock."""
 
 from .beat_evaluation import BeatEvaluation as BeatEvaluation
+from .breathing import UNFOLLOWED as UNFOLLOWED
 from .events import EcgSamples as EcgSamples
 from .events import Event as Event
 from .events import Landmark as Landmark

@@ -9,7 +9,7 @@ All other parts of a session see the heart at rest, which is end-expiration.
 
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from math import floor, inf, nan
 
 import numpy as np
@@ -37,7 +37,7 @@ from dvf_ig.registration import (
 )
 from dvf_ig.registration.unfollowed_breathing import GONE_MM
 
-from .breathing_motion import AHEAD_S, FrameBreathing, LearntMotion
+from .breathing_motion import AHEAD_S, FollowedBreath, FrameBreathing, LearntMotion
 from .clocks import StampOrder
 from .events import EcgSamples, RespirationSample
 from .reasons import BreathingReason
@@ -48,8 +48,12 @@ LEAST_EXCURSION_MM = 2.0 * GONE_MM
 """A heart that moves by less with the breath of the ECG does not follow it."""
 REST_LEFT_S = 0.2
 """Force on a forecast rest ends so long before it: a breath may come early, or rise faster than others."""
+CONFIRMED_S = 0.6
+"""Force on a forecast rest begins no later than this after a beat: the next one may show something else."""
 UNFOLLOWED_S = 40.0
 """A clock from the ECG that has not been locked for so long is given up."""
+UNFOLLOWED = -1
+"""State of the clock of breathing if nothing follows the breath; the others are `BreathState`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +67,7 @@ class BreathingRecord:
         latency_s: how far what follows the breath is behind the heart; negative if it is ahead.
         unfollowed_mm, per_minute: motion and rate of breaths that heart beats show, if nothing follows them.
         by_ecg: the ECG follows them.
+        breath: the last breaths with the motion; None if forces do not follow it.
     """
 
     from_s: float
@@ -72,6 +77,27 @@ class BreathingRecord:
     unfollowed_mm: float | None = None
     per_minute: float | None = None
     by_ecg: bool = False
+    breath: FollowedBreath | None = None
+
+    def described(self) -> dict[str, float | int | bool | None]:
+        """Return its numbers by name, as in `result.json`."""
+        return {one.name: getattr(self, one.name) for one in fields(self) if one.name != "breath"}
+
+
+@dataclass(frozen=True, slots=True)
+class BreathMoment:
+    """Where the heart is in a breath.
+
+    Attributes:
+        state: `BreathState` of the clock; UNFOLLOWED if nothing follows the breath.
+        phase: as in `BreathReading`; NaN if not known.
+        displacement_mm: from rest, of the heart's centre along the main direction of its motion; NaN if not
+            known, as before the motion is learnt.
+    """
+
+    state: int
+    phase: float
+    displacement_mm: float
 
 
 def no_log(_: BreathingRecord) -> None:
@@ -88,6 +114,7 @@ class _Moment:
     covariance_mm2: FloatArray
     bound_mm: float
     reason: str | None
+    breath: BreathMoment = BreathMoment(UNFOLLOWED, nan, nan)
 
 
 class BreathingTracker:
@@ -238,7 +265,11 @@ class BreathingTracker:
         model = self._motion.model
         if model is not None:
             self._changed = False
-            self._log(BreathingRecord(now_s, model.breaths, model.held_out_mm, self._motion.latency_s))
+            motion = self._motion
+            breath = motion.usual_breath()
+            self._log(
+                BreathingRecord(now_s, model.breaths, model.held_out_mm, motion.latency_s, breath=breath)
+            )
 
     # ------------------------------------------------------------------ what holds now
 
@@ -279,6 +310,10 @@ class BreathingTracker:
         """Return why the pose is withheld or serves at rest alone, as a sentence; None if it does neither."""
         return self._moment(now_s).reason
 
+    def breath(self, now_s: float) -> BreathMoment:
+        """Return where the heart is in the breath, as of the latest sample."""
+        return self._moment(now_s).breath
+
     def changed_s(self, now_s: float) -> float:
         """Return when what `motion` and `withheld` give last changed.
 
@@ -309,16 +344,27 @@ class BreathingTracker:
         features = motion.features(np.array(times))
         unknown = _unknown(reading, bool(np.isfinite(features).all()))
         if unknown is not None:
-            return _Moment(changed_s, True, np.zeros((6, 6)), 0.0, unknown)
+            breath = BreathMoment(reading.state, reading.phase, nan)
+            return _Moment(changed_s, True, np.zeros((6, 6)), 0.0, unknown, breath)
+        breath = BreathMoment(reading.state, reading.phase, motion.displacement_mm(features[0]))
         covariance = motion.covariance_mm2(features[0], reading.sigma_rho)
         bound_mm = float(2.0 * np.sqrt(MEAN_SQUARE_OF_COORDINATES @ np.diag(covariance)))
         if motion.model is not None:
             withheld = not motion.model.knows(features)[0]
             cause = BreathingReason.NOT_LEARNT if withheld else None
         else:
-            withheld = not motion.rests(features).all()
+            withheld = not motion.rests(features).all() or self._unconfirmed(now_s)
             cause = self._gated_by
-        return _Moment(changed_s, withheld, covariance, bound_mm, None if cause is None else cause.value)
+        reason = None if cause is None else cause.value
+        return _Moment(changed_s, withheld, covariance, bound_mm, reason, breath)
+
+    def _unconfirmed(self, now_s: float) -> bool:
+        """Return whether a rest began by its forecast alone, too long after the last beat."""
+        beat_s = self._clock.latest_s
+        if self._clock.continuous or now_s <= beat_s + CONFIRMED_S:
+            return False
+        times = np.arange(beat_s + CONFIRMED_S, now_s, 0.05)
+        return not self._motion.rests(self._motion.features(times)).all()
 
     @property
     def _gated_by(self) -> BreathingReason:

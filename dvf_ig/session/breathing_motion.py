@@ -36,6 +36,8 @@ LATENCIES_S = np.arange(-0.6, 0.41, 0.05)
 """Latencies of ρ that are compared."""
 KNOWN_SHARE, LONGEST_BREATH_S = 0.8, 30.0
 """A breath of which less was learnt lies outside; a longer one is a pause."""
+COURSE_POINTS = 72
+"""Moments of a breath in the mean course that is recorded."""
 AHEAD_S = 0.1
 """A published motion reaches this far, if no sample replaces it before."""
 
@@ -97,6 +99,24 @@ def moved_to_rest(
     at = np.einsum("nij,nj->ni", turn, at - center) + center + xi_mm[:, 3:]
     back = base.rotation.T
     return back @ turn @ in_model, (at - base.translation_mm) @ back.T
+
+
+@read_only_arrays
+@dataclass(frozen=True, slots=True, eq=False)
+class FollowedBreath:
+    """The mean of the last breaths, with the motion of the heart that was learnt by then.
+
+    Attributes:
+        model: of the motion; beats: from which it was learnt.
+        rest: (4,) features from which the motion counts.
+        t_s: (breaths, n) times at even shares of each breath; features: (n, 4) mean then.
+    """
+
+    model: BreathingPose
+    beats: tuple[BreathBeat, ...]
+    rest: FloatArray
+    t_s: FloatArray
+    features: FloatArray
 
 
 @read_only_arrays
@@ -224,6 +244,24 @@ class LearntMotion:
         xi_mm = model.xi_mm(beyond)[0]
         covariance = model.covariance_mm2(beyond)[0] if self.learnt else np.outer(xi_mm, xi_mm)
         return np.asarray(covariance + sigma_rho**2 * np.outer(model.b_mm[1], model.b_mm[1]))
+
+    def displacement_mm(self, features: FloatArray) -> float:
+        """Compute `BreathingPose.displacement_mm` from rest at (4,) features; NaN before forces follow it."""
+        model = self.model
+        return nan if model is None else float(model.displacement_mm((features - self._rest)[None])[0])
+
+    def usual_breath(self) -> FollowedBreath | None:
+        """Return the mean of the last breaths known whole; None without any, or without a model in use."""
+        onsets_s = np.array(self.clock.onsets_s)
+        if self.model is None or len(onsets_s) < 2:
+            return None
+        t_s = onsets_s[:-1, None] + np.diff(onsets_s)[:, None] * np.arange(COURSE_POINTS) / COURSE_POINTS
+        features = self.features(t_s.ravel()).reshape(*t_s.shape, -1)
+        known = np.isfinite(features).all(axis=(1, 2))
+        if not known.any():
+            return None
+        beats = tuple(one.beat for one in self._beats)
+        return FollowedBreath(self.model, beats, self._rest, t_s[known], features[known].mean(axis=0))
 
     @property
     def latency_s(self) -> float:

@@ -193,6 +193,7 @@ class Session:
             else hypot(confirmation.bound_mm(now_s), self._breathing.bound_mm(now_s)),
             doubt=self._pose.doubt,
             breathing=self._breathing.reason(now_s),
+            breath=self._breathing.breath(now_s),
             tip_seen=self._tip.seen,
             registration=self.history.last_registration,
             model_phase=self._servo.model_phase,

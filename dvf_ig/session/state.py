@@ -7,6 +7,7 @@ from dvf_ig.guidance import Hazard, PoseAndPhase, RearmAnswer, Status, Supervise
 from dvf_ig.guidance.servo import ServoInputs, ServoTick
 from dvf_ig.registration import PoseEstimate, TipSighting
 
+from .breathing import BreathMoment
 from .reasons import Doubt
 from .setup import CalibrationsInUse
 from .tool_tracker import ToolReading
@@ -34,6 +35,7 @@ class GuidanceState:
         pose_bound_mm: 95 % bound on the RMS error of the pose in use over the heart; NaN before the first.
         doubt: why the pose is suspended; None while it is not.
         breathing: why breathing withholds the pose or lets it serve at rest alone; None if it does neither.
+        breath: where the heart is in the breath, as of the last sample of what follows it.
         tip_seen: where ultrasound shows the tool's tip; None if it does not.
         registration: the last one that ended, with its evidence; None before the first.
         model_phase: in the model's cycle; NaN if the phase is not locked.
@@ -51,6 +53,7 @@ class GuidanceState:
     pose_bound_mm: float
     doubt: Doubt | None
     breathing: str | None
+    breath: BreathMoment
     tip_seen: TipSighting | None
     registration: RegistrationRecord | None
     model_phase: float

@@ -51,7 +51,7 @@ from dvf_ig.live.igtl import Message, Status
 from dvf_ig.live.link import Arrival
 from dvf_ig.live.record import LOG, PART, CountedWork, SessionRecord, session_record
 from dvf_ig.replay.repetition import AsRecorded, recorded_ticks, repeat
-from dvf_ig.session import GuidanceState, Session, ThreadedExecutor, ToolPose
+from dvf_ig.session import UNFOLLOWED, GuidanceState, Session, ThreadedExecutor, ToolPose
 
 pytest.importorskip("mcap", reason="session logs need mcap")
 pytest.importorskip("rosbags", reason="session logs need rosbags")
@@ -168,6 +168,11 @@ def test_session_whose_tool_is_a_haptic_device_is_repeated_too(tmp_path: Path) -
 
 
 @pytest.mark.usefixtures("known_images")
+def last_of_each_moment(states: list[GuidanceState]) -> list[GuidanceState]:
+    """After a re-arming there may be two."""
+    return [one for one, then in pairwise([*states, None]) if one and (not then or then.now_s > one.now_s)]
+
+
 def test_session_that_follows_the_breath_is_repeated_too(tmp_path: Path) -> None:
     times = np.arange(0.0, 13.0, 0.04).tolist()
 
@@ -185,6 +190,10 @@ def test_session_that_follows_the_breath_is_repeated_too(tmp_path: Path) -> None
     with Session(toy_setup(), executor=AsRecorded(found.record.refused)) as session:
         repeat(session, found.record, lambda _, state: again.append(state))
     assert [bits(a) for a in again] == [bits(b) for b in states]
+    ticks = recorded_ticks(found.record)
+    last = last_of_each_moment(states)
+    np.testing.assert_array_equal(ticks.breath_state, [state.breath.state for state in last])
+    assert ticks.breath_state[-1] != UNFOLLOWED
 
 
 def test_record_holds_what_was_answered_and_what_was_sent(run: tuple[Path, list[GuidanceState]]) -> None:
@@ -192,7 +201,7 @@ def test_record_holds_what_was_answered_and_what_was_sent(run: tuple[Path, list[
     found = read(folder / LOG)
     assert found.record is not None
     ticks = recorded_ticks(found.record)
-    states = [one for one, then in pairwise([*states, None]) if one and (not then or then.now_s > one.now_s)]
+    states = last_of_each_moment(states)
     np.testing.assert_array_equal(ticks.force_n, [state.force_n for state in states])
     np.testing.assert_array_equal(ticks.status, [state.status for state in states])
     np.testing.assert_array_equal(ticks.phase.phi, [state.phase.phi for state in states])

@@ -4,6 +4,7 @@ import csv
 import hashlib
 import io
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 import SimpleITK
 from typer.testing import CliRunner, Result
 
+from dvf_ig.cardiac.respiration import BreathState
 from dvf_ig.cli.main import app
 from dvf_ig.core import OutputError, PhaseTrack, Rigid
 from dvf_ig.guidance import Hazard, Status, SupervisorState
@@ -20,6 +22,7 @@ from dvf_ig.io.writing.listing import LISTING
 from dvf_ig.replay import Replay, validate
 from dvf_ig.replay.outputs import COLUMNS, NAMES, ticks_csv, write_outputs
 from dvf_ig.replay.ticks import Ticks
+from dvf_ig.session import UNFOLLOWED
 
 POSE = Rigid.from_rotation_vector([0.4, -0.9, 0.3], [12.5, -40.25, 310.75], "mr", "tracker")
 
@@ -40,6 +43,9 @@ def two_ticks() -> Ticks:
         wanted_n=np.zeros((2, 3)),
         distance_mm=np.array([nan, 1.25]),
         margin_mm=np.zeros(2),
+        breath_phase=np.array([nan, 0.25]),
+        breath_mm=np.array([nan, 4.5]),
+        breath_state=np.array([UNFOLLOWED, BreathState.LOCKED]),
         status=np.array([Status.NO_POSE, Status.OK]),
         supervisor=np.array([SupervisorState.FADE, SupervisorState.OK]),
         hazards=np.array([Hazard.NO_POSE | Hazard.NO_PHASE, 0]),
@@ -67,6 +73,8 @@ def test_the_table_holds_what_the_ticks_hold() -> None:
     assert [float(second[f"force_tracker_{axis}_n"]) for axis in "xyz"] == [0.1, -0.2, 0.3]
     assert (second["phi"], second["phase_valid"], second["distance_mm"]) == ("0.999999", "1", "1.2500")
     assert (second["status"], second["supervisor"], second["hazards"]) == ("ok", "ok", "")
+    breath = (second["breath_phase"], second["breath_mm"], second["breath_state"])
+    assert breath == ("0.250000", "4.5000", "locked")
     assert (second["model_phase"], second["rr_s"], second["pose_age_s"]) == ("0.500000", "0.850000", "0.250")
 
 
@@ -83,7 +91,7 @@ def test_the_last_pose_in_use_is_the_one_that_is_written(tmp_path: Path) -> None
         transform = SimpleITK.ReadTransform(str(tmp_path / f"mr_from_tracker.{ending}"))
         place = transform.TransformPoint((10.0, 20.0, 30.0))
         np.testing.assert_allclose(place, POSE.rotation @ (10, 20, 30) + POSE.translation_mm, atol=1e-9)
-    assert (tmp_path / "poses.seq.mha").read_text().count("TrackerToRasTransform =") == 2
+    assert (tmp_path / "poses.seq.mha").read_text().count("TrackerToRasTransform =") == 1
     with recorded_inputs():
         for _ in range(2):
             with output_folder(tmp_path / "again", NAMES):
@@ -98,7 +106,9 @@ def test_what_plus_reads_names_the_marker_that_poses_are_relative_to(tmp_path: P
 
 
 def test_without_a_pose_there_is_no_file_of_one(tmp_path: Path) -> None:
-    assert list(write_outputs([], two_ticks(), tmp_path)) == ["ticks.csv"]
+    ticks = two_ticks()
+    without = replace(ticks, mr_from_tracker=np.full_like(ticks.mr_from_tracker, np.nan))
+    assert list(write_outputs([], without, tmp_path)) == ["ticks.csv"]
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -78,6 +78,8 @@ def test_force_surfaces_and_curves(rows: dict[str, list[tuple[float, dict[str, A
     curve = rows["/numbers/force_n"]
     assert [row["Scalars:scalars"][0] for _, row in curve] == pytest.approx([0.0, np.linalg.norm(FORCE)])
     assert [row["TextLog:text"][0] for _, row in rows["/supervisor"]] == ["fade: no_pose", "ok"]
+    assert [row["TextLog:text"][0] for _, row in rows["/breathing"]] == ["locked"]
+    assert [row["Scalars:scalars"][0] for _, row in rows["/numbers/breath_mm"]] == [4.0]
     assert len(rows["/ultrasound"]) == 7
 
 

@@ -9,10 +9,11 @@ from scipy.spatial.transform import Rotation
 
 from data_synth.breathing.breaths import BreathEvent
 from data_synth.breathing.motion import Breathing
+from dvf_ig.cardiac.respiration import BreathState
 from dvf_ig.core import FloatArray, Respiration
 from dvf_ig.registration import PoseChart
 from dvf_ig.registration.unfollowed_breathing import LEAST_BEATS
-from dvf_ig.session import RespirationSample
+from dvf_ig.session import UNFOLLOWED, RespirationSample
 from dvf_ig.session.breathing import BreathingRecord, BreathingTracker, no_log
 from dvf_ig.session.breathing_motion import FrameBreathing, moved_to_rest
 from dvf_ig.session.reasons import BreathingReason
@@ -160,6 +161,30 @@ def test_the_latency_of_what_follows_the_breath_is_estimated() -> None:
     assert held_out_mm is not None
     assert held_out_mm < 1.0
     assert found[0][-1].breaths is not None
+
+
+def test_the_followed_breath_is_recorded_with_its_loop_and_what_beats_miss() -> None:
+    (times, _, _, tracker), records = quiet()
+    breath, (breathing, _) = records[-1].breath, world()
+    assert breath is not None
+    assert "breath" not in records[-1].described()
+    model = breath.model
+    shift_mm = breathing.mr_from_rest(breath.t_s.ravel())[1].reshape(*breath.t_s.shape, 3).mean(axis=0)
+    course_mm = model.displacement_mm(breath.features - breath.rest)
+    np.testing.assert_allclose(course_mm, -shift_mm @ model.along[3:], atol=1.0)
+    assert np.ptp(course_mm) > 8.0
+    residual_mm, sigma_mm = model.residuals_mm(breath.beats)
+    assert len(breath.beats) == len(residual_mm)
+    assert 0.6 < np.sqrt(np.mean((residual_mm / sigma_mm) ** 2)) < 1.3
+    last_s = float(times[-1])
+    now = tracker.breath(last_s)
+    assert now.state == BreathState.LOCKED
+    assert 0.0 <= now.phase < 1.0
+    moved_mm = -breathing.mr_from_rest(np.array([last_s]))[1][0] @ model.along[3:]
+    assert now.displacement_mm == pytest.approx(moved_mm, abs=1.5)
+    nothing = BreathingTracker(CENTER).breath(5.0)
+    assert nothing.state == UNFOLLOWED
+    assert np.isnan([nothing.phase, nothing.displacement_mm]).all()
 
 
 def test_breathing_that_is_deeper_for_good_is_learnt_again() -> None:

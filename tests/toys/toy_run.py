@@ -87,6 +87,7 @@ def ticks_csv() -> str:
     first = {"t_s": "0.100000", "status": "no_pose", "supervisor": "fade", "hazards": "no_pose"}
     first |= {f"force_tracker_{axis}_n": "0.000000" for axis in "xyz"}
     second = {"t_s": "0.101000", "status": "ok", "supervisor": "ok", "hazards": "", "phi": "0.250000"}
+    second |= {"breath_phase": "0.500000", "breath_mm": "4.0000", "breath_state": "locked"}
     second |= {f"force_tracker_{axis}_n": str(n) for axis, n in zip("xyz", FORCE, strict=True)}
     second |= {f"tip_tracker_{axis}_mm": str(n) for axis, n in zip("xyz", TIP_TRACKER, strict=True)}
     second |= {f"tip_mr_{axis}_mm": str(n) for axis, n in zip("xyz", TIP_MR, strict=True)}

@@ -186,6 +186,7 @@ def bits(state: GuidanceState) -> tuple[object, ...]:
         state.rate_mm_per_cycle,
         state.tool.age_s,
         *state.phase,
+        *(state.breath.state, state.breath.phase, state.breath.displacement_mm),
         *state.force_n,
         *state.wanted_n,
         *state.gradient,

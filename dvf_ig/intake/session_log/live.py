@@ -65,6 +65,9 @@ STATE_COLUMNS = (
     *(f"wanted_tracker_{axis}_n" for axis in "xyz"),
     "distance_mm",
     "margin_mm",
+    "breath_phase",
+    "breath_mm",
+    "breath_state",
     "status",
     "supervisor",
     "hazards",
@@ -189,6 +192,7 @@ def state_message(state: GuidanceState, lost: int) -> Timed:
             *state.force_n,
             *state.wanted_n,
             *(state.distance_mm, state.margin_mm[0]),
+            *(state.breath.phase, state.breath.displacement_mm, state.breath.state),
             *(state.status, state.supervisor, state.supervised.hazards, lost),
         ],
         dtype=np.float64,
@@ -206,7 +210,12 @@ def answer_messages(state: GuidanceState) -> Iterator[Timed]:
     """Messages as they were sent, for ROS tools."""
     now_s, phase, pose = state.now_s, state.phase, state.transform.pose
     yield now_s, "/tool/force", ros.WRENCH, ros.wrench(now_s, "tracker", state.force_n)
-    numbers = np.array([phase.phi, state.model_phase, phase.rr_s, state.distance_mm, state.pose_age_s])
+    numbers = np.array(
+        [
+            *(phase.phi, state.model_phase, phase.rr_s, state.distance_mm, state.pose_age_s),
+            *(state.breath.phase, state.breath.displacement_mm, state.breath.state),
+        ]
+    )
     yield now_s, "/guidance", ros.ARRAY, ros.array(numbers, (", ".join(GUIDANCE),))
     if pose is not None and now_s < state.transform.pose_until_s:
         matrix = pose.matrices(np.array([now_s]))[0]

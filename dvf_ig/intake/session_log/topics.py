@@ -27,8 +27,11 @@ LEVELS = {
     SupervisorState.LATCHED: 2,
 }
 """Levels of diagnostics: OK, warning, error."""
-GUIDANCE = ("phi", "model_phase", "rr_s", "distance_mm", "pose_age_s")
-"""Columns of ticks.csv that are logged as numbers; NaN for missing values."""
+GUIDANCE = (
+    *("phi", "model_phase", "rr_s", "distance_mm", "pose_age_s"),
+    *("breath_phase", "breath_mm", "breath_state"),
+)
+"""Columns of ticks.csv that are logged as numbers; NaN for missing values, `BreathState` or -1."""
 STATUS_EVERY_S = 1.0
 
 

@@ -22,6 +22,7 @@ from dvf_ig.intake.calibrations import calibrate
 from dvf_ig.io import provenance_fields, read_json, read_sequence
 from dvf_ig.replay.outputs import POSES
 from dvf_ig.replay.run_folder import RESULT, require_same_recording
+from dvf_ig.replay.ticks import POSE_STEP_S
 from dvf_ig.session import UltrasoundCalibration
 
 
@@ -33,7 +34,8 @@ class ExportedRun:
         scenario: the recording.
         ultrasound: ultrasound calibration in use.
         tip: tool tip in frame "tool"; None if not known.
-        poses: (time from which it was in use, mr_from_tracker); a registration has one, from minus infinity.
+        poses: (time, mr_from_tracker of that moment, motion in breathing included), at most POSE_STEP_S apart
+            while it moves; a registration has one, at minus infinity.
         suspended_s: spans in which no pose was in use.
         bound_mm: bound of the last usable registration's error over the heart with 95 % probability; None if
             none was stated.
@@ -49,9 +51,10 @@ class ExportedRun:
     result: dict[str, Any]
 
     def pose_numbers(self, t_s: FloatArray) -> IntArray:
-        """Find (n,) the index in `poses` of the pose in use at `t_s`; before the first it is the first."""
+        """Find (n,) the index in `poses` of the pose at `t_s`, or of the last before; at least the first."""
         begin = np.array([from_s for from_s, _ in self.poses])
-        return np.maximum(np.searchsorted(begin, t_s, side="right") - 1, 0).astype(np.int64)
+        by_s = t_s + 0.5 * POSE_STEP_S
+        return np.maximum(np.searchsorted(begin, by_s, side="right") - 1, 0).astype(np.int64)
 
     def suspended(self, t_s: FloatArray) -> BoolArray:
         """Return (n,) whether the pose was suspended at `t_s`."""

@@ -16,6 +16,7 @@ from dvf_ig.core.arrays import AnyArray
 from dvf_ig.core.errors import install_extra
 from dvf_ig.guidance import Hazard, SupervisorState
 from dvf_ig.io.writing.atomic import atomic_file
+from dvf_ig.replay.outputs import breath_word
 from dvf_ig.replay.preconditions import RATE_HZ
 
 from .exported_run import ExportedRun
@@ -25,7 +26,7 @@ FORCE_MM_PER_N = 50.0
 """Length of the force's arrow."""
 FORCE_HZ = 100.0
 """Rate at which the arrow is drawn; its numbers are complete."""
-NUMBERS = ("distance_mm", "phi", "model_phase", "rr_s", "pose_age_s")
+NUMBERS = ("distance_mm", "phi", "model_phase", "rr_s", "pose_age_s", "breath_phase", "breath_mm")
 """Columns of ticks.csv that become curves."""
 
 
@@ -135,7 +136,7 @@ def _tool(rerun: Any, stream: Any, run: ExportedRun, ticks: dict[str, AnyArray])
 
 
 def _numbers(rerun: Any, stream: Any, run: ExportedRun, ticks: dict[str, AnyArray]) -> None:
-    """Log curves over time, and the supervisor's messages."""
+    """Log curves over time, and as messages the supervisor's states and those of the clock of breathing."""
     t_s, wave = ticks["t_s"], run.scenario.ecg
     force = np.linalg.norm(_rows(ticks, "force_tracker_{}_n"), axis=1)
     curves = [("force_n", t_s, force), *((name, t_s, ticks[name]) for name in NUMBERS)]
@@ -146,11 +147,15 @@ def _numbers(rerun: Any, stream: Any, run: ExportedRun, ticks: dict[str, AnyArra
         if finite.any():
             index = [rerun.TimeColumn("time", duration=at[finite])]
             stream.send_columns(f"numbers/{name}", index, rerun.Scalars.columns(scalars=values[finite]))
-    said = np.column_stack([ticks["supervisor"], ticks["hazards"]])
-    changed = np.flatnonzero(np.any(np.diff(said, axis=0, prepend=-1.0), axis=1))
-    for i in changed.tolist():
-        stream.set_time("time", duration=float(t_s[i]))
-        stream.log("supervisor", rerun.TextLog(_sentence(*said[i].astype(int).tolist())))
+    for entity, names, sentence in (
+        ("supervisor", ("supervisor", "hazards"), _sentence),
+        ("breathing", ("breath_state",), lambda state: breath_word(state) or "not followed"),
+    ):
+        said = np.column_stack([ticks[name] for name in names])
+        changed = np.flatnonzero(np.any(np.diff(said, axis=0, prepend=-1.0), axis=1))
+        for i in changed.tolist():
+            stream.set_time("time", duration=float(t_s[i]))
+            stream.log(entity, rerun.TextLog(sentence(*said[i].astype(int).tolist())))
     stream.reset_time()
 
 

@@ -85,8 +85,9 @@ def readme_text(frames: Mapping[str, str], run: ExportedRun, shown: int, fractio
         lag_ms=1000 * run.ultrasound.lag_s,
         poses="The registration is one pose."
         if poses == 1
-        else f"The registration was updated {poses - 1} times; frames before the first are shown with the "
-        "first, and frames while it was suspended are left out.",
+        else f"The registration is that of the moment ({poses} poses), with the motion in breathing where it "
+        "was followed; frames before the first are shown with the first, and frames while it was suspended "
+        "are left out.",
         bound="No bound on its error was stated."
         if bound is None
         else f"Its error over the heart lies below {bound:.1f} mm with 95 % probability.",

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 import dvf_ig
-from dvf_ig.core import FloatArray, PhaseState, Signal
+from dvf_ig.core import BoolArray, FloatArray, PhaseState, Signal
 from dvf_ig.guidance import Hazard, SupervisorState
 from dvf_ig.registration import target_errors_mm
 from dvf_ig.replay.engine import Replay
@@ -15,6 +15,7 @@ from dvf_ig.replay.table import table
 from dvf_ig.report.plane_overlay import PlaneOverlay
 from dvf_ig.report.replay import (
     BeatTrace,
+    BreathLoop,
     EcgStrip,
     RegistrationMark,
     ReplayPage,
@@ -23,6 +24,7 @@ from dvf_ig.report.replay import (
     replay_html,
 )
 from dvf_ig.report.style import ESTIMATE, FAINT, GUIDE, START, WRONG
+from dvf_ig.session.breathing_motion import REST_SHARE, FollowedBreath
 from dvf_ig.session.pose_states import AGEING_MM_PER_S, MAX_AGE_S, MAX_BOUND_MM
 from dvf_ig.session.pose_transition import SUSPEND_LOG_RATIO
 
@@ -55,6 +57,7 @@ def report_html(replay: Replay, result: dict[str, Any]) -> str:
             warnings=[f"{warning['key']}: {warning['sentence']}" for warning in result["warnings"]],
             overlays=_overlays(replay),
             beats=_beats(replay),
+            breath=_breath_loop(replay),
             ticks=_ticks(replay, true_phase),
             supervisor=_supervisor(replay, result),
             ecg=_ecg_strip(replay, true_phase),
@@ -100,6 +103,50 @@ def _beats(replay: Replay) -> BeatTrace | None:
         limit=SUSPEND_LOG_RATIO,
         suspended_s=suspensions(tuple(replay.history.updates), float(replay.ticks.t_s[-1])),
     )
+
+
+def _breath_loop(replay: Replay) -> BreathLoop | None:
+    """Describe the last breaths that forces followed; None without any."""
+    recorded = replay.scenario.respiration
+    breath = next((one.breath for one in reversed(replay.history.breathing) if one.breath), None)
+    if breath is None or recorded is None:
+        return None
+    model, beats = breath.model, breath.beats
+    middles = np.array([beat.frames[len(beat.frames) // 2] for beat in beats])
+    residual_mm, sigma_mm = model.residuals_mm(beats)
+    return BreathLoop(
+        surrogate=recorded.name,
+        rho=middles[:, 1],
+        displacement_mm=model.displacement_mm(middles - breath.rest) + residual_mm,
+        residual_mm=residual_mm,
+        sigma_mm=sigma_mm,
+        inspiration=_rises(middles),
+        course_rho=breath.features[:, 1],
+        course_mm=model.displacement_mm(breath.features - breath.rest),
+        course_inspiration=_rises(breath.features),
+        true_mm=_true_displacement_mm(replay, breath),
+        breaths=model.breaths,
+        held_out_mm=model.held_out_mm,
+    )
+
+
+def _rises(features: FloatArray) -> BoolArray:
+    """Return whether ρ rises at (n, 4) features: it leads its lag."""
+    return np.asarray(features[:, 1] > features[:, 2])
+
+
+def _true_displacement_mm(replay: Replay, breath: FollowedBreath) -> FloatArray | None:
+    """Compute the true displacement of the heart's centre in these breaths; None without a truth."""
+    truth = replay.scenario.truth
+    if truth is None or truth.breathing is None:
+        return None
+    center, motion = replay.heart.center_mm, truth.breathing
+    moved = motion.mr_from_rest[:, :, :3] @ center + motion.mr_from_rest[:, :, 3] - center
+    along_mm = -moved @ breath.model.along[3:]  # ξ takes the heart back to its rest
+    course_mm = np.interp(breath.t_s, motion.t_s, along_mm).mean(axis=0)
+    level = breath.features[:, 1:].max(axis=1)
+    resting = level <= np.quantile(level, REST_SHARE)
+    return np.asarray(course_mm - course_mm[resting].mean())
 
 
 def _ticks(replay: Replay, true_phase: FloatArray | None) -> TickTrace:

@@ -136,7 +136,7 @@ def result_of(replay: Replay) -> dict[str, Any]:
         "supervisor": asdict(summarise_supervision(ticks.t_s, ticks.supervisor, force)),
         "pose_age_s": age_fields(ticks),
         "tip_in_image": tip_field(replay),
-        "breathing": asdict(replay.history.breathing[-1]) if replay.history.breathing else None,
+        "breathing": replay.history.breathing[-1].described() if replay.history.breathing else None,
         "registrations": [attempt_fields(a) for a in replay.attempts],
         "tre_bound_mm": bound_fields(replay),
         "pose_bound_mm": pose_bound_fields(replay),

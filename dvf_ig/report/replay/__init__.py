@@ -2,6 +2,7 @@
 
 from .page import replay_html as replay_html
 from .values import BeatTrace as BeatTrace
+from .values import BreathLoop as BreathLoop
 from .values import EcgStrip as EcgStrip
 from .values import RegistrationMark as RegistrationMark
 from .values import ReplayPage as ReplayPage

@@ -20,16 +20,18 @@ from dvf_ig.report.style import (
     GUIDE,
     ON_GREY,
     REFUSED,
+    SERIES,
     START,
     SUSPENDED,
     TRUTH,
     WIDE_IN,
     legend_below,
+    open_frame,
     time_axes,
     without_ticks,
 )
 
-from .values import BeatTrace, EcgStrip, RegistrationMark, SupervisorTrace, TickTrace
+from .values import BeatTrace, BreathLoop, EcgStrip, RegistrationMark, SupervisorTrace, TickTrace
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -131,6 +133,43 @@ def _by_use(axis: Axes, beats: BeatTrace, values: FloatArray) -> None:
     ):
         if chosen.any():
             axis.plot(times[chosen], values[chosen], "o", ms=3, mfc=fill, color=color, label=label)
+
+
+def breathing_figure(loop: BreathLoop) -> Figure:
+    """Draw the hysteresis loop of the model with the measured beats, and the residuals beneath."""
+    figure = Figure(figsize=(0.72 * WIDE_IN, 6.4), layout="constrained")
+    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
+    handles: list[Artist] = []
+    closed = np.append(np.arange(len(loop.course_mm)), 0)
+    if loop.true_mm is not None:
+        handles += upper.plot(
+            loop.course_rho[closed], loop.true_mm[closed], color=TRUTH, lw=1.0, ls="--", label="ground truth"
+        )
+    for rising, color, marker, name in (
+        (True, SERIES[0], "^", "inspiration"),
+        (False, SERIES[1], "v", "expiration"),
+    ):
+        here = loop.course_inspiration[closed] == rising
+        here[1:] |= here[:-1]
+        course_mm = np.where(here, loop.course_mm[closed], np.nan)
+        handles += upper.plot(loop.course_rho[closed], course_mm, color=color, lw=2.0, label=f"model, {name}")
+        beats = loop.inspiration == rising
+        for axis, values in ((upper, loop.displacement_mm), (lower, loop.residual_mm)):
+            axis.errorbar(
+                loop.rho[beats], values[beats], loop.sigma_mm[beats], fmt="none", ecolor=color, elinewidth=0.5
+            )
+            marks = axis.plot(
+                loop.rho[beats], values[beats], marker, ms=4, color=color, label=f"heart beat, {name}"
+            )
+        handles += marks
+    lower.axhline(0.0, color=TRUTH, lw=0.6)
+    rms_mm, sigma_mm = (float(np.sqrt(np.mean(x**2))) for x in (loop.residual_mm, loop.sigma_mm))
+    lower.set_title(f"RMS {rms_mm:.1f} mm, σ {sigma_mm:.1f} mm", fontsize=9, loc="right")
+    upper.set_ylabel("displacement, mm")
+    lower.set(ylabel="residual, mm", xlabel=f"surrogate ρ ({loop.surrogate}): 0 end-expiration, 1 usual top")
+    open_frame(upper, lower)
+    figure.legend(handles=handles, loc="outside lower center", ncols=3, frameon=False, fontsize=9)
+    return figure
 
 
 def phase_error_figure(ticks: TickTrace) -> Figure | None:

@@ -9,6 +9,7 @@ from dvf_ig.report.page import html_page, image_tag, section, table
 from dvf_ig.report.plane_marks import LETTERS_NOTE
 
 from .figures import (
+    breathing_figure,
     distance_histogram,
     ecg_figure,
     force_figure,
@@ -17,7 +18,7 @@ from .figures import (
     pose_figure,
     supervisor_figure,
 )
-from .values import BeatTrace, ReplayPage
+from .values import BeatTrace, BreathLoop, ReplayPage
 
 
 def replay_html(page: ReplayPage) -> str:
@@ -36,6 +37,11 @@ def replay_html(page: ReplayPage) -> str:
             "log-likelihood ratio states how much better the beat's best pose explains it."
             + _tre_remark(page.beats),
             pose_figure(page.beats, page.registrations, span_s),
+        ),
+        (
+            "Breathing: the heart's motion and its model",
+            _breath_note(page.breath),
+            None if page.breath is None else breathing_figure(page.breath),
         ),
         (
             "Phase error over time",
@@ -83,6 +89,18 @@ def _estimates(page: ReplayPage) -> str:
     if any(error for _, _, error in page.estimates):
         return table(("", "estimate", "error against the ground truth"), page.estimates)
     return table(("", "estimate"), [row[:2] for row in page.estimates])
+
+
+def _breath_note(loop: BreathLoop | None) -> str:
+    if loop is None:
+        return ""
+    return (
+        "Displacement of the heart's centre from end-expiration, along the main direction of its motion, "
+        "against the surrogate. Inspiration and expiration differ: the heart follows with hysteresis. Each "
+        "mark is a heart beat, drawn at its middle with one standard deviation of its measurement. The model "
+        f"was learnt from {loop.breaths} breaths and misses breaths that it was not learnt from by "
+        f"{loop.held_out_mm:.1f} mm over the heart. Below: what it misses of each beat."
+    )
 
 
 def _tre_remark(beats: BeatTrace | None) -> str:

@@ -110,6 +110,36 @@ class EcgStrip:
     true_phase: FloatArray | None
 
 
+@read_only_arrays
+@dataclass(frozen=True, slots=True, eq=False)
+class BreathLoop:
+    """Motion of the heart's centre in breathing, along its main direction from rest, against a surrogate ρ.
+
+    Attributes:
+        surrogate: name of the channel or marker.
+        rho, displacement_mm: (n,) of heart beats, in their middle.
+        residual_mm, sigma_mm: (n,) measured less modelled, and its standard deviation.
+        inspiration: (n,) ρ rises; otherwise it falls.
+        course_rho, course_mm: (m,) of the model, over the mean of the last breaths; course_inspiration: (m,)
+            as above.
+        true_mm: (m,) of the ground truth; None without it.
+        breaths: number of breaths it was learnt from; held_out_mm: its error in others, over the heart.
+    """
+
+    surrogate: str
+    rho: FloatArray
+    displacement_mm: FloatArray
+    residual_mm: FloatArray
+    sigma_mm: FloatArray
+    inspiration: BoolArray
+    course_rho: FloatArray
+    course_mm: FloatArray
+    course_inspiration: BoolArray
+    true_mm: FloatArray | None
+    breaths: int
+    held_out_mm: float
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class ReplayPage:
     """Content of the page.
@@ -124,6 +154,7 @@ class ReplayPage:
         warnings: contradictions between the recordings, one sentence each.
         overlays: frames of the last registration in use; may be empty.
         beats: None if no beat was compared.
+        breath: None if forces did not follow a breath.
         ticks: every tick.
         supervisor: states and hazards.
         ecg: a few seconds in the middle.
@@ -140,6 +171,7 @@ class ReplayPage:
     warnings: Sequence[str]
     overlays: Sequence[PlaneOverlay]
     beats: BeatTrace | None
+    breath: BreathLoop | None
     ticks: TickTrace
     supervisor: SupervisorTrace
     ecg: EcgStrip

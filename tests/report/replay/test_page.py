@@ -9,6 +9,7 @@ from drawn_lines import x_of, y_of
 from dvf_ig.report.plane_overlay import AnatomyPlane, PlaneOverlay
 from dvf_ig.report.replay import (
     BeatTrace,
+    BreathLoop,
     EcgStrip,
     RegistrationMark,
     ReplayPage,
@@ -17,6 +18,7 @@ from dvf_ig.report.replay import (
     replay_html,
 )
 from dvf_ig.report.replay.figures import (
+    breathing_figure,
     distance_histogram,
     ecg_figure,
     force_figure,
@@ -83,6 +85,7 @@ def page() -> ReplayPage:
             limit=7.0,
             suspended_s=((3.0, 4.0),),
         ),
+        breath=None,
         ticks=ticks(),
         supervisor=SupervisorTrace(
             T_S,
@@ -102,6 +105,42 @@ def page() -> ReplayPage:
             true_phase=T_S % 1.0,
         ),
     )
+
+
+def breath() -> BreathLoop:
+    """A circle of radius 5 mm about ρ = 0.5, with two beats that miss it by 1 mm."""
+    turn = np.linspace(0.0, 2 * np.pi, 8, endpoint=False)
+    rising = np.sin(turn) < 0.0
+    return BreathLoop(
+        surrogate="pressure",
+        rho=np.array([0.5, 0.5]),
+        displacement_mm=np.array([-4.0, 4.0]),
+        residual_mm=np.array([1.0, -1.0]),
+        sigma_mm=np.array([0.5, 0.4]),
+        inspiration=np.array([True, False]),
+        course_rho=0.5 + 0.5 * np.cos(turn),
+        course_mm=5.0 * np.sin(turn),
+        course_inspiration=rising,
+        true_mm=5.2 * np.sin(turn),
+        breaths=12,
+        held_out_mm=0.7,
+    )
+
+
+def test_a_breath_is_a_closed_loop_with_its_beats_and_what_they_miss() -> None:
+    upper, lower = breathing_figure(breath()).axes
+    lines = {str(line.get_label()): line for line in upper.get_lines()}
+    rising, falling, truth = (
+        lines[name] for name in ("model, inspiration", "model, expiration", "ground truth")
+    )
+    assert y_of(truth)[0] == y_of(truth)[-1]
+    drawn = [np.isfinite(y_of(line)) for line in (rising, falling)]
+    assert (drawn[0] | drawn[1]).all()
+    assert (drawn[0] & drawn[1]).sum() == 2  # where the two branches meet
+    assert y_of(lines["heart beat, inspiration"]).tolist() == [-4.0]
+    assert [y_of(line).tolist() for line in lower.get_lines() if line.get_marker() == "v"] == [[-1.0]]
+    assert "Breathing" not in replay_html(page())
+    assert "Breathing: the heart" in replay_html(replace(page(), breath=breath()))
 
 
 @pytest.mark.parametrize("error", ["", "0.1 mm"])
