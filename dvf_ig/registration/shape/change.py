@@ -13,6 +13,7 @@ import numpy as np
 from dvf_ig.core import FloatArray, Rigid, Warp, read_only_arrays
 from dvf_ig.core.space.warp import CELLS, knots
 from dvf_ig.kernels.boundary import DistanceSplines, boundary_distances
+from dvf_ig.kernels.warp import LARGEST_MM2
 from dvf_ig.registration.boundary.fit import Boundary
 from dvf_ig.registration.boundary.target import BoundaryTarget
 from dvf_ig.registration.pose_chart import DISTINCT_MM, rigid_motion
@@ -86,6 +87,22 @@ class Halves:
 
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
+class GuardedWalls:
+    """How well the walls are known at which a force may be given.
+
+    Attributes:
+        square_of_motion: (6, 6) M: ξ of `PoseChart` moves them along their normals by ξᵀMξ in mean square.
+        variance_mm2: mean variance of their place along their normals, the registered pose's included.
+        square_mm4: mean square of the covariances between them.
+    """
+
+    square_of_motion: FloatArray
+    variance_mm2: float
+    square_mm4: float
+
+
+@read_only_arrays
+@dataclass(frozen=True, slots=True, eq=False)
 class ShapeChange:
     """A change of the heart's shape, at the pose of the registration that found it.
 
@@ -97,8 +114,8 @@ class ShapeChange:
         wall: which wall has moved most, for example "left anterior"; shift_mm: by how much, positive
             outward; sigma_mm: its standard deviation.
         shared: mean square of the boundary's shared error after the change, see `ShapePosterior`.
-        halves: what every second group of frames shows and the others show; None if nothing is to follow
-            the change.
+        halves: what every second group of frames shows and the others show, and guarded: walls at which a
+            force may be given; None if nothing is to follow the change.
         partly: the heart's images cover it in part, so that nothing shows how the rest has changed.
     """
 
@@ -111,6 +128,7 @@ class ShapeChange:
     sigma_mm: float
     shared: float
     halves: Halves | None = None
+    guarded: GuardedWalls | None = None
     partly: bool = False
 
     @property
@@ -188,7 +206,8 @@ def change_of_shape(
     change = _change(boundary.target, problem, modes, best, evidence)
     if change.followed is None:
         return change
-    return replace(change, halves=_halves(problem, best, noise))
+    guarded = _guarded_walls(boundary.target, modes, best)
+    return replace(change, halves=_halves(problem, best, noise), guarded=guarded)
 
 
 def _most_likely(problem: ShapeProblem, about: ShapePosterior) -> tuple[ShapePosterior, float]:
@@ -270,16 +289,46 @@ def _field(
 ) -> tuple[FloatArray, FloatArray]:
     """(n, 3) pull-back m at (n, 3) places, and (n,) variance of q − m(q) along (n, 3) normals."""
     moved, motion = modes.at(places_mm, MODES), rigid_motion(places_mm, modes.center_mm)
-    pulled = moved @ best.state[FIXED:] - motion @ best.state[:6]
+    columns, alone = _known_along(modes, best, places_mm, normals, moved)
+    return moved @ best.state[FIXED:] - motion @ best.state[:6], (columns**2).sum(axis=1) + alone
+
+
+def _known_along(
+    modes: ShapeModes,
+    best: ShapePosterior,
+    places_mm: FloatArray,
+    normals: FloatArray,
+    moved: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """(n, k) F and (n,) v: the errors of q − m(q) along normals have the covariance F Fᵀ + diag(v).
+
+    Args:
+        moved: (n, 3, MODES) of the modes at the (n, 3) places.
+    """
     along = np.einsum("ni,nik->nk", normals, moved)
-    columns = np.concatenate([np.einsum("ni,nip->np", normals, motion), -along], axis=1)
+    motion = np.einsum("ni,nip->np", normals, rigid_motion(places_mm, modes.center_mm))
     kept = np.r_[:6, FIXED : len(best.state)]  # all but the offsets
-    known = best.covariance_mm2[np.ix_(kept, kept)]
+    known = np.linalg.cholesky(best.covariance_mm2[np.ix_(kept, kept)])
     left_out = modes.variance_along(places_mm, normals) - (along**2).sum(axis=1)
-    variance = ((columns @ known) * columns).sum(axis=1)
-    variance = variance + best.scale_mm**2 * np.maximum(left_out, 0.0)
+    alone = SIGMA_FACTOR**2 * best.scale_mm**2 * np.maximum(left_out, 0.0)
     floor = SIGMA_FLOOR_MM**2 + (SIGMA_SHARE * best.scale_mm) ** 2
-    return pulled, SIGMA_FACTOR**2 * variance + floor
+    return SIGMA_FACTOR * np.concatenate([motion, -along], axis=1) @ known, alone + floor
+
+
+def _guarded_walls(target: BoundaryTarget, modes: ShapeModes, best: ShapePosterior) -> GuardedWalls:
+    """Evaluate the fit at the walls where it is known well enough for a force; at all if nowhere."""
+    places = _walls_mm(target)
+    normals = _outward(target, places, modes.center_mm)
+    columns, alone = _known_along(modes, best, places, normals, modes.at(places, MODES))
+    variance = (columns**2).sum(axis=1) + alone
+    served = variance <= LARGEST_MM2
+    if not served.any():
+        served[:] = True
+    columns, variance = columns[served], float(variance[served].mean())
+    motion = np.einsum("ni,nip->np", normals, rigid_motion(places, modes.center_mm))[served]
+    # what no fit knows of neighbours is taken to be as alike as what it does
+    alike = float(((columns.T @ columns) ** 2).sum() / (columns**2).sum() ** 2)
+    return GuardedWalls(motion.T @ motion / len(motion), variance, variance**2 * alike)
 
 
 def _most_moved(
@@ -316,12 +365,17 @@ def _side(direction: FloatArray) -> str:
 
 @lru_cache(maxsize=2)
 def _modes_of(target: BoundaryTarget, center_mm: tuple[float, ...]) -> ShapeModes:
-    """Modes over the walls at the first phase of a heart, which all its registrations share."""
+    """Modes over the walls of a heart, which all its registrations share."""
+    return shape_modes(_walls_mm(target), np.array(center_mm))
+
+
+def _walls_mm(target: BoundaryTarget) -> FloatArray:
+    """(WALL_PLACES, 3) places in the walls at the first phase."""
     low, high = WALL_MM
     voxels = np.argwhere((target.coefficients[0] > low) & (target.coefficients[0] < high))
     some = voxels[np.linspace(0, len(voxels) - 1, WALL_PLACES).astype(int)]
-    walls = (some + 1.0 - target.knots_from_mm[:, 3]) @ np.linalg.inv(target.knots_from_mm[:, :3]).T
-    return shape_modes(walls, np.array(center_mm))
+    knots_mm = (some + 1.0 - target.knots_from_mm[:, 3]) @ np.linalg.inv(target.knots_from_mm[:, :3]).T
+    return np.asarray(knots_mm)
 
 
 def _outward(target: BoundaryTarget, places_mm: FloatArray, center_mm: FloatArray) -> FloatArray:
