@@ -25,6 +25,8 @@ from .rigid import Rigid
 CELLS = 12
 COEFFICIENTS = CELLS + 3
 """Coefficients along each axis; every warp has as many, so that a servo has their place before it starts."""
+TURNS = 8
+"""Steps by which a place of the patient is found from that in the model."""
 RIGID_SIGMA_MM = 0.8
 """Standard deviation of the surface where no change of shape was estimated: of small changes of shape,
 retiming and the model together. In recordings of tuning hearts 1001–1003 and 1021 errors of the distance are
@@ -74,6 +76,13 @@ class Warp:
             for lane in range(4)
         ]
         return np.stack(lanes[:3], axis=1), np.maximum(lanes[3], 0.0)
+
+    def patient_places(self, model_mm: FloatArray) -> FloatArray:
+        """(n, 3) places q of the patient that belong to (n, 3) places q − m(q) of the model."""
+        places = model_mm
+        for _ in range(TURNS):
+            places = model_mm + self.at(places)[0]
+        return places
 
     def slope(self, places_mm: FloatArray) -> FloatArray:
         """(n, 3, 3) Dm, ∂m_i/∂x_j, at (n, 3) places, by differences."""
