@@ -56,6 +56,7 @@ class SceneInput:
         breathing: label and unit of a breathing signal; None without one.
         age_limit_s: age from which a pose is withheld.
         targets: named points in the model's frame.
+        warp: change of the heart's shape since the MR; None if it has kept it.
     """
 
     kind: str
@@ -67,6 +68,7 @@ class SceneInput:
     breathing: tuple[str, str] | None = None
     age_limit_s: float | None = None
     targets: Landmarks | None = None
+    warp: Warp | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -112,7 +114,7 @@ def scene_payload(scene: SceneInput) -> dict[str, Any]:
         "title": scene.title,
         "patient_id": model.patient_id,
         "version": dvf_ig.__version__,
-        "heart": heart_payload(model, scene.fixtures),
+        "heart": heart_payload(model, scene.fixtures, scene.warp),
         "distance": distance_payload(model),
         "fixtures": [] if scene.fixtures is None else [_fixture(one) for one in scene.fixtures.fixtures],
         "fixtures_cap_n": (scene.fixtures or FixtureSet()).joint_cap_n,
