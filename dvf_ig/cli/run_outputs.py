@@ -44,7 +44,9 @@ def write_run(
     with files_together(out, run_files()) as new:
         write_text(new / PAGE, report_html(done, result))
         write_json(new / RESULT, {**result, **provenance_fields()})
-        frames = write_outputs(done.poses, done.ticks, new, done.scenario.tracked_against)
+        warps = [update.warp for update in done.history.updates if update.pose is not None]
+        warp = warps[-1] if warps else None
+        frames = write_outputs(done.poses, done.ticks, new, done.scenario.tracked_against, warp)
         write_view_file(done, new, out, recording, model)
     return {RESULT: None, PAGE: None, VIEW: None, **frames}
 

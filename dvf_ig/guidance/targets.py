@@ -145,6 +145,8 @@ class PathFixture:
     ) -> ForceSamples:
         """Forces in another frame than the path's; arguments and errors as of `Evaluator.force_through`.
 
+        Of a heart that has kept its shape: a servo's path also follows its change.
+
         A point or a phase that is not finite gets no force and status FAULT.
         """
         require_same_frame(model_from_query.target, self.target.frame, "path of a fixture")

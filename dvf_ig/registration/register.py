@@ -25,7 +25,7 @@ from dvf_ig.registration.evidence.checks import (
 from dvf_ig.registration.evidence.image_offset import ImageOffset, fit_image_offset
 from dvf_ig.registration.evidence.phase_offset import phase_offset
 from dvf_ig.registration.lc2.lc2 import Lc2, SliceThreads
-from dvf_ig.registration.shape.change import ShapeChange, change_of_shape
+from dvf_ig.registration.shape.change import PLAINLY_RIGID_MM, ShapeChange, change_of_shape
 from dvf_ig.registration.surface_points.touched import TouchedSurface
 
 from .fuse import Fused, fuse
@@ -181,8 +181,8 @@ def _image_offset(problem: Problem, pose: Rigid) -> ImageOffset | None:
     probe = problem.images.probe
     if probe is None:
         return None
-    slices = problem.compared(problem.images.coarse, pose)
-    return fit_image_offset(slices, probe, problem.coarse_lc2, pose, problem.center_mm)
+    metric = problem.coarse_lc2(problem.compared(problem.images.coarse, pose))
+    return fit_image_offset(probe, metric, pose, problem.center_mm)
 
 
 def _boundary_distance_mm(problem: Problem, pose: Rigid, fused: Fused) -> float | None:
@@ -205,7 +205,9 @@ def _change_of_shape(problem: Problem, fused: Fused) -> ShapeChange | None:
         return None
     model = problem.heart.model
     organ = None if model is None else target_from_model(model)
-    change = change_of_shape(boundary, fused.boundary.offset_mm, fused.pose, problem.center_mm, organ)
+    offset_mm, center_mm = fused.boundary.offset_mm, problem.center_mm
+    least_mm = PLAINLY_RIGID_MM if covered is None else 0.0  # of a stack the evidence counts, not the shift
+    change = change_of_shape(boundary, offset_mm, fused.pose, center_mm, organ, least_mm)
     if covered is None or change is None:
         return change
     return replace(change, partly=True) if change.evidence > PART_EVIDENCE else None

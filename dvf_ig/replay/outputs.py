@@ -1,5 +1,6 @@
-"""Files of a replay for other programs: pose (ITK, PLUS), poses over time (3D Slicer), every tick."""
+"""Files of a replay for other programs: pose (ITK, PLUS), poses over time (3D Slicer), shape, every tick."""
 
+import base64
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -7,16 +8,24 @@ from pathlib import Path
 import numpy as np
 
 from dvf_ig.cardiac.respiration import BreathState
-from dvf_ig.core import IntArray, InvalidInputError, Rigid
+from dvf_ig.core import IntArray, InvalidInputError, Rigid, UnreadableFileError, Warp
 from dvf_ig.core.arrays import AnyArray
+from dvf_ig.core.space.warp import COEFFICIENTS
 from dvf_ig.guidance import Hazard, Status, SupervisorState
-from dvf_ig.io import write_pose_sequence, write_registration, write_text, write_transforms
+from dvf_ig.io import (
+    read_json,
+    write_pose_sequence,
+    write_registration,
+    write_sidecar,
+    write_text,
+    write_transforms,
+)
 from dvf_ig.session import UNFOLLOWED
 
 from .ticks import Ticks
 
-POSE, POSES, TICKS = "mr_from_tracker", "poses.seq.mha", "ticks.csv"
-NAMES = (f"{POSE}.tfm", f"{POSE}.h5", f"{POSE}.json", f"{POSE}.xml", POSES, TICKS)
+POSE, POSES, TICKS, SHAPE = "mr_from_tracker", "poses.seq.mha", "ticks.csv", "shape.json"
+NAMES = (f"{POSE}.tfm", f"{POSE}.h5", f"{POSE}.json", f"{POSE}.xml", POSES, TICKS, SHAPE)
 """Names of all files that may be written."""
 
 COLUMNS = (
@@ -44,9 +53,13 @@ _HEADER = ",".join(name for name, _ in COLUMNS)
 
 
 def write_outputs(
-    poses: Sequence[tuple[float, Rigid]], ticks: Ticks, folder: Path, tracked_against: str = "tracker"
+    poses: Sequence[tuple[float, Rigid]],
+    ticks: Ticks,
+    folder: Path,
+    tracked_against: str = "tracker",
+    warp: Warp | None = None,
 ) -> dict[str, str]:
-    """Write the last pose in use and the published poses over time, if any, and the ticks.
+    """Write the last pose in use, the published poses over time and its change of shape, and the ticks.
 
     Args:
         poses: (time from which it was in use, mr_from_tracker) in order of time; of the heart at rest in
@@ -54,6 +67,7 @@ def write_outputs(
         ticks: ticks of the replay.
         folder: existing folder.
         tracked_against: PLUS's name of the frame that poses are relative to, for the files that it reads.
+        warp: change of the heart's shape at the last pose; None if it has kept its shape.
     Returns:
         files written: name, and frame of the content.
     Raises:
@@ -71,6 +85,9 @@ def write_outputs(
     if published:
         write_pose_sequence(published, folder / POSES)
         frames[POSES] = published[0][1].name.replace("mr", "ras", 1)
+    if warp is not None:
+        write_shape(warp, folder / SHAPE)
+        frames[SHAPE] = warp.frame
     write_text(folder / TICKS, ticks_csv(ticks))
     frames[TICKS] = "tracker; tip_mr in mr"
     return frames
@@ -84,6 +101,40 @@ def _published_poses(ticks: Ticks, tracked_against: str) -> list[tuple[float, Ri
         (at_s, Rigid.from_matrix(np.vstack([pose, [0.0, 0.0, 0.0, 1.0]]), "mr", tracked_against))
         for at_s, pose in zip(t_s[used].tolist(), poses[used], strict=True)
     ]
+
+
+def write_shape(warp: Warp, path: Path) -> None:
+    """Write a change of the heart's shape at the pose of its folder; coefficients are float32 in base64.
+
+    Raises:
+        OutputError: not writable.
+    """
+    data = warp.coefficients.astype("<f4").tobytes()
+    content = {
+        "frame": warp.frame,
+        "origin_mm": warp.origin_mm.tolist(),
+        "knot_mm": warp.knot_mm,
+        "coefficients": base64.b64encode(data).decode("ascii"),
+    }
+    write_sidecar(path, content, "shape")
+
+
+def read_shape(folder: Path) -> Warp | None:
+    """Read what `write_shape` wrote; None if the heart has kept its shape.
+
+    Raises:
+        UnreadableFileError: damaged.
+    """
+    path = folder / SHAPE
+    if not path.is_file():
+        return None
+    content = read_json(path, "a change of shape")
+    try:
+        data = np.frombuffer(base64.b64decode(content["coefficients"], validate=True), "<f4")
+        coefficients = data.reshape(*[COEFFICIENTS] * 3, 4).astype(np.float32)
+        return Warp(content["frame"], np.array(content["origin_mm"]), float(content["knot_mm"]), coefficients)
+    except (KeyError, TypeError, ValueError) as exc:
+        raise UnreadableFileError(f"{path} is damaged ({exc}); run again") from exc
 
 
 def ticks_csv(ticks: Ticks) -> str:

@@ -24,7 +24,7 @@ class Ticks:
         model_phase: (n,) place in the model's cycle; NaN where the phase is not locked.
         mr_from_tracker: (n, 3, 4) the pose through which the force came; NaN without one.
         pose_age_s: (n,) time since a beat confirmed the pose; infinite before the first.
-        pose_bound_mm: (n,) 95 % bound on the RMS error of the pose over the heart; NaN before the first.
+        pose_bound_mm: (n,) 95 % bound on the RMS error, see `PoseEstimate`; NaN before the first.
         tip_tracker_mm: (n, 3) predicted tip; NaN where the tool is not known.
         force_n: (n, 3) sent by the supervisor; wanted_n: of the fixtures.
         distance_mm: (n,) signed distance of the primary fixture, at NO_PHASE of the first wall at its worst

@@ -42,6 +42,7 @@ from dvf_ig.report.viewer.series import FORCE_MR, SHAFT
 from dvf_ig.session.gated_frames import smoothed_poses
 from dvf_ig.session.pose_states import MAX_AGE_S
 
+from .outputs import read_shape
 from .preconditions import tool_of
 from .run_folder import RunFolder
 
@@ -78,6 +79,7 @@ def run_payload(run: RunFolder, scenario: Scenario, model: DvfModel) -> dict[str
             ecg=None if wave is None else (f"ECG {wave.leads[0]}", wave.unit),
             breathing=None if breath is None else ("breathing", "of a breath" if scale is not None else ""),
             age_limit_s=MAX_AGE_S,
+            warp=read_shape(run.folder),
         )
     )
     series = SeriesInput(

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from dvf_ig.cardiac import RPeak
-from dvf_ig.core import Rigid
+from dvf_ig.core import Rigid, Warp
 from dvf_ig.registration import TipSighting
 
 from .beat_evaluation import BeatEvaluation
@@ -22,11 +22,13 @@ class PoseUpdate:
         from_s: when it took effect.
         pose: mr_from_tracker from then on; None if the pose in use was suspended.
         doubt: why it was suspended; None if it was not.
+        warp: change of the heart's shape at the pose; None if it has kept its shape.
     """
 
     from_s: float
     pose: Rigid | None
     doubt: Doubt | None = None
+    warp: Warp | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

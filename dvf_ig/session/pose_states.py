@@ -40,7 +40,7 @@ class Confirmation:
 
     Attributes:
         confirmed_s: when that was known.
-        pose_bound_mm: 95 % bound on the RMS error of the pose over the heart then.
+        pose_bound_mm: 95 % bound on the RMS error then, see `PoseEstimate`.
         missed_beats: regular beats since that could not be compared with the pose, carried no information, or
             did not agree with it.
     """

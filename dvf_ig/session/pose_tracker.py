@@ -236,12 +236,13 @@ class PoseTracker:
 
 
 def _estimate_of(result: RegistrationResult) -> PoseEstimate:
+    change = result.shape
     return PoseEstimate.from_registration(
         result.target_from_source,
         result.covariance,
         result.noise_covariance,
         result.center_mm,
         result.matched,
-        None if result.shape is None else result.shape.followed,
+        None if change is None or change.followed is None else change,
         None if result.coverage is None else result.coverage.surface_mm,
     )

@@ -328,7 +328,7 @@ def _moved(pose: InUse, estimate: PoseEstimate, now_s: float) -> tuple[InUse, Po
         warp = None  # the heart has its shape again
     confirmation = pose.confirmation.changed(estimate.pose_bound_mm)
     moved = replace(pose, estimate=estimate, motion=motion, warp=warp, confirmation=confirmation)
-    return moved, PoseUpdate(now_s, estimate.pose)
+    return moved, PoseUpdate(now_s, estimate.pose, warp=estimate.warp)
 
 
 def _restart(pose: Pose, event: BreathFollowed) -> Transition:
@@ -403,7 +403,7 @@ def _bring_into_use(pose: Candidate | Suspended, estimate: PoseEstimate, now_s: 
     motion, confirmation = PoseMotion.still(estimate.pose), Confirmation(now_s, estimate.pose_bound_mm)
     warp = None if estimate.warp is None else WarpMotion.still(estimate.warp)
     in_use = InUse(estimate, motion, warp, confirmation, pose.trial.shift.restarted())
-    update = PoseUpdate(now_s, estimate.pose)
+    update = PoseUpdate(now_s, estimate.pose, warp=estimate.warp)
     if isinstance(pose, Suspended):
         return in_use, (update,)
     used = RegistrationDecision(pose.registration, None)

@@ -32,7 +32,8 @@ class GuidanceState:
         transform: (p_tracker, t) ↦ (p_mr, φ), from now on until something new is known.
         estimate: the pose in use with its covariance, or the last one while it is withheld; None before any.
         pose_age_s: time since a heart beat confirmed the pose; infinite before the first.
-        pose_bound_mm: 95 % bound on the RMS error of the pose in use over the heart; NaN before the first.
+        pose_bound_mm: 95 % bound on the RMS error of the pose in use over the heart, or of the guarded walls
+            where its shape is followed; NaN before the first.
         doubt: why the pose is suspended; None while it is not.
         breathing: why breathing withholds the pose or lets it serve at rest alone; None if it does neither.
         breath: where the heart is in the breath, as of the last sample of what follows it.

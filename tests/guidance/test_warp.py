@@ -24,6 +24,8 @@ from dvf_ig.guidance import (
     Fixtures,
     FixtureSet,
     Gaussian,
+    PathFixture,
+    PathTarget,
     PoseAndPhase,
     Sigmoid,
     Status,
@@ -179,6 +181,26 @@ def test_the_servo_gives_the_force_of_the_evaluator(ball, shell_points):
         np.testing.assert_allclose(record.field_n[20:], expected.force_n[20:], atol=0.01)
         np.testing.assert_allclose(record.rows["sigma_mm"][20:], expected.sigma_mm[20:], atol=0.01)
     assert record.distance_mm.std() > 0.05
+
+
+def test_a_path_moves_with_the_heart_that_has_changed_its_shape(ball):
+    angle = np.linspace(0.0, 2.0, 30)
+    curve = 15.0 * np.stack([np.cos(angle), np.sin(angle), 0.2 * angle], axis=1)
+    law, path = Gaussian(4.0, 1.0, 0.4), PathTarget.static("mr", curve)
+    fixtures = Fixtures(ball, FixtureSet((FixtureOptions(law, path=path),)))
+    turn = np.linspace(0.2, 1.6, 100)
+    tip = 16.5 * np.stack([np.cos(turn), np.sin(turn), 0.2 * turn], axis=1)
+    transform = through(WarpMotion.still(END), Rigid.identity("mr", "tracker"))
+    record = SimulatedServo(fixtures, RecordedDevice(tip, 1000.0)).run(
+        ServoInputs(transform, 0.0, Rigid.identity("tracker", "device")), 100
+    )
+    felt_s = record.t_s + 0.5e-3
+    ahead = record.xyz_mm + 0.5e-3 * np.gradient(record.xyz_mm, 1e-3, axis=0)
+    pull, places = END.slope(ahead), transform.at(ahead, felt_s)
+    plain = PathFixture(path, law).force(places.xyz_mm, places.model_phase)
+    expected = np.einsum("nji,nj->ni", np.eye(3) - pull, plain.force_n)
+    np.testing.assert_allclose(record.field_n[20:-1], expected[20:-1], atol=2e-3)
+    assert np.linalg.norm(expected, axis=1).max() > 0.1
 
 
 def test_a_warp_that_is_carried_to_another_pose_leaves_the_walls_where_they_are():

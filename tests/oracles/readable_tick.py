@@ -1,4 +1,7 @@
-"""One tick of the servo in readable form; tests hold `dvf_ig.kernels.servo.tick` to it."""
+"""One tick of the servo in readable form, of a heart that has kept its shape; tests hold the kernel to it.
+
+tests/guidance/test_warp.py holds what a warp does to the kernel's forces to `Evaluator` and `PathFixture`.
+"""
 
 import math
 
@@ -85,6 +88,8 @@ class ReadableTick:
 
     def step(self, t_s: float, xyz_device_mm: FloatArray, inputs: ServoInputs) -> SupervisedForce:
         """One tick at the session's time `t_s`; the force sent, tracker frame."""
+        if inputs.transform.warp is not None:
+            raise ValueError("the readable tick knows no change of the heart's shape")
         c = self._c
         dt_s = c.period_s if self._last is None else t_s - self._last[0]
         xyz = inputs.tracker_from_device.apply_array(xyz_device_mm[None])[0]

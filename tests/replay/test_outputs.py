@@ -14,16 +14,19 @@ from typer.testing import CliRunner, Result
 
 from dvf_ig.cardiac.respiration import BreathState
 from dvf_ig.cli.main import app
-from dvf_ig.core import OutputError, PhaseTrack, Rigid
+from dvf_ig.core import OutputError, PhaseTrack, Rigid, UnreadableFileError, Warp
 from dvf_ig.guidance import Hazard, Status, SupervisorState
 from dvf_ig.io import output_folder
 from dvf_ig.io.provenance import recorded_inputs
 from dvf_ig.io.writing.listing import LISTING
 from dvf_ig.replay import Replay, validate
-from dvf_ig.replay.outputs import COLUMNS, NAMES, ticks_csv, write_outputs
+from dvf_ig.replay.outputs import COLUMNS, NAMES, SHAPE, read_shape, ticks_csv, write_outputs, write_shape
 from dvf_ig.replay.ticks import Ticks
 from dvf_ig.session import UNFOLLOWED
 
+WARP = Warp.through(
+    "mr", np.full(3, -60.0), 10.0, np.random.default_rng(1).normal(size=(2197, 3)), np.ones(2197)
+)
 POSE = Rigid.from_rotation_vector([0.4, -0.9, 0.3], [12.5, -40.25, 310.75], "mr", "tracker")
 
 
@@ -85,7 +88,7 @@ def test_no_word_of_the_table_is_taken_for_a_missing_number() -> None:
 
 def test_the_last_pose_in_use_is_the_one_that_is_written(tmp_path: Path) -> None:
     earlier = Rigid.identity("mr", "tracker")
-    written = write_outputs([(1.0, earlier), (2.0, POSE)], two_ticks(), tmp_path)
+    written = write_outputs([(1.0, earlier), (2.0, POSE)], two_ticks(), tmp_path, warp=WARP)
     assert set(written) == set(NAMES) == {path.name for path in tmp_path.iterdir()}
     for ending in ("tfm", "h5"):
         transform = SimpleITK.ReadTransform(str(tmp_path / f"mr_from_tracker.{ending}"))
@@ -96,6 +99,21 @@ def test_the_last_pose_in_use_is_the_one_that_is_written(tmp_path: Path) -> None
         for _ in range(2):
             with output_folder(tmp_path / "again", NAMES):
                 write_outputs([(2.0, POSE)], two_ticks(), tmp_path / "again")
+
+
+def test_a_change_of_shape_is_read_as_it_was_written(tmp_path: Path) -> None:
+    assert read_shape(tmp_path) is None
+    write_shape(WARP, tmp_path / SHAPE)
+    read = read_shape(tmp_path)
+    assert read is not None
+    np.testing.assert_array_equal(read.coefficients, WARP.coefficients)
+    np.testing.assert_array_equal(read.origin_mm, WARP.origin_mm)
+    assert (read.frame, read.knot_mm) == ("mr", WARP.knot_mm)
+    content = json.loads((tmp_path / SHAPE).read_text())
+    for name, value in (("coefficients", content["coefficients"][:-8]), ("knot_mm", 0.0), ("origin_mm", [1])):
+        (tmp_path / SHAPE).write_text(json.dumps({**content, name: value}))
+        with pytest.raises(UnreadableFileError, match="damaged"):
+            read_shape(tmp_path)
 
 
 def test_what_plus_reads_names_the_marker_that_poses_are_relative_to(tmp_path: Path) -> None:

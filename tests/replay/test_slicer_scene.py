@@ -28,8 +28,10 @@ from toy_run import (
     recorded,
     run_folder,
 )
+from toy_sphere import sphere
 
-from dvf_ig.core import InvalidInputError, Rigid, UnreadableFileError
+from dvf_ig.core import InvalidInputError, Mesh, Rigid, UnreadableFileError, Warp
+from dvf_ig.io import read_mesh
 from dvf_ig.replay.export.exported_run import read_exported_run
 from dvf_ig.replay.export.slicer_scene import write_slicer_scene
 
@@ -201,6 +203,22 @@ def test_mr_and_surfaces_lie_where_they_were(folder: Path) -> None:
         mesh = open3d.io.read_triangle_mesh(str(slicer.file(node)))
         np.testing.assert_allclose(np.asarray(mesh.vertices), surface.vertices_mm, atol=1e-4)
         assert b"SPACE=LPS" in slicer.file(node).read_bytes()[:80]
+
+
+def test_a_changed_heart_is_shown_where_the_patient_has_it(tmp_path: Path) -> None:
+    """Moved by 3 mm to the left: further out there, further in on the right, in place between."""
+    outer = tuple(Mesh("mr", *sphere(20.0, 3, np.zeros(3))) for _ in range(4))
+    caps = tuple(np.zeros(len(mesh.triangles), dtype=bool) for mesh in outer)
+    model, origin = replace(ball_model(), reference=outer, reference_caps=caps), np.full(3, -60.0)
+    moved_mm = np.tile([3.0, 0.0, 0.0], (13**3, 1))
+    warp = Warp.through("mr", origin, 10.0, moved_mm, np.full(13**3, 0.25))
+    write_slicer_scene(replace(run_folder(), warp=warp), model, tmp_path)
+    slicer = Slicer(tmp_path)
+    for part, side in (("further_out", 1.0), ("further_in", -1.0)):
+        mesh = read_mesh(slicer.file(slicer.named(f"heart_now_{part}")))
+        assert (side * (mesh.vertices_mm[:, 0] - 3.0) > 0.0).all()
+    assert slicer.named("heart_now_in_place") is not None
+    assert "heart_now_further_out.stl" in (tmp_path / "README.md").read_text()
 
 
 def test_a_reference_marker_keeps_its_name(tmp_path: Path) -> None:

@@ -18,6 +18,7 @@ class OutputFiles(NamedTuple):
     evidence: Path
     page: Path
     view: Path
+    shape: Path
 
     @property
     def plus_xml(self) -> Path:
@@ -28,7 +29,7 @@ class OutputFiles(NamedTuple):
     def every(self) -> tuple[Path, ...]:
         """All files that may be written."""
         transforms = (self.transform, *(self.transform.with_suffix(end) for end in (".h5", ".json")))
-        return (*transforms, self.plus_xml, self.evidence, self.page, self.view)
+        return (*transforms, self.plus_xml, self.evidence, self.page, self.view, self.shape)
 
     def write(
         self, result: "RegistrationResult", shown: "ShownInput", payload: dict[str, Any], name: str
@@ -36,6 +37,7 @@ class OutputFiles(NamedTuple):
         """Write all of them or none, and print their names."""
         from dvf_ig.cli.shell import wrote
         from dvf_ig.io import files_together, write_registration, write_sidecar, write_text, write_transforms
+        from dvf_ig.replay.outputs import write_shape
         from dvf_ig.replay.page.registration_page import registration_page, registration_view
 
         pose = result.target_from_source
@@ -52,12 +54,16 @@ class OutputFiles(NamedTuple):
             write_text(new / self.page.name, page)
             if view is not None:
                 write_text(new / self.view.name, view)
+            if result.shape is not None:
+                write_shape(result.shape.warp, new / self.shape.name)
         for file in written:
             wrote(self.transform.with_name(file.name), name)
         wrote(self.evidence)
         wrote(self.page)
         if view is not None:
             wrote(self.view)
+        if result.shape is not None:
+            wrote(self.shape, result.target_from_source.target)
 
 
 def output_of_register(out: Path | None) -> Path | None:
@@ -86,10 +92,13 @@ def payload_of(result: "RegistrationResult", shown: "ShownInput", name: str, see
 
 def files_of(out: Path, name: str) -> OutputFiles:
     """The files of a folder, or next to a transform file that the user named."""
+    from dvf_ig.replay.outputs import SHAPE
+
     if out.suffix == ".tfm":
-        evidence, view = (out.with_name(f"{out.stem}.{end}") for end in ("result.json", "view.html"))
-        return OutputFiles(out, evidence, out.with_suffix(".html"), view)
-    return OutputFiles(out / f"{name}.tfm", out / "result.json", out / "report.html", out / "view.html")
+        ends = ("result.json", "html", "view.html", SHAPE)
+        return OutputFiles(out, *(out.with_name(f"{out.stem}.{end}") for end in ends))
+    names = (f"{name}.tfm", "result.json", "report.html", "view.html", SHAPE)
+    return OutputFiles(*(out / name for name in names))
 
 
 def _surface_points(touched: "SurfaceDisagreement | None") -> dict[str, Any] | None:

@@ -8,15 +8,13 @@ what the views say nothing of.
 """
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import minimize
 
 from dvf_ig.core import HEART_RADIUS_MM, FloatArray, Rigid, read_only_arrays
-from dvf_ig.registration.lc2.lc2 import Lc2
+from dvf_ig.registration.lc2.lc2 import CostGradient, Lc2
 from dvf_ig.registration.lc2.slices import SliceSet
 from dvf_ig.registration.pose_chart import PoseChart
 
@@ -25,8 +23,8 @@ PRIOR_SIGMA_MM = 8.0
 SUSPICIOUS_LOG_RATIO = 8.4
 """Half the 99 % quantile of χ² of 6 degrees of freedom: a right calibration exceeds it once in a hundred
 registrations. Those of ten threshold hearts reach 5.3, calibrations that are 6 mm and 4° off 6.2 to 18."""
-ROUNDS, STEPS = 3, 12
-"""Searches one after the other, each about the end of the last and with steps at most."""
+STEPS = 30
+"""Most steps of the search."""
 
 
 @read_only_arrays
@@ -79,63 +77,41 @@ class ImageOffset:
         )
 
 
-def fit_image_offset(
-    slices: SliceSet,
-    probe: ProbePoses,
-    metric_of: Callable[[SliceSet], Lc2],
-    pose: Rigid,
-    center_mm: FloatArray,
-) -> ImageOffset:
+def fit_image_offset(probe: ProbePoses, metric: Lc2, pose: Rigid, center_mm: FloatArray) -> ImageOffset:
     """Find pose and calibration together.
 
+    Patches keep their weights at the given calibration, so that the cost is smooth.
+
     Args:
-        slices: coarse ones do.
-        metric_of: LC2 of the slices, wherever they lie.
+        metric: LC2 of the slices; coarse ones do.
         pose: near the optimum, target_from_source.
         center_mm: (3,) about which poses turn, target frame.
     """
-    given = PoseChart(probe.probe_from_image, probe.middle_mm)
+    poses, images = PoseChart(pose, center_mm), PoseChart(probe.probe_from_image, probe.middle_mm)
 
-    def cost_at(here: Rigid, image: Rigid) -> tuple[float, FloatArray]:
-        metric = metric_of(_placed(slices, probe, image))
-        return _cost(metric, here, center_mm, _motion(probe, here, center_mm), given.coordinates(image))
+    def cost_at(step: FloatArray) -> tuple[float, FloatArray]:
+        here = poses.pose(step[:6])
+        each = metric.cost_gradient(here, center_mm, _placed(metric.slices, probe, images.pose(step[6:])))
+        return _cost(each, metric.information, _motion(probe, here, center_mm), step[6:])
 
-    image = given.base
-    first_cost = last_cost = cost_at(pose, image)[0]
-    for _ in range(ROUNDS):
-        charts = PoseChart(pose, center_mm), PoseChart(image, probe.middle_mm)
-        search = partial(_at_step, cost_at, *charts)
-        found = minimize(search, np.zeros(12), jac=True, method="BFGS", options={"maxiter": STEPS})
-        pose, image = charts[0].pose(found.x[:6]), charts[1].pose(found.x[6:])
-        last_cost = float(found.fun)
-    step = given.coordinates(image)
+    found = minimize(cost_at, np.zeros(12), jac=True, method="BFGS", options={"maxiter": STEPS})
+    turn, shift = found.x[6:9], found.x[9:]
     return ImageOffset(
-        probe_from_image=image,
-        pose=pose,
-        moved_mm=float(np.linalg.norm(step[3:])),
-        turned_deg=float(np.degrees(np.linalg.norm(step[:3])) / HEART_RADIUS_MM),
-        log_likelihood_ratio=first_cost - last_cost,
+        probe_from_image=images.pose(found.x[6:]),
+        pose=poses.pose(found.x[:6]),
+        moved_mm=float(np.linalg.norm(shift)),
+        turned_deg=float(np.degrees(np.linalg.norm(turn)) / HEART_RADIUS_MM),
+        log_likelihood_ratio=cost_at(np.zeros(12))[0] - float(found.fun),
     )
 
 
-def _at_step(
-    cost_at: Callable[[Rigid, Rigid], tuple[float, FloatArray]],
-    pose: PoseChart,
-    image: PoseChart,
-    step: FloatArray,
-) -> tuple[float, FloatArray]:
-    return cost_at(pose.pose(step[:6]), image.pose(step[6:]))
-
-
-def _cost(
-    metric: Lc2, pose: Rigid, center_mm: FloatArray, motion: FloatArray, step: FloatArray
-) -> tuple[float, FloatArray]:
+def _cost(each: CostGradient, n: float, motion: FloatArray, step: FloatArray) -> tuple[float, FloatArray]:
     """−log posterior, and its gradient (12,) over pose and step.
 
     Args:
+        n: number of independent observations.
         motion: (s, 6, 6) A of each slice; step: (6,) η from the given calibration.
     """
-    each, n = metric.cost_gradient(pose, center_mm), metric.information
     total = float(each.cost.sum())
     share = 0.5 * n / max(total, 1e-12)
     unexplained = total / max(float(each.weight.sum()), 1e-300)
@@ -144,8 +120,8 @@ def _cost(
     return cost, np.concatenate([share * each.gradient.sum(axis=0), along])
 
 
-def _placed(slices: SliceSet, probe: ProbePoses, image: Rigid) -> SliceSet:
-    """The slices where another calibration puts them."""
+def _placed(slices: SliceSet, probe: ProbePoses, image: Rigid) -> FloatArray:
+    """(s, 3, 3) `frame_from_pixel` of the slices where another calibration puts them."""
     step = image @ probe.probe_from_image.inverse()
     turned = np.swapaxes(probe.rotations, 1, 2)
     in_probe = turned @ slices.frame_from_pixel
@@ -154,7 +130,7 @@ def _placed(slices: SliceSet, probe: ProbePoses, image: Rigid) -> SliceSet:
     moved[:, :, 2] += step.translation_mm
     placed = probe.rotations @ moved
     placed[:, :, 2] += probe.translations_mm
-    return replace(slices, frame_from_pixel=placed)
+    return placed
 
 
 def _motion(probe: ProbePoses, pose: Rigid, center_mm: FloatArray) -> FloatArray:

@@ -261,9 +261,15 @@ class Lc2:
         sums, motion = self._step_sums(target_from_source, center_mm, matrix=True)
         return NormalEquations(motion.matrix(sums), _slope(sums, motion))
 
-    def cost_gradient(self, target_from_source: Rigid, center_mm: FloatArray) -> CostGradient:
-        """Cost of each slice and its gradient in the coordinates of `PoseChart`."""
-        sums, motion = self._step_sums(target_from_source, center_mm, matrix=False)
+    def cost_gradient(
+        self, target_from_source: Rigid, center_mm: FloatArray, frame_from_pixel: FloatArray | None = None
+    ) -> CostGradient:
+        """Cost of each slice and its gradient in the coordinates of `PoseChart`.
+
+        Args:
+            frame_from_pixel: (s, 3, 3) where the slices lie; None: as in `SliceSet`.
+        """
+        sums, motion = self._step_sums(target_from_source, center_mm, frame_from_pixel, matrix=False)
         return _cost_gradient(sums, motion)
 
     def cut(self, owner: IntArray, part: IntArray) -> SliceParts:
@@ -313,10 +319,15 @@ class Lc2:
         return out
 
     def _step_sums(
-        self, target_from_source: Rigid, center_mm: FloatArray, *, matrix: bool
+        self,
+        target_from_source: Rigid,
+        center_mm: FloatArray,
+        frame_from_pixel: FloatArray | None = None,
+        *,
+        matrix: bool,
     ) -> tuple[FloatArray, SliceMotion]:
         """(s, STEP_SUMS) of `lc2_step_slices`, and what they mean for the pose."""
-        model, mm_from_pixel = self._placed(target_from_source)
+        model, mm_from_pixel = self._placed(target_from_source, frame_from_pixel)
         out = np.empty((len(self.slices), STEP_SUMS))
         self._run(lc2_step_slices, (self._patched, model, self._scratch, matrix, out))
         return out, self._motion(mm_from_pixel, center_mm)
@@ -325,11 +336,14 @@ class Lc2:
         mm_from_pixel[:, :, 2] += self._model.grid.origin_mm - center_mm
         return SliceMotion.of(mm_from_pixel, self._index_from_mm)
 
-    def _placed(self, target_from_source: Rigid) -> tuple[PlacedModel, FloatArray]:
+    def _placed(
+        self, target_from_source: Rigid, frame_from_pixel: FloatArray | None = None
+    ) -> tuple[PlacedModel, FloatArray]:
         """The model at a pose, and (s, 3, 3) mm from its grid's origin from (column, row, 1)."""
         require_same_frame(self.slices.frame, target_from_source.source, "registration pose")
         require_same_frame(self._model.grid.frame, target_from_source.target, "registration pose")
-        mm_from_pixel = target_from_source.rotation @ self.slices.frame_from_pixel
+        here = self.slices.frame_from_pixel if frame_from_pixel is None else frame_from_pixel
+        mm_from_pixel = target_from_source.rotation @ here
         mm_from_pixel[:, :, 2] += target_from_source.translation_mm - self._model.grid.origin_mm
         index_from_pixel = np.ascontiguousarray(self._index_from_mm @ mm_from_pixel)
         return PlacedModel(self._channels, self._phases, index_from_pixel), mm_from_pixel

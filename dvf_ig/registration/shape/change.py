@@ -13,6 +13,7 @@ import numpy as np
 from dvf_ig.core import FloatArray, Rigid, Warp, read_only_arrays
 from dvf_ig.core.space.warp import CELLS, knots
 from dvf_ig.kernels.boundary import DistanceSplines, boundary_distances
+from dvf_ig.kernels.warp import LARGEST_MM2
 from dvf_ig.registration.boundary.fit import Boundary
 from dvf_ig.registration.boundary.target import BoundaryTarget
 from dvf_ig.registration.pose_chart import DISTINCT_MM, rigid_motion
@@ -26,6 +27,8 @@ where the wall is seen, 200 and 400 leave 0.8; 30 leave 2.1 mm even if every poi
 SCALES_MM = (6.0, 3.0, 1.5, 0.75)
 ABOUT_SCALE_MM = 3.0
 """Scale of the first fit, at whose change of shape the points are compared with the model's edges again."""
+QUICK_STEPS = 2
+"""Steps of fits whose evidence alone is compared."""
 NOISE_FACTORS = (1.0, 1.5, 2.25, 3.4)
 NOISE_SCALE_MM = 1.5
 """The boundary's errors are those of calm images, or larger, as the evidence at this scale prefers: else the
@@ -49,6 +52,9 @@ PATCH_MM, PATCH_POINTS = 30.0, 8
 LARGEST_RIGID_MM = 1.0
 """RMS shift of the seen walls up to which fixtures stay rigid: hearts 1.2 mm different, which margins hold,
 show up to 0.85 mm, and following them brings the wall no nearer to the truth (docs/decisions/0042)."""
+PLAINLY_RIGID_MM = 0.8
+"""RMS shift of the seen walls by the first fit below which the heart is taken to be rigid: in threshold
+hearts 2101 to 2110, up to 5 mm different, the last fit has between 0.1 mm less and a fifth more."""
 ANOTHER_HEART_MM = 3.5
 """RMS shift of the seen walls beyond which the model may be another patient's: load and filling move the
 walls of one heart by up to 5 mm, 3 mm RMS."""
@@ -57,7 +63,7 @@ LARGEST_SLOPE = 0.5
 LARGEST_SHARED = 0.7
 """Mean square of the boundary's shared error beyond which what is seen is no change of shape."""
 LARGEST_APART_MM = 1.0
-"""RMS distance between the seen walls by either half of the frames: at most 0.55 in threshold hearts 5 mm
+"""RMS distance between the seen walls by either half of the frames: at most 0.62 in threshold hearts 5 mm
 different."""
 HELD_OUT_FRAMES = 4
 """Frames in a row that are held out together."""
@@ -81,6 +87,22 @@ class Halves:
 
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
+class GuardedWalls:
+    """How well the walls are known at which a force may be given.
+
+    Attributes:
+        square_of_motion: (6, 6) M: ξ of `PoseChart` moves them along their normals by ξᵀMξ in mean square.
+        variance_mm2: mean variance of their place along their normals, the registered pose's included.
+        square_mm4: mean square of the covariances between them.
+    """
+
+    square_of_motion: FloatArray
+    variance_mm2: float
+    square_mm4: float
+
+
+@read_only_arrays
+@dataclass(frozen=True, slots=True, eq=False)
 class ShapeChange:
     """A change of the heart's shape, at the pose of the registration that found it.
 
@@ -92,8 +114,8 @@ class ShapeChange:
         wall: which wall has moved most, for example "left anterior"; shift_mm: by how much, positive
             outward; sigma_mm: its standard deviation.
         shared: mean square of the boundary's shared error after the change, see `ShapePosterior`.
-        halves: what every second group of frames shows and the others show; None if nothing is to follow
-            the change.
+        halves: what every second group of frames shows and the others show, and guarded: walls at which a
+            force may be given; None if nothing is to follow the change.
         partly: the heart's images cover it in part, so that nothing shows how the rest has changed.
     """
 
@@ -106,6 +128,7 @@ class ShapeChange:
     sigma_mm: float
     shared: float
     halves: Halves | None = None
+    guarded: GuardedWalls | None = None
     partly: bool = False
 
     @property
@@ -154,6 +177,7 @@ def change_of_shape(
     pose: Rigid,
     center_mm: FloatArray,
     organ: BoundaryTarget | None = None,
+    least_mm: float = PLAINLY_RIGID_MM,
 ) -> ShapeChange | None:
     """Estimate the change of shape at a registered pose; None if the boundary shows none.
 
@@ -162,6 +186,7 @@ def change_of_shape(
     Args:
         offset_mm: of the boundary, see `BoundaryFit`.
         organ: outer surface of the organ, which says where its walls are thin.
+        least_mm: RMS shift of the seen walls by the first fit below which nothing further is computed.
     """
     modes = _modes_of(boundary.target, tuple(center_mm.tolist()))
     seen = SeenBoundary(boundary, offset_mm, pose, organ)
@@ -169,44 +194,56 @@ def change_of_shape(
     if len(problem) < LEAST_POINTS:
         return None
     about = problem.fit(ABOUT_SCALE_MM, NOISE_FACTORS[0])
-    if np.linalg.norm(about.state[:6]) > DISTINCT_MM:
+    if np.linalg.norm(about.state[:6]) > DISTINCT_MM or _rms(problem.shift_mm(about)) < least_mm:
         return None
     problem = ShapeProblem(seen, modes, MODES, about)
     if len(problem) < LEAST_POINTS:
         return None
-    noise = max(NOISE_FACTORS, key=lambda tried: problem.fit(NOISE_SCALE_MM, tried, about).log_evidence)
-    rigid = problem.fit(0.0, noise)
-    best = _most_likely(problem, noise, about)
-    evidence = best.log_evidence - rigid.log_evidence
+    best, noise = _most_likely(problem, about)
+    evidence = best.log_evidence - problem.fit(0.0, noise).log_evidence
     if evidence < LEAST_EVIDENCE:
         return None
     change = _change(boundary.target, problem, modes, best, evidence)
     if change.followed is None:
         return change
-    return replace(change, halves=_halves(problem, seen, modes, best, noise))
+    guarded = _guarded_walls(boundary.target, modes, best)
+    return replace(change, halves=_halves(problem, best, noise), guarded=guarded)
 
 
-def _most_likely(problem: ShapeProblem, noise: float, about: ShapePosterior) -> ShapePosterior:
-    """Fit at the scale where the evidence is largest, by the parabola through SCALES_MM near it."""
-    fits = [about]
+def _most_likely(problem: ShapeProblem, about: ShapePosterior) -> tuple[ShapePosterior, float]:
+    """Fit at the noise and the scale where the evidence is largest; return the fit and its noise.
+
+    Few steps of a fit show by how much its evidence differs from another's.
+    """
+
+    def quick(scale_mm: float, noise: float, begin: ShapePosterior) -> ShapePosterior:
+        return problem.fit(scale_mm, noise, begin, steps=QUICK_STEPS)
+
+    fits, noise = {NOISE_SCALE_MM: quick(NOISE_SCALE_MM, NOISE_FACTORS[0], about)}, NOISE_FACTORS[0]
+    for larger in NOISE_FACTORS[1:]:
+        tried = quick(NOISE_SCALE_MM, larger, about)
+        if tried.log_evidence < fits[NOISE_SCALE_MM].log_evidence:
+            break
+        fits[NOISE_SCALE_MM], noise = tried, larger
+    begin = about
     for scale_mm in SCALES_MM:
-        fits.append(problem.fit(scale_mm, noise, fits[-1]))
-    evidence = np.array([tried.log_evidence for tried in fits[1:]])
+        if scale_mm not in fits:
+            fits[scale_mm] = quick(scale_mm, noise, begin)
+        begin = fits[scale_mm]
+    evidence = np.array([fits[scale_mm].log_evidence for scale_mm in SCALES_MM])
     k = min(max(int(np.argmax(evidence)), 1), len(SCALES_MM) - 2)
     before, here, after = evidence[k - 1 : k + 2]
     bend = min(before + after - 2.0 * here, -1e-9)
     part = float(np.clip(0.5 * (before - after) / bend, -1.0, 1.0))
     scale_mm = SCALES_MM[k] * (SCALES_MM[1] / SCALES_MM[0]) ** part
-    return max([problem.fit(scale_mm, noise, fits[1 + k]), *fits[1:]], key=lambda tried: tried.log_evidence)
+    return problem.fit(scale_mm, noise, fits[SCALES_MM[k]]), noise
 
 
-def _halves(
-    problem: ShapeProblem, seen: SeenBoundary, modes: ShapeModes, best: ShapePosterior, noise: float
-) -> Halves:
+def _halves(problem: ShapeProblem, best: ShapePosterior, noise: float) -> Halves:
     """Compare the changes that either half of the frames shows, with the other half and with each other."""
-    frame = np.cumsum(np.diff(seen.boundary.points.model_phase, prepend=0.0) != 0.0)
+    frame = np.cumsum(np.diff(problem.model_phase, prepend=0.0) != 0.0)
     odd = frame // HELD_OUT_FRAMES % 2 == 1
-    halves = [ShapeProblem(seen.part(part), modes, MODES, best) for part in (odd, ~odd)]
+    halves = [problem.part(part) for part in (odd, ~odd)]
     if min(len(half) for half in halves) < LEAST_POINTS:
         return Halves(np.inf, np.inf)
     changed = rigid = 0.0
@@ -216,8 +253,7 @@ def _halves(
         fit = half.fit(best.scale_mm, noise, best)
         changed += other.misfit(fit)
         shifts.append(problem.shift_mm(fit))
-    apart_mm = float(np.sqrt(np.mean((shifts[0] - shifts[1]) ** 2)))
-    return Halves(changed / rigid, apart_mm)
+    return Halves(changed / rigid, _rms(shifts[0] - shifts[1]))
 
 
 def _change(
@@ -240,7 +276,7 @@ def _change(
         warp=Warp.through(target.frame, origin_mm, knot_mm, pulled, variance),
         scale_mm=best.scale_mm,
         evidence=float(evidence),
-        seen_mm=float(np.sqrt(np.mean(shift**2))),
+        seen_mm=_rms(shift),
         wall=wall,
         shift_mm=shift_mm,
         sigma_mm=sigma_mm,
@@ -253,16 +289,46 @@ def _field(
 ) -> tuple[FloatArray, FloatArray]:
     """(n, 3) pull-back m at (n, 3) places, and (n,) variance of q − m(q) along (n, 3) normals."""
     moved, motion = modes.at(places_mm, MODES), rigid_motion(places_mm, modes.center_mm)
-    pulled = moved @ best.state[FIXED:] - motion @ best.state[:6]
+    columns, alone = _known_along(modes, best, places_mm, normals, moved)
+    return moved @ best.state[FIXED:] - motion @ best.state[:6], (columns**2).sum(axis=1) + alone
+
+
+def _known_along(
+    modes: ShapeModes,
+    best: ShapePosterior,
+    places_mm: FloatArray,
+    normals: FloatArray,
+    moved: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """(n, k) F and (n,) v: the errors of q − m(q) along normals have the covariance F Fᵀ + diag(v).
+
+    Args:
+        moved: (n, 3, MODES) of the modes at the (n, 3) places.
+    """
     along = np.einsum("ni,nik->nk", normals, moved)
-    columns = np.concatenate([np.einsum("ni,nip->np", normals, motion), -along], axis=1)
+    motion = np.einsum("ni,nip->np", normals, rigid_motion(places_mm, modes.center_mm))
     kept = np.r_[:6, FIXED : len(best.state)]  # all but the offsets
-    known = best.covariance_mm2[np.ix_(kept, kept)]
+    known = np.linalg.cholesky(best.covariance_mm2[np.ix_(kept, kept)])
     left_out = modes.variance_along(places_mm, normals) - (along**2).sum(axis=1)
-    variance = ((columns @ known) * columns).sum(axis=1)
-    variance = variance + best.scale_mm**2 * np.maximum(left_out, 0.0)
+    alone = SIGMA_FACTOR**2 * best.scale_mm**2 * np.maximum(left_out, 0.0)
     floor = SIGMA_FLOOR_MM**2 + (SIGMA_SHARE * best.scale_mm) ** 2
-    return pulled, SIGMA_FACTOR**2 * variance + floor
+    return SIGMA_FACTOR * np.concatenate([motion, -along], axis=1) @ known, alone + floor
+
+
+def _guarded_walls(target: BoundaryTarget, modes: ShapeModes, best: ShapePosterior) -> GuardedWalls:
+    """Evaluate the fit at the walls where it is known well enough for a force; at all if nowhere."""
+    places = _walls_mm(target)
+    normals = _outward(target, places, modes.center_mm)
+    columns, alone = _known_along(modes, best, places, normals, modes.at(places, MODES))
+    variance = (columns**2).sum(axis=1) + alone
+    served = variance <= LARGEST_MM2
+    if not served.any():
+        served[:] = True
+    columns, variance = columns[served], float(variance[served].mean())
+    motion = np.einsum("ni,nip->np", normals, rigid_motion(places, modes.center_mm))[served]
+    # what no fit knows of neighbours is taken to be as alike as what it does
+    alike = float(((columns.T @ columns) ** 2).sum() / (columns**2).sum() ** 2)
+    return GuardedWalls(motion.T @ motion / len(motion), variance, variance**2 * alike)
 
 
 def _most_moved(
@@ -287,6 +353,10 @@ def _most_moved(
     )
 
 
+def _rms(values: FloatArray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
 def _side(direction: FloatArray) -> str:
     """Name of the side of the heart in a direction, LPS."""
     share = direction / np.linalg.norm(direction)
@@ -295,12 +365,17 @@ def _side(direction: FloatArray) -> str:
 
 @lru_cache(maxsize=2)
 def _modes_of(target: BoundaryTarget, center_mm: tuple[float, ...]) -> ShapeModes:
-    """Modes over the walls at the first phase of a heart, which all its registrations share."""
+    """Modes over the walls of a heart, which all its registrations share."""
+    return shape_modes(_walls_mm(target), np.array(center_mm))
+
+
+def _walls_mm(target: BoundaryTarget) -> FloatArray:
+    """(WALL_PLACES, 3) places in the walls at the first phase."""
     low, high = WALL_MM
     voxels = np.argwhere((target.coefficients[0] > low) & (target.coefficients[0] < high))
     some = voxels[np.linspace(0, len(voxels) - 1, WALL_PLACES).astype(int)]
-    walls = (some + 1.0 - target.knots_from_mm[:, 3]) @ np.linalg.inv(target.knots_from_mm[:, :3]).T
-    return shape_modes(walls, np.array(center_mm))
+    knots_mm = (some + 1.0 - target.knots_from_mm[:, 3]) @ np.linalg.inv(target.knots_from_mm[:, :3]).T
+    return np.asarray(knots_mm)
 
 
 def _outward(target: BoundaryTarget, places_mm: FloatArray, center_mm: FloatArray) -> FloatArray:

@@ -42,18 +42,32 @@ class ShapeModes:
 
     def at(self, places_mm: FloatArray, count: int) -> FloatArray:
         """(n, 3, count) displacement of the first modes at (n, 3) places."""
-        rotation = self.rotation[:, :count].reshape(-1, 3, count)
-        scalar = _correlation(places_mm, self.nodes_mm) @ self.whitened
-        moved = np.tensordot(scalar, rotation, axes=1)
-        rigid = np.tensordot(self.rigid_part.reshape(6, -1), self.rotation[:, :count], axes=1)
-        return np.asarray(moved - np.tensordot(rigid_motion(places_mm, self.center_mm), rigid, axes=1))
+        return self._displaced(places_mm, self.rotation[:, :count])
+
+    def displacement(self, places_mm: FloatArray, coefficients: FloatArray) -> FloatArray:
+        """(n, 3) displacement at (n, 3) places by the first modes together, with (k,) coefficients."""
+        return self._displaced(places_mm, self.rotation[:, : len(coefficients)] @ coefficients[:, None])[
+            ..., 0
+        ]
 
     def variance_along(self, places_mm: FloatArray, directions: FloatArray) -> FloatArray:
         """(n,) variance of all modes together at (n, 3) places along (n, 3) directions."""
-        scalar = _correlation(places_mm, self.nodes_mm) @ self.whitened
+        scalar = self._scalar(places_mm)
         moved = np.einsum("ni,nip->np", directions, rigid_motion(places_mm, self.center_mm))
-        fields = (scalar[:, :, None] * directions[:, None, :]).reshape(len(places_mm), 3 * scalar.shape[1])
-        return np.asarray(((fields - moved @ self.rigid_part.reshape(6, -1)) ** 2).sum(axis=1))
+        flat = self.rigid_part.reshape(6, -1)
+        mixed = np.einsum("ni,npi->np", directions, np.tensordot(scalar, self.rigid_part, axes=(1, 1)))
+        own = (directions**2).sum(axis=1) * (scalar**2).sum(axis=1)
+        return np.asarray(own + np.einsum("np,np->n", moved, moved @ (flat @ flat.T) - 2.0 * mixed))
+
+    def _displaced(self, places_mm: FloatArray, rotation: FloatArray) -> FloatArray:
+        """(n, 3, k) displacement at (n, 3) places by (3 s, k) combinations of the fields along each axis."""
+        moved = np.tensordot(self._scalar(places_mm), rotation.reshape(-1, 3, rotation.shape[1]), axes=1)
+        rigid = self.rigid_part.reshape(6, -1) @ rotation
+        return np.asarray(moved - rigid_motion(places_mm, self.center_mm) @ rigid)
+
+    def _scalar(self, places_mm: FloatArray) -> FloatArray:
+        """(n, s) fields at (n, 3) places."""
+        return np.asarray(_correlation(places_mm, self.nodes_mm) @ self.whitened)
 
 
 def shape_modes(walls_mm: FloatArray, center_mm: FloatArray) -> ShapeModes:

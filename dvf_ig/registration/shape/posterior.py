@@ -14,10 +14,11 @@ Gauss–Newton with the weights of Geman and McClure; then w is integrated out. 
 (MacKay 1992).
 """
 
-from dataclasses import dataclass, replace
+from copy import copy
+from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import cholesky, solve_triangular
 from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
@@ -49,7 +50,7 @@ REACH_MM = 10.0
 """Points further from the model's boundary than this at the given pose do not count."""
 POINTS = 2500
 STEPS = 6
-"""Most steps of a descent with OUTLIER_MM."""
+"""Most steps of a descent with OUTLIER_MM, unless fewer do."""
 FAR = (3.0, 3.0, 3.0)
 """Factors on OUTLIER_MM in the first steps of a descent that begins at a rigid heart: walls may be far."""
 SETTLED_MM = 0.02
@@ -93,10 +94,6 @@ class SeenBoundary:
     pose: Rigid
     organ: BoundaryTarget | None
 
-    def part(self, keep: BoolArray) -> "SeenBoundary":
-        """Keep some of the points."""
-        return replace(self, boundary=replace(self.boundary, points=self.boundary.points.subset(keep)))
-
 
 class ShapeProblem:
     """Boundary points that lie near the model's boundary at a pose.
@@ -104,6 +101,7 @@ class ShapeProblem:
     Attributes:
         places_mm: (n, 3) the points at the pose, target frame.
         outward: (n, 3) unit normals of the model's boundary there, from the blood to the wall.
+        model_phase: (n,) when in the model's cycle each was seen.
     """
 
     def __init__(
@@ -117,27 +115,27 @@ class ShapeProblem:
         """
         boundary, offset_mm, pose = seen.boundary, seen.offset_mm, seen.pose
         few = boundary.points.subsampled(POINTS)
-        points = BoundaryProblem(Boundary(few, boundary.target), modes.center_mm).points
+        oriented = BoundaryProblem(Boundary(few, boundary.target), modes.center_mm).points
         self._splines = DistanceSplines(
             boundary.target.coefficients, boundary.target.knots_from_mm, boundary.target.polarity
         )
-        places, phases = pose.apply_array(points.points), points.phases
+        places, phases = pose.apply_array(oriented.points), oriented.phases
         pulled = places
         if about is not None:
             pulled = places + rigid_motion(places, modes.center_mm) @ about.state[:6]
-            pulled = pulled - modes.at(places, len(about.state) - FIXED) @ about.state[FIXED:]
+            pulled = pulled - modes.displacement(places, about.state[FIXED:])
         distance, gradient = self._distance(pulled, phases)
         length = np.maximum(np.linalg.norm(gradient, axis=1, keepdims=True), 1e-6)
         unit = gradient / length
         outward = boundary.target.polarity * unit
-        normals = points.normals @ pose.rotation.T
+        normals = oriented.normals @ pose.rotation.T
         agreement = np.einsum("ni,ni->n", normals, outward)
         near = (np.abs(distance - offset_mm) < REACH_MM) & (agreement > 0.0)
         foot = -np.where(near, distance / length[:, 0], 0.0)[:, None] * unit
         edge = edges_of_model_mm(self._splines, pulled + foot, normals, few.planes @ pose.rotation.T, phases)
         near &= np.isfinite(edge)
         self.places_mm, self.outward = places[near], outward[near]
-        self._phases = phases[near]
+        self.model_phase, self._phases = few.model_phase[near], phases[near]
         depth = _depth_mm(seen.organ, few.model_phase, pulled + foot)[near]
         thin = np.exp(-np.maximum(depth, 0.0) / THIN_MM)
         thin -= thin.mean() if near.any() else 0.0
@@ -145,7 +143,7 @@ class ShapeProblem:
         at_edge = pulled + foot + np.nan_to_num(edge)[:, None] * normals
         self._edge_mm = self._distance(at_edge[near], self._phases)[0]
         self._offset_mm = offset_mm - (float(np.median(self._edge_mm)) if near.any() else 0.0)
-        self._weight = points.weights[near] * agreement[near]
+        self._weight = oriented.weights[near] * agreement[near]
         self._motion = rigid_motion(self.places_mm, modes.center_mm)
         # modes at the feet of the points: at the points, a change that varies along the normal explains noise
         feet = (places + foot)[near]
@@ -153,10 +151,18 @@ class ShapeProblem:
         inside = np.einsum("ni,nik->nk", gradient[near], self._modes)
         every = modes.variance_along(feet, gradient[near])
         self._left_out = np.maximum(every - (inside**2).sum(axis=1), 0.0)
-        self._shared = shared_error(points.points[near])
+        self._shared = shared_error(oriented.points[near])
 
     def __len__(self) -> int:
         return len(self.places_mm)
+
+    def part(self, keep: BoolArray) -> "ShapeProblem":
+        """Keep some of the points."""
+        some = copy(self)
+        for name, of_points in vars(self).items():
+            if name not in ("_splines", "_offset_mm"):
+                setattr(some, name, of_points[keep])
+        return some
 
     def _distance(self, places_mm: FloatArray, phases: IntArray) -> tuple[FloatArray, FloatArray]:
         """(n,) distance of the model's boundary and (n, 3) its gradient, 0 outside the splines."""
@@ -164,12 +170,15 @@ class ShapeProblem:
         boundary_distances(self._splines, phases, places_mm, distance, gradient)
         return distance, gradient
 
-    def fit(self, scale_mm: float, noise: float, begin: ShapePosterior | None = None) -> ShapePosterior:
+    def fit(
+        self, scale_mm: float, noise: float, begin: ShapePosterior | None = None, steps: int = STEPS
+    ) -> ShapePosterior:
         """Fit at one scale of the change of shape; 0 keeps the heart rigid.
 
         Args:
             noise: factor on NOISE_MM and SHARED_MM.
             begin: fit to begin at.
+            steps: most steps with OUTLIER_MM.
         """
         modes = self._modes if scale_mm > 0 else self._modes[:, :, :0]
         count, rows = modes.shape[2], noise * self._shared
@@ -180,23 +189,23 @@ class ShapeProblem:
         if begin is not None:
             state[: len(begin.state)] = begin.state
         far = FAR if begin is None or begin.scale_mm == 0.0 else ()
-        for step in range(len(far) + STEPS):
+        for step in range(len(far) + steps):
             residual, columns = self._expansion(state, modes)
             residual = residual - rows @ w
             outlier = OUTLIER_MM * (far[step] if step < len(far) else 1.0)
             near = 1.0 / (1.0 + (residual / outlier) ** 2)
-            weight = self._weight / variance * near**2
-            weighted = weight[:, None] * columns
-            mixed = -(rows.T @ weighted)
-            own = (rows.T @ rows.multiply(weight[:, None])).toarray() + np.eye(len(w))
-            factor = cho_factor(own, lower=True, overwrite_a=True, check_finite=False)
-            solved = cho_solve(
-                factor, np.column_stack([mixed, w - rows.T @ (weight * residual)]), check_finite=False
-            )
-            reduced = columns.T @ weighted + np.diag(prior) - mixed.T @ solved[:, :-1]
-            slope = weighted.T @ residual + prior * state
-            change = -np.linalg.solve(reduced, slope - mixed.T @ solved[:, -1])
-            state, w = state + change, w - solved[:, -1] - solved[:, :-1] @ change
+            root = near * np.sqrt(self._weight / variance)
+            expected, shared = root[:, None] * columns, rows.multiply(root[:, None]).tocsr()
+            own = (shared.T @ shared).toarray() + np.eye(len(w))
+            lower = cholesky(own, lower=True, overwrite_a=True, check_finite=False)
+            right = np.column_stack([shared.T @ expected, shared.T @ (root * residual) - w])
+            half = solve_triangular(lower, right, lower=True, overwrite_b=True, check_finite=False)
+            mixed, last = half[:, :-1], half[:, -1]
+            reduced = expected.T @ expected - mixed.T @ mixed + np.diag(prior)
+            slope = expected.T @ (root * residual) + prior * state - mixed.T @ last
+            change = -np.linalg.solve(reduced, slope)
+            state = state + change
+            w = w + solve_triangular(lower, last + mixed @ change, trans=1, lower=True, check_finite=False)
             if np.linalg.norm(change[:6]) < SETTLED_MM and step >= len(far):
                 break
         residual = self._expansion(state, modes)[0] - rows @ w
@@ -205,7 +214,7 @@ class ShapeProblem:
             -0.5 * float(self._weight @ (residual**2 / variance * near + np.log(variance)))
             - 0.5 * float(prior @ state**2 + w @ w - np.log(prior[FIXED:]).sum())
             - 0.5 * float(np.linalg.slogdet(reduced)[1])
-            - float(np.log(np.diag(factor[0])).sum())
+            - float(np.log(np.diag(lower)).sum())
         )
         shared = float(np.mean(w**2))
         return ShapePosterior(state, np.linalg.inv(reduced), scale_mm, log_evidence, shared)

@@ -39,6 +39,7 @@ from dvf_ig.core import (
 from dvf_ig.registration.lc2.lc2 import Lc2
 from dvf_ig.registration.lc2.optimise import PRIOR_SIGMA_MM, GaussianPrior, OptimiserOptions, optimise
 from dvf_ig.registration.pose_chart import PoseChart, covariance_to_mm, rigid_motion
+from dvf_ig.registration.shape.change import GuardedWalls, ShapeChange
 
 WEIGHT_TOLERANCE = 1e-3
 """Tolerance of ω: the determinant is flat at its minimum."""
@@ -122,7 +123,8 @@ class PoseEstimate:
         shared_mm2: S, of the error that all beats have in common.
         shape_step: the pose is shape_step ∘ that at which images match best, which a change of the heart's
             shape has pulled aside (`registration.shape`); None if they are the same.
-        warp: change of the heart's shape at `pose`; None if the last registration found none.
+        warp: change of the heart's shape at `pose`, and walls: how well it knows those that are guarded;
+            None if the last registration found none.
         square_of_targets: (6, 6) M, the mean square distance by which ξ moves the targets is ξᵀMξ.
     """
 
@@ -132,6 +134,7 @@ class PoseEstimate:
     shared_mm2: FloatArray
     shape_step: Rigid | None = None
     warp: Warp | None = None
+    walls: GuardedWalls | None = None
     square_of_targets: FloatArray = field(default_factory=lambda: np.diag(MEAN_SQUARE_OF_COORDINATES))
 
     @classmethod
@@ -142,19 +145,20 @@ class PoseEstimate:
         noise_covariance: FloatArray,
         center_mm: FloatArray,
         matched: Rigid | None = None,
-        warp: Warp | None = None,
+        change: ShapeChange | None = None,
         targets_mm: FloatArray | None = None,
     ) -> "PoseEstimate":
         """From a registration's covariances in rad², mm²: beats improve the noise alone.
 
         Args:
             matched: where its images match best; None: at the pose.
-            warp: change of the heart's shape at the pose.
+            change: of the heart's shape at the pose, which fixtures follow.
             targets_mm: (n, 3) that the error is stated over, target frame; None: of the heart's box.
         """
         step = None if matched is None else pose @ matched.inverse()
         noise, all_errors = covariance_to_mm(noise_covariance), covariance_to_mm(covariance)
-        estimate = cls(pose, noise, center_mm, all_errors, step, warp)
+        warp, walls = (None, None) if change is None else (change.warp, change.guarded)
+        estimate = cls(pose, noise, center_mm, all_errors, step, warp, walls)
         if targets_mm is None:
             return estimate
         motion = rigid_motion(targets_mm, center_mm)
@@ -175,12 +179,18 @@ class PoseEstimate:
     def pose_bound_mm(self) -> float:
         """95 % quantile of the RMS error over the targets, by `total_mm2`.
 
-        A registration's `tre_bound_mm` is on the largest error over them instead.
+        A registration's `tre_bound_mm` is on the largest error over them instead. Of a heart whose shape is
+        followed the pose alone says little: the error is that of the guarded walls along their normals, by
+        `walls` and by what beats have moved them since.
 
         Source: Satterthwaite 1946 (a quadratic form as a scaled χ² of the same mean and variance).
         """
-        weighted = self.square_of_targets @ self.total_mm2
-        mean, square = float(np.trace(weighted)), float(np.sum(weighted * weighted.T))
+        if self.walls is None:
+            weighted, mean, square = self.square_of_targets @ self.total_mm2, 0.0, 0.0
+        else:
+            weighted = self.walls.square_of_motion @ self.covariance_mm2
+            mean, square = self.walls.variance_mm2, self.walls.square_mm4
+        mean, square = mean + float(np.trace(weighted)), square + float(np.sum(weighted * weighted.T))
         return math.sqrt(square / mean * float(chi2.ppf(0.95, mean * mean / square)))
 
     def predict(self, beats: float) -> "PoseEstimate":
@@ -218,7 +228,14 @@ class PoseEstimate:
         pose, warp = chart.pose(offset), registered.warp
         if warp is not None:  # the walls are where the registration saw them
             warp = warp.at_pose(registered.pose, pose)
-        there = replace(self, pose=pose, covariance_mm2=random, shared_mm2=shared, warp=warp)
+        there = replace(
+            self,
+            pose=pose,
+            covariance_mm2=random,
+            shared_mm2=shared,
+            warp=warp,
+            walls=registered.walls,
+        )
         if registered.shape_step is self.shape_step:
             return there
         reshaped = replace(there, shape_step=registered.shape_step)

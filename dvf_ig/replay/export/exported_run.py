@@ -16,11 +16,12 @@ from dvf_ig.core import (
     Rigid,
     Scenario,
     UnreadableFileError,
+    Warp,
 )
 from dvf_ig.core.space.frames import RAS_FROM_LPS
 from dvf_ig.intake.calibrations import calibrate
 from dvf_ig.io import provenance_fields, read_json, read_sequence
-from dvf_ig.replay.outputs import POSES
+from dvf_ig.replay.outputs import POSES, read_shape
 from dvf_ig.replay.run_folder import RESULT, require_same_recording
 from dvf_ig.replay.ticks import POSE_STEP_S
 from dvf_ig.session import UltrasoundCalibration
@@ -40,6 +41,7 @@ class ExportedRun:
         bound_mm: bound of the last usable registration's error over the heart with 95 % probability; None if
             none was stated.
         result: the content of result.json.
+        warp: change of the heart's shape at the last pose; None if it has kept its shape.
     """
 
     scenario: Scenario
@@ -49,6 +51,7 @@ class ExportedRun:
     suspended_s: tuple[tuple[float, float], ...]
     bound_mm: float | None
     result: dict[str, Any]
+    warp: Warp | None = None
 
     def pose_numbers(self, t_s: FloatArray) -> IntArray:
         """Find (n,) the index in `poses` of the pose at `t_s`, or of the last before; at least the first."""
@@ -107,6 +110,7 @@ def _replayed(folder: Path, result: dict[str, Any], scenario: Scenario) -> Expor
         tuple((float(begin), float(end)) for begin, end in result["doubts_s"]),
         usable[-1]["tre_bound_mm"],
         result,
+        read_shape(folder),
     )
 
 
@@ -116,7 +120,8 @@ def _registration(folder: Path, result: dict[str, Any], scenario: Scenario) -> E
     calibrations = calibrate(replace(scenario, tip=None), int(result["seed"]))
     pose = Rigid.from_matrix(np.array(result["mr_from_tracker"]), "mr", "tracker")
     bound = result["tre_bound_mm"]
-    return ExportedRun(scenario, calibrations.ultrasound, None, ((-np.inf, pose),), (), bound, result)
+    placed = ((-np.inf, pose),)
+    return ExportedRun(scenario, calibrations.ultrasound, None, placed, (), bound, result, read_shape(folder))
 
 
 def _poses(path: Path) -> tuple[tuple[float, Rigid], ...]:

@@ -1,7 +1,7 @@
 """Run or registration as a 3D Slicer scene folder: the recording, placed in the patient.
 
     scene (RAS, the pre-operative images)
-    ├─ mr, heart_…, targets, landmarks_mr
+    ├─ mr, heart_…, heart_now_…, targets, landmarks_mr
     └─ TrackerToRas          the registration; a sequence if there were updates
        ├─ ProbeToTracker     at the moment that each image shows
        │  └─ ImageToProbe    calibration, pixels to mm
@@ -29,6 +29,7 @@ from dvf_ig.core import (
     Mesh,
     Points,
     Volume,
+    Warp,
     read_only_arrays,
 )
 from dvf_ig.core.space.frames import RAS_FROM_LPS
@@ -42,6 +43,8 @@ from dvf_ig.io.slicer.nodes import (
     write_node_transform,
     write_volume_sequence,
 )
+from dvf_ig.kernels.warp import LARGEST_SIGMA_MM
+from dvf_ig.report.registration.shape import shape_shown
 from dvf_ig.session.gated_frames import smoothed_poses
 
 from .exported_run import ExportedRun
@@ -49,6 +52,14 @@ from .slicer_readme import readme_text
 
 SCENE, README = "scene.mrml", "README.md"
 HEART_COLOR, UNSEEN_COLOR = (0.84, 0.37, 0.0), (0.55, 0.56, 0.6)
+MOVED_MM = 1.0
+"""Shift along its normal from which a part of the patient's surface is shown as moved."""
+SHIFT_PARTS = (
+    ("further_in", (0.13, 0.4, 0.67), f"more than {MOVED_MM:g} mm further in than in the images"),
+    ("in_place", (0.95, 0.95, 0.95), f"within {MOVED_MM:g} mm of its place in the images"),
+    ("further_out", (0.7, 0.09, 0.17), f"more than {MOVED_MM:g} mm further out than in the images"),
+    ("not_known", UNSEEN_COLOR, "not known well enough for a force"),
+)
 IMAGE = "ImageToProbe"
 
 
@@ -164,11 +175,28 @@ def _patient(out: SceneFolder, model: DvfModel) -> None:
             description = f"{model.surface_name} at {fraction:.3f} of the RR interval{note}"
             visible = phase == model.ed_phase
             out.scene.add_model(name[:-4], name, visible=visible, color=color, description=description)
+    if out.run.warp is not None:
+        _patient_surface(out, model, out.run.warp)
     truth = scenario.truth
     if truth is not None:
         _points(out, "targets", truth.targets)
     if scenario.landmarks_mr is not None:
         _points(out, "landmarks_mr", scenario.landmarks_mr)
+
+
+def _patient_surface(out: SceneFolder, model: DvfModel, warp: Warp) -> None:
+    """Add the surface as the patient has it at end-diastole, in parts by how far it has moved."""
+    shown = shape_shown("", model.reference[model.ed_phase], warp, LARGEST_SIGMA_MM)
+    outward = shown.outward_mm[shown.triangles].mean(axis=1)
+    known = shown.known[shown.triangles].all(axis=1)
+    step = np.where(known, np.digitize(outward, [-MOVED_MM, MOVED_MM]), len(SHIFT_PARTS) - 1)
+    for number, (part, color, note) in enumerate(SHIFT_PARTS):
+        triangles = shown.triangles[step == number]
+        if len(triangles):
+            name = f"heart_now_{part}.stl"
+            write_mesh(Mesh(model.frame, shown.now_mm, triangles), out.place(name, model.frame))
+            description = f"the patient's {model.surface_name} at end-diastole, {note}"
+            out.scene.add_model(name[:-4], name, visible=True, color=color, description=description)
 
 
 def _points(out: SceneFolder, name: str, landmarks: Landmarks, parent: str | None = None) -> None:

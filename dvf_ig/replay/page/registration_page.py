@@ -123,6 +123,7 @@ def registration_view(result: RegistrationResult, shown: ShownInput) -> str | No
                 model=shown.model,
                 targets=shown.targets,
                 bound_mm=result.tre_bound_mm,
+                warp=None if result.shape is None else result.shape.warp,
             )
         )
     )

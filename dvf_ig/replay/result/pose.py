@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from dvf_ig.core import FloatArray, Landmarks, Rigid, ScenarioTruth
-from dvf_ig.guidance import Hazard
+from dvf_ig.core import DvfModel, FloatArray, Landmarks, Rigid, ScenarioTruth, SurfaceSeries, Warp
+from dvf_ig.guidance import Evaluator, Hazard, Sigmoid
+from dvf_ig.kernels.warp import LARGEST_MM2
 from dvf_ig.registration import PoseChart, target_errors_mm
 from dvf_ig.replay.engine import Replay
 from dvf_ig.replay.preconditions import RATE_HZ
@@ -20,6 +21,8 @@ from .score import pose_errors_mm
 
 MIN_SPAN_S = 10.0
 """Shortest time over which drift is stated: over less it is within the scatter of single updates."""
+VERTICES_APART = 40
+"""Every so many vertices of the true surface are compared with the guarded walls."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -223,19 +226,43 @@ def pose_bound_fields(replay: Replay) -> dict[str, float | None] | None:
     """Compute the median bound of the pose in use, and the share of pose updates at which it held.
 
     The bound is that on the RMS error over the heart or its covered surface, which the pose states at each of
-    its updates; a registration's is on the largest error (`bound_fields`). None without a pose; without a
-    truth no share.
+    its updates, or of the guarded walls of a heart whose shape is followed; a registration's is on the
+    largest error (`bound_fields`). None without a pose; without a truth no share.
     """
     ticks, truth = replay.ticks, replay.scenario.truth
-    at = np.searchsorted(ticks.t_s, [from_s for from_s, _ in replay.poses])
-    at = at[at < len(ticks)]
-    at = at[_posed(ticks)[at]]
+    updates = [update for update in replay.history.updates if update.pose is not None]
+    at = np.searchsorted(ticks.t_s, [update.from_s for update in updates])
+    updates = [update for update, k in zip(updates, at, strict=True) if k < len(ticks) and _posed(ticks)[k]]
+    at = np.searchsorted(ticks.t_s, [update.from_s for update in updates])
     if not len(at):
         return None
     bounds, coverage = ticks.pose_bound_mm[at], None
     if truth is not None:
+        model, stated = replay.setup.heart.model, truth
         if truth.breathing is None:
-            truth = replace(truth, targets=_stated_targets(replay, truth))
-        errors_mm = pose_errors_mm(ticks.mr_from_tracker[at], ticks.t_s[at], truth)
-        coverage = float(np.mean(np.sqrt((errors_mm**2).mean(axis=1)) <= bounds))
+            stated = replace(truth, targets=_stated_targets(replay, truth))
+        rms_mm = np.sqrt((pose_errors_mm(ticks.mr_from_tracker[at], ticks.t_s[at], stated) ** 2).mean(axis=1))
+        for k, update in enumerate(updates):
+            if update.pose is not None and update.warp is not None:
+                moved = update.pose @ truth.mr_from_tracker_at(update.from_s).inverse()
+                rms_mm[k] = guarded_wall_rms_mm(model, truth.surface, moved, update.warp)
+        coverage = float(np.mean(rms_mm <= bounds))
     return {"median": float(np.median(bounds)), "coverage": coverage, "updates": len(at)}
+
+
+def guarded_wall_rms_mm(model: DvfModel, surface: SurfaceSeries, moved: Rigid, warp: Warp) -> float:
+    """Compute the RMS distance of the true surface from the walls where a force may be given.
+
+    Where it may be given nowhere, from all walls.
+
+    Args:
+        surface: the patient's; moved: its estimated from its true position, model frame.
+    """
+    vertices = surface.vertices_mm[:, ::VERTICES_APART]
+    phases = np.repeat(surface.timing.fractions, vertices.shape[1])
+    places = moved.apply_array(vertices.reshape(-1, 3))
+    m_mm, variance_mm2 = warp.at(places)
+    wall = Evaluator(model, Sigmoid()).force(places - m_mm, phases)
+    off_mm = wall.distance_mm / np.linalg.norm(wall.gradient, axis=1)
+    served = np.isfinite(off_mm) & (variance_mm2 <= LARGEST_MM2)
+    return float(np.sqrt(np.nanmean(off_mm[served if served.any() else ...] ** 2)))

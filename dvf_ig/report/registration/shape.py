@@ -14,12 +14,11 @@ from matplotlib.figure import Figure
 
 from dvf_ig.core import BoolArray, FloatArray, IntArray, Mesh, Warp, read_only_arrays
 from dvf_ig.report.style import WIDE_IN
+from dvf_ig.report.viewer.surfaces import vertex_normals
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-TURNS = 8
-"""Steps by which a place of the patient is found from that in the MR."""
 UNKNOWN = (0.72, 0.72, 0.72)
 MR = (0.93, 0.90, 0.85)
 SHIFTS = "RdBu_r"
@@ -55,16 +54,8 @@ def shape_shown(sentence: str, mesh: Mesh, warp: Warp, largest_sigma_mm: float) 
         largest_sigma_mm: of a place that counts as known.
     """
     before = mesh.vertices_mm
-    now = before
-    for _ in range(TURNS):
-        now = before + warp.at(now)[0]
-    corners = before[mesh.triangles]
-    area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals = np.zeros_like(before)
-    for corner in range(3):
-        np.add.at(normals, mesh.triangles[:, corner], area)
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-    outward: FloatArray = np.einsum("ni,ni->n", normals, now - before)
+    now = warp.patient_places(before)
+    outward: FloatArray = np.einsum("ni,ni->n", vertex_normals(mesh), now - before)
     known = np.sqrt(warp.at(now)[1]) <= largest_sigma_mm
     return ShapeShown(sentence, before, now, np.asarray(mesh.triangles), outward, known)
 

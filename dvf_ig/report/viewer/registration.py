@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import dvf_ig
-from dvf_ig.core import DvfModel, Landmarks
+from dvf_ig.core import DvfModel, Landmarks, Warp
 from dvf_ig.core.arrays import AnyArray
 from dvf_ig.guidance import FixtureSet
 from dvf_ig.report.plane_overlay import PlaneOverlay
@@ -37,6 +37,7 @@ class RegistrationView:
         model: of the heart; None for an organ that does not beat.
         targets: named points of the anatomy.
         bound_mm: 95 % bound on the error at any of them; None if none is stated.
+        warp: change of the heart's shape since the anatomy was imaged; None if none was found.
     """
 
     title: str
@@ -49,6 +50,7 @@ class RegistrationView:
     model: DvfModel | None
     targets: Landmarks | None
     bound_mm: float | None
+    warp: Warp | None = None
 
 
 def registration_payload(view: RegistrationView) -> dict[str, Any]:
@@ -64,7 +66,7 @@ def registration_payload(view: RegistrationView) -> dict[str, Any]:
         "title": view.title,
         "patient_id": view.patient_id,
         "version": dvf_ig.__version__,
-        "heart": heart if model is None else heart_payload(model, None),
+        "heart": heart if model is None else heart_payload(model, None, view.warp),
         "distance": None if model is None else distance_payload(model),
         "fixtures": [],
         "fixtures_cap_n": FixtureSet().joint_cap_n,

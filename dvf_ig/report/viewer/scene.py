@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 import dvf_ig
-from dvf_ig.core import BoolArray, DvfModel, Fan, FloatArray, Landmarks
+from dvf_ig.core import BoolArray, DvfModel, Fan, FloatArray, Landmarks, Mesh, Warp
 from dvf_ig.guidance import (
     HAZARD_RULES,
     Evaluator,
@@ -21,13 +21,21 @@ from dvf_ig.guidance import (
     Status,
     SupervisorState,
 )
+from dvf_ig.kernels.warp import LARGEST_MM2
 
 from .packing import packed, packed_exactly
-from .surfaces import SHARE_OF_CAP, CycleSurface, cycle_surface, fixture_surface, shown_level_mm
+from .surfaces import (
+    SHARE_OF_CAP,
+    CycleSurface,
+    cycle_surface,
+    fixture_surface,
+    shown_level_mm,
+    vertex_normals,
+)
 
 SCHEMA = "dvf_ig.view/1"
 ORGAN_PITCH_MM, BLOOD_PITCH_MM = 4.0, 3.5
-VERTEX_STEP_MM = 0.02
+VERTEX_STEP_MM, SHIFT_STEP_MM = 0.02, 0.01
 DISTANCE_PITCH_MM, DISTANCE_STEP_MM, FARTHEST_MM = 3.0, 0.1, 12.6
 FIELD_MARGIN_MM = 9.0
 """Margin around the organ in which the distance is included."""
@@ -48,6 +56,7 @@ class SceneInput:
         breathing: label and unit of a breathing signal; None without one.
         age_limit_s: age from which a pose is withheld.
         targets: named points in the model's frame.
+        warp: change of the heart's shape since the MR; None if it has kept it.
     """
 
     kind: str
@@ -59,6 +68,7 @@ class SceneInput:
     breathing: tuple[str, str] | None = None
     age_limit_s: float | None = None
     targets: Landmarks | None = None
+    warp: Warp | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -104,7 +114,7 @@ def scene_payload(scene: SceneInput) -> dict[str, Any]:
         "title": scene.title,
         "patient_id": model.patient_id,
         "version": dvf_ig.__version__,
-        "heart": heart_payload(model, scene.fixtures),
+        "heart": heart_payload(model, scene.fixtures, scene.warp),
         "distance": distance_payload(model),
         "fixtures": [] if scene.fixtures is None else [_fixture(one) for one in scene.fixtures.fixtures],
         "fixtures_cap_n": (scene.fixtures or FixtureSet()).joint_cap_n,
@@ -116,8 +126,12 @@ def scene_payload(scene: SceneInput) -> dict[str, Any]:
     }
 
 
-def heart_payload(model: DvfModel, fixtures: FixtureSet | None) -> dict[str, Any]:
-    """Encode surfaces of organ, blood and fixtures through the cycle."""
+def heart_payload(model: DvfModel, fixtures: FixtureSet | None, warp: Warp | None = None) -> dict[str, Any]:
+    """Encode surfaces of organ, blood and fixtures through the cycle.
+
+    Args:
+        warp: change of the heart's shape since the MR, which shows the patient's surface as well.
+    """
     organ = cycle_surface(model.reference, ORGAN_PITCH_MM)
     surfaces = []
     unseen = _unseen(model, organ)
@@ -129,6 +143,7 @@ def heart_payload(model: DvfModel, fixtures: FixtureSet | None) -> dict[str, Any
         _surface(chamber.name, "blood", cycle_surface(chamber.surfaces, BLOOD_PITCH_MM))
         for chamber in model.chambers
     ]
+    surfaces += [] if warp is None else [_patient_surface(model, organ, warp)]
     surfaces += [] if fixtures is None else _fixture_surfaces(model, fixtures, organ)
     low, high = organ.vertices_mm.min(axis=(0, 1)), organ.vertices_mm.max(axis=(0, 1))
     return {
@@ -136,6 +151,17 @@ def heart_payload(model: DvfModel, fixtures: FixtureSet | None) -> dict[str, Any
         "fractions": model.timing.fractions.tolist(),
         "center_mm": ((low + high) / 2).round(3).tolist(),
     }
+
+
+def _patient_surface(model: DvfModel, organ: CycleSurface, warp: Warp) -> dict[str, Any]:
+    """Encode the organ's surface as the patient has it, with its shift at end-diastole where it is known."""
+    moved = np.stack([warp.patient_places(vertices) for vertices in organ.vertices_mm])
+    before, now = organ.vertices_mm[model.ed_phase], moved[model.ed_phase]
+    normals = vertex_normals(Mesh(model.frame, before, organ.triangles))
+    known = warp.at(now)[1] <= LARGEST_MM2
+    outward = np.where(known, np.einsum("ni,ni->n", normals, now - before), np.nan)
+    shown = CycleSurface(moved, organ.triangles)
+    return _surface(model.surface_name, "patient", shown, outward_mm=packed(outward, SHIFT_STEP_MM))
 
 
 def _unseen(model: DvfModel, organ: CycleSurface) -> BoolArray:

@@ -40,7 +40,7 @@ def cycle_surface(phases: Sequence[Mesh], pitch_mm: float) -> CycleSurface:
     first = phases[0]
     vertices, triangles = _merged(first, pitch_mm)
     ring = _neighbours(triangles, len(vertices))
-    tree, normals = cKDTree(first.vertices_mm), _normals(first)
+    tree, normals = cKDTree(first.vertices_mm), vertex_normals(first)
     for _ in range(SMOOTHINGS):
         vertices = _onto(0.5 * (vertices + ring @ vertices), first, tree, normals)
     nearest = tree.query(vertices)[1]
@@ -51,7 +51,7 @@ def cycle_surface(phases: Sequence[Mesh], pitch_mm: float) -> CycleSurface:
             before.triangles, first.triangles
         ):
             moved = moved + mesh.vertices_mm[nearest] - before.vertices_mm[nearest]
-        tree, normals = cKDTree(mesh.vertices_mm), _normals(mesh)
+        tree, normals = cKDTree(mesh.vertices_mm), vertex_normals(mesh)
         moved = _onto(moved, mesh, tree, normals)
         out.append(
             _onto(0.5 * (moved + ring @ moved), mesh, tree, normals)
@@ -117,7 +117,7 @@ def _neighbours(triangles: IntArray, count: int) -> sparse.csr_array:
     return sparse.csr_array(linked.multiply(1.0 / linked.sum(axis=1)[:, None]))
 
 
-def _normals(mesh: Mesh) -> FloatArray:
+def vertex_normals(mesh: Mesh) -> FloatArray:
     """Compute (v, 3) unit normals, weighted by area."""
     a, b, c = (mesh.vertices_mm[mesh.triangles[:, k]] for k in range(3))
     faces = np.cross(b - a, c - a)

@@ -71,6 +71,6 @@ def fitted(step_mm: FloatArray) -> tuple[ImageOffset, float]:
     model = channels_from_mr(toy_mr(), smoothing_mm=1.0)
     metric = partial(Lc2, model=model, patch_mm=21.0, pitch_mm=PITCH_MM)
     start = optimise(metric(slices), toy_pose(), CENTER_MM, None, OptimiserOptions(40, 4.0, 0.02)).pose
-    found = fit_image_offset(slices, probe, metric, start, CENTER_MM)
+    found = fit_image_offset(probe, metric(slices), start, CENTER_MM)
     targets = Points("mr", CENTER_MM + np.random.default_rng(1).uniform(-40, 40, (27, 3)))
     return found, float(target_errors_mm(found.pose, toy_pose(), targets).mean())

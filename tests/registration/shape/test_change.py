@@ -9,6 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from dvf_ig.core import CycleTiming, FloatArray, Grid, Rigid, VolumeSeries
+from dvf_ig.kernels.warp import LARGEST_MM2
 from dvf_ig.registration import BLOOD, WALL, BoundaryPoints, BoundaryTarget, target_from_labels
 from dvf_ig.registration.boundary.fit import Boundary
 from dvf_ig.registration.pose_chart import rigid_motion
@@ -112,6 +113,18 @@ def test_a_pressed_wall_is_found_where_it_is(seed: int) -> None:
     assert 0.4 < np.sqrt(np.mean((left / sigma) ** 2)) < 1.3
     behind = np.sqrt(change.warp.at(CENTER + np.array([[0.0, 45.0, 0.0]]))[1])
     assert behind[0] > 2.0 * np.median(sigma), "what is not seen is not known"
+
+
+def test_the_error_of_the_guarded_walls_is_stated() -> None:
+    change = _change(2, pressed=1.0)
+    assert change is not None
+    assert change.guarded is not None
+    wall, normal = _on_wall(800, np.random.default_rng(7))
+    now = wall + _pressed_mm(wall)
+    pulled, variance = change.warp.at(now)
+    left = np.einsum("ni,ni->n", normal, now - pulled - wall)[variance <= LARGEST_MM2]
+    assert np.mean(left**2) < change.guarded.variance_mm2 < LARGEST_MM2
+    assert 1.0 < change.guarded.variance_mm2**2 / change.guarded.square_mm4 < len(left)
 
 
 def test_a_change_is_said_in_words() -> None:

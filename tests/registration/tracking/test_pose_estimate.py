@@ -8,7 +8,8 @@ from toy_heart import CENTER_MM, toy_mr, toy_pose, toy_slices
 
 from dvf_ig.core import HEART_RADIUS_MM, Rigid, mean_displacement_mm
 from dvf_ig.registration import BeatMeasurement, Lc2, PoseChart, PoseEstimate, channels_from_mr, measure_beat
-from dvf_ig.registration.pose_chart import covariance_from_mm
+from dvf_ig.registration.pose_chart import covariance_from_mm, rigid_motion
+from dvf_ig.registration.shape.change import GuardedWalls
 from dvf_ig.registration.tracking.pose_estimate import PROCESS_NOISE_MM, TARGET_RADIUS_MM
 
 MR = toy_mr()
@@ -105,6 +106,23 @@ def test_the_bound_holds_the_rms_error_over_the_targets_in_95_percent() -> None:
 
     far = [rms_mm(chart.pose(xi)) > held.pose_bound_mm for xi in drawn[:1000]]
     assert 0.03 < np.mean(far) < 0.07
+
+
+def test_the_bound_of_a_followed_shape_holds_the_error_of_its_walls_in_95_percent() -> None:
+    rng = np.random.default_rng(6)
+    normals = rng.normal(size=(30, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    moved = np.einsum("ni,nip->np", normals, rigid_motion(CENTER_MM + 40.0 * normals, CENTER_MM))
+    alike = 0.3 * rng.normal(size=(30, 5))
+    known = alike @ alike.T
+    walls = GuardedWalls(moved.T @ moved / 30, float(np.trace(known)) / 30, float((known**2).sum()) / 30**2)
+    held = replace(estimate(TRUTH, 0.4), walls=walls)
+    beats = moved @ rng.multivariate_normal(np.zeros(6), held.covariance_mm2, 4000).T
+    off = beats + alike @ rng.normal(size=(5, 4000))
+    assert 0.03 < np.mean(np.sqrt((off**2).mean(axis=0)) > held.pose_bound_mm) < 0.07
+    unfollowed = estimate(TRUTH, 0.4)
+    assert unfollowed.intersected_with(held, 0.0).walls is walls
+    assert held.intersected_with(unfollowed, 0.0).pose_bound_mm == unfollowed.pose_bound_mm
 
 
 def test_prediction_adds_process_noise_to_a_registrations_covariance() -> None:

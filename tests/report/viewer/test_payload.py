@@ -20,7 +20,8 @@ from toy_session import TIP, compare_known, register_known, run, ticks, toy_setu
 from toy_sphere import sphere
 
 import dvf_ig
-from dvf_ig.core import Chamber, DvfModel, InvalidInputError, Landmarks, Mesh, PhaseState, Points
+from dvf_ig.core import Chamber, DvfModel, InvalidInputError, Landmarks, Mesh, PhaseState, Points, Warp
+from dvf_ig.core.space.warp import knots
 from dvf_ig.guidance import (
     Confinement,
     Evaluator,
@@ -45,7 +46,7 @@ from dvf_ig.report.viewer import (
 )
 from dvf_ig.report.viewer.model import MODEL_STEP_S
 from dvf_ig.report.viewer.page import SLOT
-from dvf_ig.report.viewer.scene import words
+from dvf_ig.report.viewer.scene import heart_payload, words
 from dvf_ig.report.viewer.series import STEPS
 from dvf_ig.report.viewer.surfaces import cycle_surface, fixture_surface, shown_level_mm
 from dvf_ig.session import Session
@@ -145,6 +146,23 @@ def test_every_field_stands_in_the_description(scene: dict[str, Any]) -> None:
     names -= {name for name in STEPS if "_y_" in name or "_z_" in name or name.endswith(("_y", "_z"))}
     assert not [name for name in names if name not in text]
     json.dumps(scene, allow_nan=False)
+
+
+def test_a_changed_heart_is_shown_as_the_patient_has_it(round_ball: DvfModel) -> None:
+    """Moved by 3 mm to the left, and not known on its right side."""
+    origin = CENTERS[0] - 60.0
+    places = knots(origin, 10.0)
+    variance = np.where(places[:, 0] > CENTERS[0][0], 0.25, 4.0)
+    moved_mm = np.array([3.0, 0.0, 0.0])
+    warp = Warp.through("mr", origin, 10.0, np.tile(moved_mm, (len(places), 1)), variance)
+    organ, patient = heart_payload(round_ball, None, warp)["surfaces"][::2]
+    assert (organ["role"], patient["role"]) == ("organ", "patient")
+    before = unpacked(organ["vertices"])
+    np.testing.assert_allclose(unpacked(patient["vertices"]) - before, moved_mm + 0.0 * before, atol=0.03)
+    outward, right = unpacked(patient["outward_mm"]), before[0, :, 0] - CENTERS[0][0]
+    expected = 3.0 * right / np.linalg.norm(before[0] - CENTERS[0], axis=1)
+    np.testing.assert_allclose(outward[right > 10.0], expected[right > 10.0], atol=0.1)
+    assert np.isnan(outward[right < -15.0]).all()
 
 
 def test_the_distance_of_the_scene_is_the_models(scene: dict[str, Any], ball: DvfModel) -> None:

@@ -4,11 +4,20 @@ export const COLORS = {
   organ: "#f0916a",
   unseen: "#8d8f98",
   blood: "#56b4e9",
+  patient: "#f2f2f2",
   fixture: "#1fc39a",
   force: "#f0e442",
   plane: "#cc79a7",
   tool: "#ffffff",
 };
+
+/** Red, green and blue of a shift outwards (red) or inwards (blue), grey where it is not known. */
+export function shiftColor(shift, largest) {
+  if (Number.isNaN(shift)) return [0.35, 0.35, 0.37];
+  const share = Math.min(1, Math.abs(shift) / largest);
+  const [r, g, b] = shift > 0 ? [0.7, 0.02, 0.06] : [0.02, 0.14, 0.5];
+  return [r, g, b].map((end) => 0.9 + share * (end - 0.9));
+}
 
 export const STATES = {
   ok: "#009e73",

@@ -5,7 +5,7 @@ import { legendRows, SPEEDS, VIEWS } from "./layout.js";
 /** A button for each thing that is shown, which hides it. */
 export function legend(viewer) {
   const box = viewer.$("legend");
-  for (const [role, color, text] of legendRows(viewer.scene, viewer.series)) {
+  for (const [role, color, text] of legendRows(viewer.scene, viewer.series, viewer.space.heart)) {
     const button = document.createElement("button");
     button.innerHTML = `<i style="background:${color}"></i>`;
     button.append(text);

@@ -25,6 +25,11 @@ export class Surface {
     this.shown = NaN;
   }
 
+  /** Largest known shift of a surface of the patient, at least 1 mm. */
+  get largest_mm() {
+    return this.outward.reduce((most, one) => (Math.abs(one) > most ? Math.abs(one) : most), 1);
+  }
+
   at(phi) {
     if (phi === this.shown) return this.positions;
     const [first, second, weight] = bracket(this.fractions, phi);
@@ -46,7 +51,9 @@ export class Heart {
     heart.surfaces = await Promise.all(
       surfaces.map(async (entry) => {
         const vertices = await unpacked(entry.vertices, Float32Array);
-        return new Surface(entry, vertices, await unpackedRaw(entry.triangles), fractions);
+        const surface = new Surface(entry, vertices, await unpackedRaw(entry.triangles), fractions);
+        if (entry.outward_mm) surface.outward = await unpacked(entry.outward_mm, Float32Array);
+        return surface;
       }),
     );
     heart.distance = scene.distance && (await DistanceField.of(scene.distance, fractions));

@@ -77,14 +77,15 @@ export function layOut(scene) {
 }
 
 /** What is shown, in its colour, with a switch for each. */
-export function legendRows(scene, series) {
-  const has = (role) => scene.heart.surfaces.find((one) => one.role === role);
+export function legendRows(scene, series, { surfaces }) {
+  const has = (role) => surfaces.find((one) => one.role === role);
   const fixture = has("fixture");
   const cap = scene.fixtures_cap_n;
   const paths = scene.fixtures.filter((one) => one.path_mm).slice(0, 1);
   const widened = (series.columns.margin_mm ?? []).some((one) => one > 0);
   return [
-    has("organ") && ["organ", COLORS.organ, `${words(has("organ").name)} surface`],
+    has("organ") && ["organ", COLORS.organ, `${words(has("organ").name)} surface${has("patient") ? " in the MR" : ""}`],
+    has("patient") && ["patient", COLORS.patient, `now: red further out, blue further in, up to ${has("patient").largest_mm.toFixed(1)} mm; grey: not known`],
     has("unseen") && ["unseen", COLORS.unseen, "not seen by any MR slice: closed, no force"],
     has("blood") && ["blood", COLORS.blood, "blood in all chambers (blue for contrast)"],
     scene.image && ["plane", COLORS.plane, "ultrasound plane"],

@@ -6,7 +6,7 @@ import {
   LineBasicMaterial, LineLoop, Mesh, MeshBasicMaterial, MeshLambertMaterial, MeshPhongMaterial, SphereGeometry, Sprite, SpriteMaterial,
   Vector3,
 } from "three";
-import { COLORS } from "./colors.js";
+import { COLORS, shiftColor } from "./colors.js";
 import { bracket } from "./heart.js";
 
 const UP = new Vector3(0, 1, 0);
@@ -19,19 +19,24 @@ export function surfaceMeshes(surface) {
   geometry.setAttribute("position", new BufferAttribute(surface.at(0), 3));
   geometry.setIndex(new BufferAttribute(surface.triangles, 1));
   geometry.computeVertexNormals();
-  const color = COLORS[surface.role];
+  const vertexColors = Boolean(surface.outward);
+  const color = vertexColors ? 0xffffff : COLORS[surface.role];
+  if (vertexColors) {
+    const rgb = Array.from(surface.outward).flatMap((one) => shiftColor(one, surface.largest_mm));
+    geometry.setAttribute("color", new BufferAttribute(new Float32Array(rgb), 3));
+  }
   const fixture = surface.role === "fixture";
   const blood = surface.role === "blood";
   const solid = new Mesh(
     geometry,
     new MeshPhongMaterial({
-      color, side: fixture ? BackSide : DoubleSide, transparent: fixture, opacity: fixture ? 0.3 : 1, depthWrite: !fixture,
+      color, vertexColors, side: fixture ? BackSide : DoubleSide, transparent: fixture, opacity: fixture ? 0.3 : 1, depthWrite: !fixture,
       shininess: 35, specular: fixture ? 0 : 0x2a2a2a,
     }),
   );
   const veil = new Mesh(
     geometry,
-    new MeshLambertMaterial({ color, side: FrontSide, transparent: true, opacity: 0.2, depthWrite: false }),
+    new MeshLambertMaterial({ color, vertexColors, side: FrontSide, transparent: true, opacity: 0.2, depthWrite: false }),
   );
   veil.renderOrder = blood ? 3 : 4;
   solid.renderOrder = fixture ? -1 : 0;

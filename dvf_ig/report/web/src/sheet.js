@@ -35,7 +35,7 @@ export class UltrasoundSheet {
     border.renderOrder = 6;
     const group = (this.group = new Group());
     group.add(sheet, border);
-    this.outlines = { blood: intersection("blood"), unseen: intersection("unseen"), organ: intersection("organ") };
+    this.outlines = { blood: intersection("blood"), unseen: intersection("unseen"), organ: intersection("organ"), patient: intersection("patient") };
     group.add(...Object.values(this.outlines));
     group.visible = false;
     this.context = canvas.getContext("2d", { willReadFrequently: !image.fan_px });

@@ -28,11 +28,12 @@ export class Space {
     this.controls.target.copy(this.center);
     this.half = halfExtents(heart, this.center);
     this.radius = Math.hypot(this.half[0], this.half[1], this.half[2]) / 1.25;
-    this.shown = { organ: true, unseen: true, blood: true, fixture: true, plane: true, field: true };
+    this.shown = { organ: true, unseen: true, patient: true, blood: true, fixture: true, plane: true, field: true };
     this.open = true;
     this.cutPlane = new Plane(new Vector3(0, 0, 1), 0);
     this.light();
     this.surfaces = heart.surfaces.map((surface) => this.added(surfaceMeshes(surface)));
+    this.changed = heart.surfaces.some((one) => one.role === "patient");
     this.ultrasound = scene.image && this.added(new UltrasoundSheet(scene.image, Boolean(scene.planes)));
     this.paths = (scene.fixtures ?? []).filter((one) => one.path_mm).map((one) => this.added(new TargetPath(one)));
     this.tool = this.added(new Tool());
@@ -185,9 +186,11 @@ export class Space {
     for (const { surface, solid, veil } of this.surfaces) {
       const shell = surface.role === "fixture";
       const blood = surface.role === "blood";
-      solid.visible = Boolean(plane) || shell || !blood || !this.shown.organ;
+      const ofMr = surface.role === "organ" || surface.role === "unseen";
+      const around = this.changed && this.shown.patient && ofMr; // a veil about the patient's surface
+      solid.visible = !around && (Boolean(plane) || shell || !blood || !this.shown.organ);
       solid.material.clippingPlanes = plane ? [this.cutPlane] : null;
-      veil.visible = (surface.role === "organ" || surface.role === "unseen") && Boolean(plane);
+      veil.visible = around || ((ofMr || surface.role === "patient") && Boolean(plane));
       veil.material.opacity = this.veil;
     }
     this.renderer.render(this.scene, this.camera);
