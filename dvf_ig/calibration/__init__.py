@@ -28,10 +28,10 @@ from .probe.errors import CalibrationErrors as CalibrationErrors
 from .probe.map_parameters import MapParameters as MapParameters
 from .probe.nwire import NWireOptions as NWireOptions
 from .probe.nwire import NWireResult as NWireResult
+from .probe.nwire import NWireVariants as NWireVariants
 from .probe.nwire import calibrate_nwire as calibrate_nwire
+from .probe.nwire import compare_nwire_methods as compare_nwire_methods
 from .probe.nwire import validate_nwire as validate_nwire
-from .probe.nwire_methods import NWireVariants as NWireVariants
-from .probe.nwire_methods import compare_nwire_methods as compare_nwire_methods
 from .probe.nwire_residuals import diagonal_crossings as diagonal_crossings
 from .probe.nwire_solve import NWIRE_METHODS as NWIRE_METHODS
 from .probe.nwire_solve import NWireMethod as NWireMethod

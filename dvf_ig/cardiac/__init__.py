@@ -13,9 +13,11 @@ from .lead_off import LeadOffDetector as LeadOffDetector
 from .phase_clock import PhaseClock as PhaseClock
 from .phase_clock import PhaseClockOptions as PhaseClockOptions
 from .phase_tracking import PhaseTracking as PhaseTracking
+from .phase_tracking import TriggerDetector as TriggerDetector
 from .phase_tracking import phase_from_peaks as phase_from_peaks
 from .phase_tracking import stream_recording as stream_recording
 from .phase_tracking import track_phase as track_phase
+from .phase_tracking import trigger_peaks as trigger_peaks
 from .retime import SYSTOLE_SLOPE_S_PER_BPM as SYSTOLE_SLOPE_S_PER_BPM
 from .retime import RetimeMode as RetimeMode
 from .retime import frame_period_s as frame_period_s
@@ -33,5 +35,3 @@ from .summary import MIN_BEATS as MIN_BEATS
 from .summary import GateSummary as GateSummary
 from .summary import state_segments as state_segments
 from .summary import summarise_gating as summarise_gating
-from .trigger import TriggerDetector as TriggerDetector
-from .trigger import trigger_peaks as trigger_peaks

@@ -14,9 +14,9 @@ from typer.core import TyperCommand
 from .shell import JsonFlag, command, emit, output_file, warn, wrote
 
 if TYPE_CHECKING:
+    from dvf_ig.intake.draft import Verdict
     from dvf_ig.intake.problems import Problem, Use
     from dvf_ig.intake.schema import Form
-    from dvf_ig.intake.verdict import Verdict
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -111,9 +111,9 @@ def _kind_of(form: "Form") -> Any:
 
 
 def _begin(given: Mapping[str, Any], output: Path, *, as_json: bool) -> None:
+    from dvf_ig.intake.draft import begin_session
     from dvf_ig.intake.parts import descriptions
     from dvf_ig.intake.schema import option_names
-    from dvf_ig.intake.verdict import begin_session
     from dvf_ig.intake.write import session_text
     from dvf_ig.io import write_text
 
@@ -166,9 +166,9 @@ def validate(
     Exits 0 when all is well, else 3 after one line for each problem.
     """
     with command():
+        from dvf_ig.intake.draft import judge_session
         from dvf_ig.intake.parts import descriptions
         from dvf_ig.intake.session import open_session
-        from dvf_ig.intake.verdict import judge_session
 
         config, folder = open_session(session)
         verdict = judge_session(config, folder, str(session))

@@ -1,8 +1,9 @@
-"""A session's configuration from the options of `dvf-ig config init`, as `intake.schema` lists them."""
+"""A session's configuration from the options of `dvf-ig config init`, and whether its files can be used."""
 
 import math
 import os
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,14 @@ from dvf_ig.io.ecg.trigger import split_ecg
 from dvf_ig.io.respiration import split_respiration
 from dvf_ig.io.yaml_config import validated
 
+from .findings import Finding
+from .fit import fit_of
+from .heart_in_images import HeartInImages
+from .parts import SessionFiles, missing_parts
+from .preop import preop_label_values
+from .problems import Problem, ProblemList, Use
 from .schema import KEYS, Form, SessionConfig
+from .session import examine
 
 
 def draft_config(given: Mapping[str, Any], folder: Path | None = None) -> SessionConfig:
@@ -123,3 +131,66 @@ def _relative(name: str | Path, folder: Path | None) -> str:
     if folder is None or not str(name):
         return str(name)
     return Path(os.path.relpath(Path(name).absolute(), folder.absolute())).as_posix()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Verdict:
+    """The parts that were read, and every problem that was found.
+
+    Attributes:
+        unreadable: files that are absent, damaged, of another kind, or calibrations that were refused.
+        misfits: parts that cannot be used, or not together.
+        missing: parts that are not named.
+        warnings, seen: as of a `Fit`.
+    """
+
+    files: SessionFiles
+    unreadable: tuple[Problem, ...]
+    misfits: tuple[Problem, ...]
+    missing: tuple[Problem, ...]
+    warnings: tuple[Finding, ...]
+    seen: HeartInImages | None
+
+    def hindrances(self, use: Use) -> tuple[Problem, ...]:
+        """Problems that prevent a use; a file that cannot be read prevents every use."""
+        fit = (problem for problem in (*self.misfits, *self.missing) if problem.concerns(use))
+        return (*self.unreadable, *fit)
+
+
+def judge_session(config: SessionConfig, folder: Path, named_by: str) -> Verdict:
+    """Open every file of a configuration and check that all fit.
+
+    Args:
+        folder: where names of files begin.
+        named_by: what names them, for messages.
+    """
+    return _verdict(config, *examine(config, folder, named_by))
+
+
+def begin_session(given: Mapping[str, Any], output: Path) -> tuple[SessionConfig, Verdict]:
+    """A configuration of the files that options name, and what is to be said of them.
+
+    Unless the user says otherwise, all labels of an image are taken as inside the protected surface.
+
+    Args:
+        given: values of the options of `config init` by their keys (`draft_config`).
+        output: the configuration's file; names in it begin at its folder.
+    Raises:
+        InvalidInputError: options that need another.
+    """
+    as_given, draft = draft_config(given), draft_config(given, output.parent)
+    files, problems = examine(as_given, Path(), str(output))
+    if draft.preop is not None and files.preop is not None and not draft.preop.organ_labels:
+        all_labels = {"organ_labels": preop_label_values(files.preop.preop)}
+        draft = draft.model_copy(update={"preop": draft.preop.model_copy(update=all_labels)})
+    return draft, _verdict(as_given, files, problems)
+
+
+def _verdict(config: SessionConfig, files: SessionFiles, problems: ProblemList) -> Verdict:
+    """An ECG that is neither named nor in the ultrasound is missing, not unreadable."""
+    absent = tuple(p for p in problems.items if p.key == "ecg" and config.ecg is None)
+    fit = fit_of(files)
+    wrong = ProblemList([*problems.items, *fit.misfits])
+    missing = missing_parts(files, wrong)
+    unreadable = tuple(p for p in problems.items if p not in absent)
+    return Verdict(files, unreadable, fit.misfits, (*absent, *missing), fit.warnings, fit.seen)

@@ -1,6 +1,7 @@
 """Convert files to core values and back: the only place that knows LPS/RAS, pixels, bytes and PLUS names."""
 
 from .calibration_files import read_hand_eye as read_hand_eye
+from .calibration_files import read_image_map as read_image_map
 from .calibration_files import read_lag as read_lag
 from .calibration_files import read_landmark_map as read_landmark_map
 from .calibration_files import read_probe as read_probe
@@ -34,6 +35,7 @@ from .image.volume import write_volume_series as write_volume_series
 from .json_file import plain as plain
 from .json_file import read_json as read_json
 from .json_file import write_json as write_json
+from .json_file import write_sidecar as write_sidecar
 from .landmarks import modalities_of_tag as modalities_of_tag
 from .landmarks import read_landmarks as read_landmarks
 from .landmarks import read_tag_pair as read_tag_pair
@@ -46,12 +48,11 @@ from .mesh.series import write_surface_series as write_surface_series
 from .model.model_file import model_digest as model_digest
 from .model.model_file import read_model as read_model
 from .model.model_file import write_model as write_model
+from .plus.ecg_field import add_ecg_field as add_ecg_field
 from .plus.ecg_field import read_ecg_field as read_ecg_field
-from .plus.ecg_field_write import add_ecg_field as add_ecg_field
 from .plus.feature_points import read_feature_points as read_feature_points
 from .plus.feature_points import read_target_recording as read_target_recording
 from .plus.feature_points import tracked_probe as tracked_probe
-from .plus.image_map import read_image_map as read_image_map
 from .plus.latency import read_latency_recording as read_latency_recording
 from .plus.latency import read_line_table as read_line_table
 from .plus.latency import write_line_table as write_line_table
@@ -59,16 +60,16 @@ from .plus.names import ProbeNames as ProbeNames
 from .plus.nwire import phantom_from_probe as phantom_from_probe
 from .plus.nwire import read_nwire_phantom as read_nwire_phantom
 from .plus.nwire import read_nwire_recording as read_nwire_recording
+from .plus.nwire import read_phantom_landmarks as read_phantom_landmarks
 from .plus.nwire import read_wire_points as read_wire_points
+from .plus.nwire import read_wire_search as read_wire_search
 from .plus.nwire import write_nwire_phantom as write_nwire_phantom
 from .plus.nwire import write_wire_points as write_wire_points
-from .plus.phantom_landmarks import read_phantom_landmarks as read_phantom_landmarks
 from .plus.poses import read_poses as read_poses
 from .plus.sequence_read import read_sequence as read_sequence
 from .plus.sequence_write import write_pose_sequence as write_pose_sequence
 from .plus.sequence_write import write_poses as write_poses
 from .plus.sequence_write import write_sequence as write_sequence
-from .plus.wire_search import read_wire_search as read_wire_search
 from .plus.xml import CoordinateDefinition as CoordinateDefinition
 from .plus.xml import read_calibrations as read_calibrations
 from .plus.xml import read_coordinate_definitions as read_coordinate_definitions
@@ -76,7 +77,6 @@ from .plus.xml import write_coordinate_definitions as write_coordinate_definitio
 from .plus.xml import write_registration as write_registration
 from .points_file import read_points as read_points
 from .provenance import provenance_fields as provenance_fields
-from .sidecar import write_sidecar as write_sidecar
 from .transform import read_transform as read_transform
 from .transform import write_transform as write_transform
 from .transform import write_transforms as write_transforms

@@ -4,6 +4,7 @@ Each is the JSON that `dvf-ig calibrate … -o FILE` writes; those that are a tr
 calibration that a quality gate refused is also refused here, unless `allow_refused` is set.
 """
 
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Literal, TypeVar, get_args
 
@@ -11,15 +12,15 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from dvf_ig.core import ImageMap, Points, QualityGateError, Rigid
+from dvf_ig.core.arrays import FloatArray
 from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
 from dvf_ig.core.plausible import lag_problem, pixel_problem, tip_problem
+from dvf_ig.io.reading import reading
 
 from . import limits
 from .json_file import read_json
-from .plus.image_map import read_image_map
 from .plus.names import same_sensor
-from .plus.xml import read_calibrations
-from .reading import reading
+from .plus.xml import CoordinateDefinition, parse_xml, read_calibrations, read_transforms
 from .transform import rigid_from_matrix
 from .yaml_config import validated
 
@@ -258,3 +259,67 @@ def _read(schema: type[F], path: Path, what: str, command: str, *, allow_refused
             f"{path} is a refused calibration: {'; '.join(calibration.refused_because)}; calibrate again"
         )
     return calibration
+
+
+SAME_MM = 0.1
+"""Largest distance, at the corners of a square of CORNER_PX, of two ways from the image to the sensor."""
+CORNER_PX = 500.0
+
+
+def read_image_map(path: Path | str, sensor: str = "probe") -> ImageMap:
+    """Read probe_from_image of a PLUS configuration or probe-calibration result.
+
+    PLUS fits each column separately: the first two are made orthogonal, the third, of arbitrary length in
+    PLUS's files, is rebuilt. The result's `shear_deg` states how far they were from orthogonal.
+
+    Args:
+        path: PLUS XML with `<Transform From="Image" To="Probe">`, or with a chain of transforms between them.
+        sensor: name of the sensor's frame.
+    Raises:
+        UnreadableFileError: absent, not XML, no such transform, two ways from the image to the sensor that
+            disagree, or image axes more than 1° off orthogonal.
+    """
+    path = Path(path)
+    name = f"{sensor}_from_image"
+    with reading(path, "a PLUS image calibration"):
+        transforms = read_transforms(path, parse_xml(path, "a PLUS image calibration"))
+        ways = dict(_ways(transforms, "image", sensor, np.eye(4), ("image",)))
+        if not ways:
+            raise UnreadableFileError(
+                f"{path} has no transform {name}; it has {', '.join(sorted(transforms)) or 'none'}: give "
+                "the file that holds it, or name its sensor",
+                settings=("ultrasound.probe_name",),
+            )
+        chosen = min(ways, key=len)
+        corners = np.array([[0, CORNER_PX, 0, CORNER_PX], [0, 0, CORNER_PX, CORNER_PX], [0] * 4, [1] * 4])
+        for way, matrix in ways.items():
+            apart = np.linalg.norm(((matrix - ways[chosen]) @ corners)[:3], axis=0).max()
+            if apart > SAME_MM:
+                raise UnreadableFileError(
+                    f"{path}: the transforms {' to '.join(way)} and {' to '.join(chosen)} place the image "
+                    f"{apart:.3g} mm apart; keep the ones that are true"
+                )
+        placed = ImageMap.from_matrix(ways[chosen], sensor)
+        if problem := pixel_problem(placed.scale_mm_per_px):
+            raise InvalidInputError(problem)
+        return placed
+
+
+def _ways(
+    transforms: Mapping[str, CoordinateDefinition],
+    at: str,
+    to: str,
+    before: FloatArray,
+    passed: tuple[str, ...],
+) -> Iterator[tuple[tuple[str, ...], FloatArray]]:
+    """Yield every way from a frame to another: the frames that it passes, and its (4, 4) matrix."""
+    if at == to:
+        yield passed, before
+        return
+    for one in transforms.values():
+        for source, target, forward in ((one.source, one.target, True), (one.target, one.source, False)):
+            if source == at and target not in passed:
+                if not forward and abs(np.linalg.det(one.matrix)) < 1e-12:
+                    continue
+                step = one.matrix if forward else np.linalg.inv(one.matrix)
+                yield from _ways(transforms, target, to, step @ before, (*passed, target))

@@ -5,6 +5,7 @@ import enum
 import json
 import math
 import re
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import numpy as np
 
 from dvf_ig.core.errors import OutputError, UnreadableFileError
 
+from .provenance import MARK, provenance_fields
 from .reading import read_text
 from .writing.atomic import write_text
 
@@ -26,6 +28,17 @@ def write_json(path: Path | str, value: Any) -> None:
         OutputError: not writable, or a value that JSON cannot hold.
     """
     write_text(Path(path), json.dumps(plain(value), indent=1, allow_nan=False, ensure_ascii=False) + "\n")
+
+
+def write_sidecar(path: Path, content: Mapping[str, Any], kind: str) -> None:
+    """Write a result as JSON with our mark, its kind and its provenance (see `provenance_fields`).
+
+    Args:
+        kind: of the content, for example "transform".
+    Raises:
+        OutputError: not writable.
+    """
+    write_json(path, {**plain({**content, **provenance_fields()}), "kind": kind, "written_by": MARK})
 
 
 def read_json(path: Path | str, what: str = "a JSON file") -> Any:

@@ -3,6 +3,9 @@
 A command opens a record; `reading` adds every file to it, with the SHA-256 of its content. Outside a command
 nothing is recorded. Names are those that the user gave: an absolute path is shortened to the path within the
 given folder, or to the file's own name.
+
+Files that this program wrote carry its mark: the field `written_by` in JSON, with the kind of content, and a
+comment in XML, HTML and the header of a sequence.
 """
 
 import hashlib
@@ -18,6 +21,10 @@ from typing import Any
 
 import dvf_ig
 from dvf_ig.core.errors import UnreadableFileError
+
+MARK = "dvf_ig"
+MARKUP_COMMENT = f" written by {MARK} "
+SEQUENCE_COMMENT = f"written by {MARK}"
 
 LIBRARIES = (
     "numpy",

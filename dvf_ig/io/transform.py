@@ -11,9 +11,8 @@ from dvf_ig.core.space.rigid import Rigid, rigidity_defect
 
 from . import limits
 from .itk_transform import linear_matrix
-from .json_file import read_json
+from .json_file import read_json, write_sidecar
 from .reading import reading, refuse_lfs_pointer
-from .sidecar import write_sidecar
 from .writing.atomic import atomic_file, write_text
 from .writing.listing import require_outputs
 

@@ -13,7 +13,7 @@ from typing import NamedTuple
 from dvf_ig.core.errors import InvalidInputError
 
 from .igtl import Image, Incoming, Message, WireError, WireProblem, encode
-from .igtl.incoming import Taken
+from .igtl.codec import Taken
 from .priority import RECEIVING, schedule_first
 
 MOST = 4096

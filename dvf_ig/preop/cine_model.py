@@ -23,8 +23,13 @@ from dvf_ig.core import (
 )
 from dvf_ig.preop.components import largest_component
 from dvf_ig.preop.motion.base_descent import BaseDescent, base_descent, propagate_through, unknown_descent
-from dvf_ig.preop.motion.cavity import cavity_volumes_mm3
-from dvf_ig.preop.motion.cycle import CycleMotion, MotionOptions, propagate_surface, track_cycle
+from dvf_ig.preop.motion.cycle import (
+    CycleMotion,
+    MotionOptions,
+    cavity_volumes_mm3,
+    propagate_surface,
+    track_cycle,
+)
 from dvf_ig.preop.motion.open_ends import OpenEnd, open_ends, seen_part
 from dvf_ig.preop.motion.quality import MotionQuality, assess_motion
 from dvf_ig.preop.motion.slice_phases import SlicePhases, retimed, slice_phases

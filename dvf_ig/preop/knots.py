@@ -8,7 +8,7 @@ import numpy as np
 
 from dvf_ig.core import BoolArray, FloatArray, Grid, InvalidInputError, Mesh
 from dvf_ig.preop.spline.field import SplineField
-from dvf_ig.preop.spline.phase_fit import axis_solvers, fit_phase, sample_grid
+from dvf_ig.preop.spline.fit import axis_solvers, fit_phase, sample_grid
 from dvf_ig.preop.surface.closing import triangle_areas_mm2
 
 from .check import CAP_RIM_MM, away_from_caps

@@ -6,7 +6,7 @@ from .events import events_of as events_of
 from .registration import register_scenario as register_scenario
 from .result.result import evidence_of as evidence_of
 from .result.result import result_of as result_of
-from .result.schema import schema as schema
-from .result.schema import validate as validate
+from .result.result import schema as schema
+from .result.result import validate as validate
 from .table import table as table
 from .ticks import Ticks as Ticks

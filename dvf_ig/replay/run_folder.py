@@ -15,7 +15,7 @@ from dvf_ig.io import read_json
 from dvf_ig.session import UNFOLLOWED
 
 from .outputs import COLUMNS, TICKS
-from .result.schema import SCHEMA
+from .result.result import SCHEMA
 from .view_file import ViewFile, read_view_file
 
 RESULT = "result.json"

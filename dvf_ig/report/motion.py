@@ -16,7 +16,7 @@ from dvf_ig.core.space.mesh import SurfaceSeries
 from dvf_ig.core.space.volume import VolumeSeries
 
 from .plane_marks import draw_plane_marks, edge_letters, plane_name, viewed_upright
-from .plane_section import plane_section
+from .plane_overlay import plane_section
 from .style import ESTIMATE, FAINT, MR_ON_GREY, ON_GREY, START, TRUTH, without_ticks, write_png
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ import html
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from dvf_ig.io.sidecar import MARKUP_COMMENT
+from dvf_ig.io.provenance import MARKUP_COMMENT
 
 from .style import png_bytes
 

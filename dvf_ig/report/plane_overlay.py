@@ -3,11 +3,75 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dvf_ig.core.arrays import FloatArray, read_only_arrays
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+CASING = "#202020"
+
+
+def image_extent(size_mm: tuple[float, float]) -> tuple[float, float, float, float]:
+    """Return the extent of an image of this width and height whose first row is at the top."""
+    return 0.0, size_mm[0], size_mm[1], 0.0
+
+
+def draw_contour(
+    axis: Axes,
+    values: FloatArray | None,
+    size_mm: tuple[float, float],
+    color: str,
+    *,
+    level: float = 0.0,
+    width: float = 1.2,
+    dashed: bool = False,
+    casing: bool = False,
+) -> None:
+    """Draw the level line of the values, if there is one.
+
+    Args:
+        values: (rows, columns), NaN for unknown; None draws nothing.
+        size_mm: width and height of the image.
+        casing: add a dark line below, for pale lines on bright images.
+    """
+    if values is None or not ((values < level).any() and (values > level).any()):
+        return
+    if casing:
+        draw_contour(axis, values, size_mm, CASING, level=level, width=width + 0.8)
+    axis.contour(
+        values,
+        levels=[level],
+        colors=[color],
+        linewidths=width,
+        linestyles="dashed" if dashed else "solid",
+        origin="upper",
+        extent=image_extent(size_mm),
+    )
+
+
+def plane_section(corners: FloatArray, axis: int, level: float) -> FloatArray:
+    """Intersect triangles with the plane on which coordinate `axis` is `level`, as (s, 2, 3) segments.
+
+    Args:
+        corners: (t, 3, 3) corners of the triangles; none may lie in the plane.
+        axis: 0, 1 or 2.
+        level: position of the plane along it.
+    """
+    height = corners[..., axis] - level
+    cut = np.flatnonzero((height.min(axis=1) < 0.0) & (height.max(axis=1) > 0.0))
+    corners, height = corners[cut], height[cut]
+    ends, crossing = np.empty((len(cut), 3, 3)), np.empty((len(cut), 3), dtype=np.bool_)
+    for k in range(3):
+        a, b = height[:, k], height[:, (k + 1) % 3]
+        crossing[:, k] = (a < 0.0) != (b < 0.0)
+        share = a / np.where(a == b, 1.0, a - b)
+        ends[:, k] = corners[:, k] + share[:, None] * (corners[:, (k + 1) % 3] - corners[:, k])
+    return np.asarray(ends[crossing].reshape(-1, 2, 3))
 
 
 @read_only_arrays

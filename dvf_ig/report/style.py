@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dvf_ig.core.errors import InvalidInputError
-from dvf_ig.io.sidecar import MARK
+from dvf_ig.io.provenance import MARK
 from dvf_ig.io.writing.atomic import write_bytes
 
 if TYPE_CHECKING:

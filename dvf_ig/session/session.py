@@ -28,7 +28,7 @@ from dvf_ig.registration import SliceThreads
 
 from .arrived_ultrasound import ArrivedUltrasound, FrameBuffer
 from .breathing import BreathingTracker
-from .clocks import SourceClocks
+from .clocks import HeartClock, SourceClocks
 from .events import (
     EcgSamples,
     Event,
@@ -39,7 +39,6 @@ from .events import (
     TrackedFrame,
     Trigger,
 )
-from .heart_clock import HeartClock
 from .history import SessionHistory
 from .margins import MarginTracker
 from .pose_tracker import PoseTracker

@@ -2,7 +2,7 @@
 
 import json
 import shutil
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,9 +11,12 @@ import pytest
 from edf_files import write_ecg_edf
 from typer.testing import CliRunner
 
+from dvf_ig.cardiac import detect_r_peaks
 from dvf_ig.cli.main import app
-from dvf_ig.core import DvfModel, Preop, Scenario, Signal
+from dvf_ig.core import DvfModel, PoseStream, Preop, Scenario, Signal
+from dvf_ig.intake.calibrations import calibrate
 from dvf_ig.intake.model_cache import model_key
+from dvf_ig.intake.start import start_pose
 from dvf_ig.io import add_ecg_field
 from dvf_ig.preop import ModelOptions
 from dvf_ig.registration import RegistrationResult
@@ -102,13 +105,46 @@ def test_register_with_the_ecg_inside_the_sweep(
 
 
 @pytest.mark.usefixtures("model_of_the_same_data")
-def test_replay_with_the_ecg_as_edf(replay: Replay, lab: Path, tmp_path: Path) -> None:
-    """Poses and force of the scenario's own replay, from one YAML."""
+def test_replay_with_the_ecg_as_edf(
+    replay: Replay, lab: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """From one YAML a replay is given what the scenario's own was given: all else follows from that."""
+    given: dict[str, Any] = {}
+
+    def captured(scenario: Scenario, **options: Any) -> Replay:
+        given.update(options, scenario=scenario)
+        return replace(replay, scenario=scenario)
+
+    monkeypatch.setattr("dvf_ig.replay.run_replay", captured)
     (lab / "SESSION.yaml").write_text(SESSION)
     found = run("replay", lab / "SESSION.yaml", "-o", tmp_path / "run")
-    own = replay.poses[-1][1].matrix
-    np.testing.assert_allclose(found["estimates"]["mr_from_tracker"], own, rtol=0, atol=1e-6)
-    magnitude = np.linalg.norm(replay.ticks.force_n, axis=1)
-    assert found["force_n"]["max"] == pytest.approx(float(magnitude.max()), abs=1e-6)
-    assert found["valid_ticks"] == int(replay.ticks.valid.sum())
     assert found["tre_mm"] is None
+    recorded, own = given["scenario"], replay.scenario
+    assert own.tool is not None
+    assert isinstance(own.ecg, Signal)
+    beats = [np.array([peak.t_s for peak in detect_r_peaks(ecg)]) for ecg in (recorded.ecg, own.ecg)]
+    np.testing.assert_allclose(*beats, rtol=0, atol=1e-9)
+    assert len(beats[0]) >= 15
+    for stream, as_given in ((recorded.tool, own.tool), *_streams(recorded, own)):
+        assert (stream.target, stream.source) == (as_given.target, as_given.source)
+        for name in ("t_s", "rotations", "translations_mm", "valid"):
+            np.testing.assert_allclose(getattr(stream, name), getattr(as_given, name), rtol=0, atol=1e-9)
+    np.testing.assert_array_equal(recorded.ultrasound.images, own.ultrasound.images)
+    assert asdict(recorded.fan) == pytest.approx(asdict(own.fan))
+    assert given["seed"] == 0
+    start = start_pose(recorded, replay.heart, 0)
+    np.testing.assert_allclose(start.matrix, replay.start.matrix, rtol=0, atol=1e-9)
+    used, theirs = calibrate(recorded, 0).in_use, replay.calibrations.in_use
+    assert used.lag_s == pytest.approx(theirs.lag_s, abs=1e-12)
+    np.testing.assert_allclose(used.tip.xyz_mm, theirs.tip.xyz_mm, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(
+        used.probe_from_image.matrix, theirs.probe_from_image.matrix, rtol=0, atol=1e-9
+    )
+    assert given["model"].coefficients is replay.heart.model.coefficients
+
+
+def _streams(*scenarios: Scenario) -> list[tuple[PoseStream, ...]]:
+    """The same stream of each scenario's ultrasound."""
+    ours, theirs = (scenario.ultrasound.poses for scenario in scenarios)
+    assert set(ours) == set(theirs)
+    return [(ours[name], theirs[name]) for name in ours]

@@ -6,7 +6,7 @@ from scipy.interpolate import CubicSpline
 
 from dvf_ig.core import CycleTiming
 from dvf_ig.guidance import Evaluator, Gaussian, Sigmoid, force_of_blend
-from dvf_ig.guidance.periodic import periodic_coefficients, periodic_powers
+from dvf_ig.guidance.evaluator import periodic_coefficients, periodic_powers
 from dvf_ig.kernels.spline import spline_batch
 
 FRACTIONS = np.array([0.05, 0.3, 0.55, 0.8])

@@ -21,7 +21,7 @@ from dvf_ig.cli.gate import gate
 from dvf_ig.core import OutputError, UnreadableFileError
 from dvf_ig.io.provenance import not_recorded, recorded_inputs
 from dvf_ig.io.reading import read_text
-from dvf_ig.io.writing import listing, swap
+from dvf_ig.io.writing import atomic, listing
 from dvf_ig.io.writing.atomic import atomic_file, atomic_folder, files_together, foreign_file, write_text
 from dvf_ig.io.writing.listing import LISTING
 
@@ -71,7 +71,7 @@ def test_ctrl_c_between_renames_leaves_the_old_or_the_new(
     folder = tmp_path / "out"
     folder.mkdir()
     writer(folder, "old")
-    monkeypatch.setattr(swap, "_exchanged", lambda *_: False)
+    monkeypatch.setattr(atomic, "_exchanged", lambda *_: False)
     monkeypatch.setattr(os, "rename", interrupted_at(step, after=after, rename=os.rename))
     try:
         writer(folder, "new")
@@ -90,7 +90,7 @@ def test_ctrl_c_right_after_an_exchange(
     folder = tmp_path / "out"
     folder.mkdir()
     writer(folder, "old")
-    exchange, calls = swap._exchanged, [0]
+    exchange, calls = atomic._exchanged, [0]
 
     def twice_interrupted(one: Path, other: Path) -> bool:
         done = exchange(one, other)
@@ -99,7 +99,7 @@ def test_ctrl_c_right_after_an_exchange(
             raise KeyboardInterrupt
         return done
 
-    monkeypatch.setattr(swap, "_exchanged", twice_interrupted)
+    monkeypatch.setattr(atomic, "_exchanged", twice_interrupted)
     with pytest.raises(KeyboardInterrupt):
         writer(folder, "new")
     assert texts(folder) == ["old"] * 3
@@ -147,14 +147,14 @@ KILLED = """
 import os, signal, sys
 from pathlib import Path
 from dvf_ig.io.provenance import recorded_inputs
-from dvf_ig.io.writing import atomic, swap
-one, done = swap._swap, [0]
+from dvf_ig.io.writing import atomic
+one, done = atomic._swap, [0]
 def dying(new, place):
     if done[0] == int(sys.argv[2]):
         os.kill(os.getpid(), signal.SIGKILL)
     one(new, place)
     done[0] += 1
-swap._swap = dying
+atomic._swap = dying
 with recorded_inputs(), atomic.files_together(Path(sys.argv[1]), "abc") as new:
     for name in "abc":
         (new / name).write_text("new")

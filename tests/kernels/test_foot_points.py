@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from dvf_ig.kernels.foot_points import foot_point_distance
+from dvf_ig.kernels.boundary import foot_point_distance
 
 
 def test_distance_from_foot_points_is_that_of_its_twin() -> None:

@@ -14,7 +14,7 @@ from waiting import WITHIN_S, until
 
 from dvf_ig.core import InvalidInputError
 from dvf_ig.live.page import PageFeed, PageServer
-from dvf_ig.live.page.watchers import MOST_WATCHERS, Watchers
+from dvf_ig.live.page.server import MOST_WATCHERS, Watchers
 
 
 @pytest.fixture(scope="module")

@@ -22,7 +22,7 @@ from dvf_ig.core import DvfModel, Landmarks, Points, UnreadableFileError
 from dvf_ig.intake import cached_model
 from dvf_ig.replay import Replay
 from dvf_ig.replay.page.replay_page import _overlays
-from dvf_ig.replay.result.schema import validate
+from dvf_ig.replay.result.result import validate
 from dvf_ig.replay.run_folder import read_run, read_ticks
 from dvf_ig.replay.view import _fixtures
 from dvf_ig.report.viewer import RegistrationView, live_page, registration_payload, viewer_html

@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from dvf_ig.report.plane_section import plane_section
+from dvf_ig.report.plane_overlay import plane_section
 
 
 def test_a_sphere_is_cut_in_a_circle(sphere_of: Callable[..., tuple[np.ndarray, np.ndarray]]) -> None:

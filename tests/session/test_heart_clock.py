@@ -7,7 +7,7 @@ from toy_session import ECG_HZ, RR_S, ecg_events, ecg_of
 from dvf_ig.cardiac import RPeak
 from dvf_ig.core import FloatArray, InvalidInputError, PhaseState
 from dvf_ig.session import EcgSamples, EcgSource, Trigger, TriggerSource
-from dvf_ig.session.heart_clock import HeartClock
+from dvf_ig.session.clocks import HeartClock
 
 
 def pushed(samples: FloatArray, *, chunk: int = 50) -> HeartClock:

@@ -7,7 +7,7 @@ from numba import carray
 
 from dvf_ig.core import IntArray
 from dvf_ig.kernels.servo.clock import monotonic_ns, sleep_until
-from dvf_ig.kernels.servo.device_call import device_function
+from dvf_ig.kernels.servo.foreign import device_function
 
 COUNT, READS, SLOW_READ, SLOW_WRITE, WAIT_NS, HEADER = 0, 1, 2, 3, 4, 8
 """Offsets in its context; then (3,) for each force: when it came, its tick's time, ns, and its size, nN."""

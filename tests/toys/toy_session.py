@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from known_patient import Patient, known_beat, registration, still
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 from toy_ball import CENTERS, ball_model
 
 from dvf_ig.core import BoolArray, Fan, FloatArray, Grid, ImageMap, NoOverlapError, Points, Rigid
@@ -84,24 +85,29 @@ def ecg_events(samples: FloatArray, *, chunk: int = 50, from_s: float = 0.0) -> 
     ]
 
 
+ROW, COLUMN = np.mgrid[: IMAGE[0], : IMAGE[1]]
+STRUCTURE: NDArray[np.uint8] = np.rint(
+    120.0 + 60.0 * np.sin(2 * np.pi * ROW / 16) * np.cos(2 * np.pi * COLUMN / 16)
+).astype(np.uint8)
+
+
 def image_of(x_mm: float, number: int) -> NDArray[np.uint8]:
     """Structure over centimetres, the patient's shift along x in the first pixel, the frame in the next."""
-    row, column = np.mgrid[: IMAGE[0], : IMAGE[1]]
-    wave = 120.0 + 60.0 * np.sin(2 * np.pi * row / 16) * np.cos(2 * np.pi * column / 16)
-    image: NDArray[np.uint8] = np.rint(wave).astype(np.uint8)
+    image = STRUCTURE.copy()
     image[0, 0], image[0, 1] = round(128 + 10 * x_mm), 1 + number % 250
     return image
 
 
 def frame_events(until_s: float, *, patient: Patient = still) -> list[TrackedFrame]:
     """FRAME_HZ frames of a probe that is swept; what they show happened LAG_S after their stamp."""
-    events = []
-    for number in range(round(until_s * FRAME_HZ)):
-        t_s = number / FRAME_HZ + 0.003
-        pose = Rigid.from_rotation_vector([0.0, 0.2 * np.sin(t_s), 0.0], [0.0, t_s, 80.0], "tracker", "probe")
-        image = image_of(patient(t_s + LAG_S)[3], number)
-        events.append(TrackedFrame(t_s, image, pose.matrix))
-    return events
+    times = np.arange(round(until_s * FRAME_HZ)) / FRAME_HZ + 0.003
+    poses = np.tile(np.eye(4), (len(times), 1, 1))
+    poses[:, :3, :3] = Rotation.from_rotvec(np.outer(0.2 * np.sin(times), [0, 1, 0])).as_matrix()
+    poses[:, 1, 3], poses[:, 2, 3] = times, 80.0
+    return [
+        TrackedFrame(t_s, image_of(patient(t_s + LAG_S)[3], number), pose)
+        for number, (t_s, pose) in enumerate(zip(times.tolist(), poses, strict=True))
+    ]
 
 
 def tool_events(until_s: float, *, at: Callable[[float], FloatArray] | None = None) -> list[ToolPose]:
@@ -111,14 +117,11 @@ def tool_events(until_s: float, *, at: Callable[[float], FloatArray] | None = No
         moved = np.array([0.3 * np.sin(3.0 * t_s), 6.0, 0.3 * np.cos(2.0 * t_s)])
         return np.asarray(CENTER + moved)
 
-    tip_mr = at or inside
-    events = []
-    for number in range(round(until_s * TOOL_HZ)):
-        t_s = number / TOOL_HZ
-        matrix = np.eye(4)
-        matrix[:3, 3] = HOME.inverse().apply_array(tip_mr(t_s)[None])[0] - TIP.xyz_mm[0]
-        events.append(ToolPose(t_s, matrix))
-    return events
+    times = (np.arange(round(until_s * TOOL_HZ)) / TOOL_HZ).tolist()
+    tips_mr = np.array([(at or inside)(t_s) for t_s in times])
+    poses = np.tile(np.eye(4), (len(times), 1, 1))
+    poses[:, :3, 3] = HOME.inverse().apply_array(tips_mr) - TIP.xyz_mm[0]
+    return [ToolPose(t_s, pose) for t_s, pose in zip(times, poses, strict=True)]
 
 
 def stamp(event: Event) -> float:

@@ -7,8 +7,18 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from dvf_ig.cli.shell import progress, wrote
 
-from .output import ProbeCalibration, error_fields, error_row, image_fields, verdict, wire_rows
-from .uncertainty import map_rows, rejected_list, rejected_rows, uncertainty
+from .output import (
+    ProbeCalibration,
+    error_fields,
+    error_row,
+    image_fields,
+    map_rows,
+    rejected_list,
+    rejected_rows,
+    uncertainty,
+    verdict,
+    wire_rows,
+)
 
 if TYPE_CHECKING:
     from dvf_ig.calibration import (

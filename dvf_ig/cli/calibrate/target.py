@@ -4,8 +4,18 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .output import ProbeCalibration, error_fields, error_row, image_fields, vector, verdict
-from .uncertainty import map_rows, rejected_list, rejected_rows, uncertainty
+from .output import (
+    ProbeCalibration,
+    error_fields,
+    error_row,
+    image_fields,
+    map_rows,
+    rejected_list,
+    rejected_rows,
+    uncertainty,
+    vector,
+    verdict,
+)
 
 if TYPE_CHECKING:
     from dvf_ig.calibration import CalibrationErrors, TargetResult

@@ -13,13 +13,13 @@ from dvf_ig.cli.shell import (
     command,
     cores_or,
     emit,
+    output_file,
     warn,
     whole_numbers,
     wrote,
 )
 from dvf_ig.cli.voxel_size import VoxelOption, voxel_size
 
-from . import options as given
 from .export import export
 from .output import file_megabytes, model_payload, model_rows, phase_rows
 
@@ -28,6 +28,94 @@ if TYPE_CHECKING:
     from dvf_ig.preop import ModelCheck
 
     from .request import BuildRequest
+
+
+OutputOption = Annotated[
+    Path, typer.Option("-o", "--out", callback=output_file, help="Model file to write (.npz).")
+]
+SurfacesOption = Annotated[
+    Path | None, typer.Option("--surfaces", help="Folder (or archive) of surfaces, one mesh a phase.")
+]
+SurfaceOption = Annotated[str, typer.Option("--surface", help="Name of the surface to guard.")]
+LabelsOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--labels",
+        help="4-D label image; with --image, a 3-D one of end-diastole is enough (also .seg.nrrd).",
+    ),
+]
+ImageOption = Annotated[
+    Path | None, typer.Option("--image", help="4-D image, for the motion of --labels or --seeds.")
+]
+DicomOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--dicom",
+        help="Folder of an examination with all its series: short-axis stack and long-axis cines are found "
+        "by their geometry; the rest is left out with a reason.",
+    ),
+]
+SaxOption = Annotated[
+    Path | None, typer.Option("--sax", help="Short-axis 4-D stack, as --image, which --lax goes with.")
+]
+LaxOption = Annotated[
+    list[Path] | None,
+    typer.Option("--lax", help="Long-axis cine of one slice, with --sax or --image; once for each view."),
+]
+SeedsOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--seeds",
+        help="Points named heart, cavity, background, any number of each name (.mrk.json, .fcsv, JSON).",
+    ),
+]
+OrganOption = Annotated[
+    str | None,
+    typer.Option(
+        "--organ",
+        help="Label values inside the surface, for example 1,2,5 (default with --image: all except 0).",
+    ),
+]
+CavityOption = Annotated[
+    str | None,
+    typer.Option(
+        "--cavity",
+        help="Label values of blood, the left ventricle's first, for example 3,1: end-systole is the phase "
+        "in which the first is smallest; ultrasound shows the boundaries of all (default: those that "
+        ".seg.nrrd names so).",
+    ),
+]
+EdPhaseOption = Annotated[
+    int, typer.Option("--ed-phase", min=0, help="With --image: the phase that is labelled.")
+]
+MotionOption = Annotated[str, typer.Option("--motion", help="With --image: bspline or demons.")]
+TimingOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--timing",
+        help='JSON file of phase times and RR: {"fractions": [0.0, 0.05, ...], "rr_s": 0.86} (default: '
+        "timing.json next to the image).",
+    ),
+]
+PatientOption = Annotated[
+    str | None, typer.Option("--patient", help="Patient id (default: from the file's name).")
+]
+KnotOption = Annotated[float | None, typer.Option("--knot-mm", help="Spline knot pitch in mm (default 3).")]
+AccuracyOption = Annotated[
+    float | None,
+    typer.Option(
+        "--accuracy-mm",
+        help="Required mean surface error in mm (p99: four times that): the coarsest knots that reach it "
+        "on the most contracted phase.",
+    ),
+]
+MarginOption = Annotated[float, typer.Option("--margin-mm", help="Box margin around the heart in mm.")]
+LABELS_HELP = (
+    "A label image and its position in the model's cycle. PHASE with a decimal point is a fraction of the "
+    "cycle in [0, 1), a whole number one of the model's phases, counted from 0: es.nii.gz@0.35, "
+    "es.seg.nrrd@11. For a 4-D image it selects the frame."
+)
+
 
 CHECK_POINTS = 4000
 """Number of random points on each phase at which a model is checked."""
@@ -41,25 +129,25 @@ app.command("export")(export)
 
 @app.command("build")
 def build(
-    output: given.OutputOption,
-    surfaces: given.SurfacesOption = None,
-    surface: given.SurfaceOption = "EPICARDIAL",
-    labels: given.LabelsOption = None,
-    image: given.ImageOption = None,
-    dicom: given.DicomOption = None,
-    sax: given.SaxOption = None,
-    lax: given.LaxOption = None,
-    seeds: given.SeedsOption = None,
-    cavity: given.CavityOption = None,
-    ed_phase: given.EdPhaseOption = 0,
-    motion: given.MotionOption = "bspline",
-    organ: given.OrganOption = None,
-    timing: given.TimingOption = None,
-    patient: given.PatientOption = None,
+    output: OutputOption,
+    surfaces: SurfacesOption = None,
+    surface: SurfaceOption = "EPICARDIAL",
+    labels: LabelsOption = None,
+    image: ImageOption = None,
+    dicom: DicomOption = None,
+    sax: SaxOption = None,
+    lax: LaxOption = None,
+    seeds: SeedsOption = None,
+    cavity: CavityOption = None,
+    ed_phase: EdPhaseOption = 0,
+    motion: MotionOption = "bspline",
+    organ: OrganOption = None,
+    timing: TimingOption = None,
+    patient: PatientOption = None,
     voxel_mm: VoxelOption = None,
-    knot_mm: given.KnotOption = None,
-    accuracy_mm: given.AccuracyOption = None,
-    margin_mm: given.MarginOption = 15.0,
+    knot_mm: KnotOption = None,
+    accuracy_mm: AccuracyOption = None,
+    margin_mm: MarginOption = 15.0,
     threads: ThreadsOption = None,
     seed: SeedOption = 0,
     as_json: JsonFlag = False,
@@ -136,9 +224,7 @@ def check(
     points: Annotated[
         int, typer.Option("--points", min=10, help="Random points on each phase.")
     ] = CHECK_POINTS,
-    labels: Annotated[
-        str | None, typer.Option("--labels", help=given.LABELS_HELP, metavar="FILE@PHASE")
-    ] = None,
+    labels: Annotated[str | None, typer.Option("--labels", help=LABELS_HELP, metavar="FILE@PHASE")] = None,
     surfaces: Annotated[
         Path | None,
         typer.Option("--surfaces", help="Folder of surfaces of the same heart by another method: distances."),

@@ -189,7 +189,7 @@ def _serve(
     from dvf_ig.live.summary import LiveSummary
     from dvf_ig.session import SessionHistory, no_force
 
-    from .record import recorded_session, write_run
+    from .setup import recorded_session, write_run
 
     summary, history = LiveSummary(), SessionHistory(REMEMBERED if out is None else None)
     if out is None:

@@ -10,7 +10,7 @@ class HapticDevice(Protocol):
 
     Attributes:
         name: for messages.
-        functions: (2,) int64 addresses of read and write (`dvf_ig.kernels.servo.device_call`): positions in
+        functions: (2,) int64 addresses of read and write (`dvf_ig.kernels.servo.foreign`): positions in
             mm and forces in N, in the frame "device".
         context: int64 array handed to both; the device owns it.
         latency_s: from a force that is sent to the force that is felt, and from a position to its reading,

@@ -19,8 +19,8 @@ from dvf_ig.io.calibration_files import (
 from dvf_ig.io.image.seeds import KINDS, read_seeds
 from dvf_ig.io.image.timing import timing_from_document
 from dvf_ig.io.json_file import read_json
+from dvf_ig.io.provenance import MARK
 from dvf_ig.io.reading import reading
-from dvf_ig.io.sidecar import MARK
 from dvf_ig.io.yaml_config import read_yaml
 
 Facts = dict[str, Any]

@@ -8,15 +8,21 @@ import numpy as np
 from pydantic import Field
 
 from dvf_ig.core.errors import UnreadableFileError
-from dvf_ig.core.recordings.scenario import Scenario
+from dvf_ig.core.model import DvfModel
+from dvf_ig.core.recordings.scenario import Preop, Scenario
 from dvf_ig.core.space.image_map import ImageMap
 from dvf_ig.core.space.points import Landmarks, Points
 from dvf_ig.core.space.rigid import Rigid
 from dvf_ig.core.timing.trigger import TriggerTimes
 from dvf_ig.intake.parts import SessionFiles
+from dvf_ig.intake.scenario import ScenarioPreop
+from dvf_ig.intake.scenario_write import write_preop
 from dvf_ig.intake.schema import FanConfig, PreopConfig
 from dvf_ig.io import limits
+from dvf_ig.io.model.model_file import model_bytes
 from dvf_ig.io.plus.names import split_transform
+from dvf_ig.io.ros.log_file import LogWriter
+from dvf_ig.io.writing.place import scratch_folder
 from dvf_ig.io.yaml_config import Section, validated
 
 SCHEMA = "dvf_ig.log/1"
@@ -199,3 +205,43 @@ def read_document(data: bytes, path: Path) -> SessionDocument:
     except (ValueError, RecursionError) as exc:
         raise UnreadableFileError(f"{path}: its session.json is damaged ({exc})") from exc
     return validated(SessionDocument, document, path)
+
+
+MODEL = "preop/model.npz"
+
+
+def attach_heart(log: LogWriter, preop: Preop, model: DvfModel | None) -> PreopConfig:
+    """Attach the files of a heart, and return their configuration.
+
+    With labels or surfaces the model is attached but not named in the configuration: otherwise the images
+    would get the model's times.
+    """
+    has_labels = preop.labels is not None or preop.ed_labels is not None
+    files = ScenarioPreop(
+        kind="labels",
+        mr="preop/mr.nrrd" if preop.mr is not None else None,
+        labels="preop/labels.nrrd" if has_labels else None,
+    )
+    with scratch_folder() as folder:
+        (folder / "preop").mkdir()
+        has_files = has_labels or preop.mr is not None or bool(preop.surfaces)
+        if has_files:
+            write_preop(preop, folder, files)
+        for file in sorted(folder.rglob("*")):
+            if file.is_file():
+                log.attach(file.relative_to(folder).as_posix(), "application/octet-stream", file.read_bytes())
+    if model is not None:
+        log.attach(MODEL, "application/octet-stream", b"".join(model_bytes(model)))
+    return PreopConfig(
+        model=MODEL if model is not None and not has_labels and not preop.surfaces else None,
+        mr=files.mr,
+        labels=files.labels,
+        ed_phase=preop.ed_phase,
+        label_names=dict(preop.label_names),
+        organ_labels=tuple(int(value) for value in preop.organ_labels),
+        cavity_labels=tuple(int(value) for value in preop.cavity_labels),
+        surfaces_folder="preop" if preop.surfaces else None,
+        surfaces=tuple(series.name for series in preop.surfaces),
+        surface=preop.surface,
+        timing=files.timing if has_files else None,
+    )

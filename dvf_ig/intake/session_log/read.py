@@ -30,8 +30,7 @@ from dvf_ig.io.ros.log_file import LogReader, opened_log
 from dvf_ig.io.writing.place import scratch_folder
 from dvf_ig.io.yaml_config import validated
 
-from .document import SessionDocument, read_document
-from .heart import MODEL
+from .document import MODEL, SessionDocument, read_document
 from .live import LIVE, LiveDocument
 from .live_read import read_live_streams
 from .topics import DOCUMENT, ECG, EXACT_FRAME, EXACT_TOOL, IMAGE, RESPIRATION, STREAMS, TRIGGER

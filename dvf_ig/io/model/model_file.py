@@ -21,8 +21,14 @@ from dvf_ig.io.reading import read_bytes, reading
 from dvf_ig.io.writing.atomic import write_bytes
 from dvf_ig.io.yaml_config import validated
 
-from .chambers import chamber_arrays, chambers_of_arrays
-from .header import SCHEMA_OF_PART, SEEN_ARRAYS, ModelHeader, require_consistent
+from .header import (
+    SCHEMA_OF_PART,
+    SEEN_ARRAYS,
+    ModelHeader,
+    chamber_arrays,
+    chambers_of_arrays,
+    require_consistent,
+)
 
 SCHEMA = "dvf_ig.model/1"
 _CHECKSUM = b"dvf_ig sha256 "

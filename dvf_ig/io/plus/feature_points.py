@@ -13,8 +13,8 @@ from dvf_ig.io.number_table import read_number_table
 from dvf_ig.io.reading import reading
 
 from .names import USUAL_NAMES, ProbeNames
-from .orientation import turned_points
 from .poses import SEQUENCE_SUFFIXES, read_poses, usable
+from .raw_sequence import turned_points
 from .sequence_read import read_indexed_sequence
 
 LARGEST_PX = 1e6

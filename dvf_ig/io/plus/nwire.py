@@ -1,4 +1,4 @@
-"""Read and write N-wire calibration recordings of PLUS: phantom geometry, segmented wires, tracked poses."""
+"""Read and write N-wire calibration of PLUS: phantom and its landmarks, segmentation, wires, poses."""
 
 import re
 from pathlib import Path
@@ -10,9 +10,10 @@ import numpy as np
 from dvf_ig.core.arrays import FloatArray
 from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
 from dvf_ig.core.plausible import phantom_problem
-from dvf_ig.core.recordings.phantom import NWirePhantom, NWireRecording, Wire
+from dvf_ig.core.recordings.phantom import NWirePhantom, NWireRecording, Wire, WireSearch
 from dvf_ig.core.recordings.sequence import TrackedSequence
 from dvf_ig.core.recordings.stream import PoseStream
+from dvf_ig.core.space.points import Landmarks, Points
 from dvf_ig.core.space.rigid import Rigid
 from dvf_ig.io import limits
 from dvf_ig.io.reading import reading
@@ -221,3 +222,65 @@ def _moved(left: Rigid, stream: PoseStream) -> PoseStream:
         rotations = left.rotation @ rotations
         translations = translations @ left.rotation.T + left.translation_mm
     return PoseStream(left.target, stream.source, stream.t_s, rotations, translations, stream.valid)
+
+
+def read_phantom_landmarks(device_set_xml: Path | str) -> Landmarks:
+    """Read the `<Landmarks>` of a `<PhantomDefinition>`, mm, frame "phantom", in the file's order.
+
+    Raises:
+        UnreadableFileError: absent, not XML, or no landmarks.
+    """
+    path = Path(device_set_xml)
+    with reading(path, "a PLUS device set"):
+        elements = [
+            element
+            for section in parse_xml(path, "a PLUS device set").iter("Landmarks")
+            for element in section.iter("Landmark")
+        ]
+        if not elements:
+            raise UnreadableFileError(f"{path} defines no <Landmark>; give the device set with the phantom")
+        positions = np.array([numbers(path, element, "Position", 3) for element in elements])
+        if problem := phantom_problem(positions):
+            raise InvalidInputError(f"its phantom {problem}")
+        names = tuple(element.attrib.get("Name", f"#{i + 1}") for i, element in enumerate(elements))
+        return Landmarks(names, Points("phantom", positions))
+
+
+def read_wire_search(device_set_xml: Path | str) -> WireSearch:
+    """Read pixel size, clip rectangle, collinearity and number of candidates of `<Segmentation>`.
+
+    Settings of PLUS's own morphology have no counterpart here and are ignored.
+
+    Raises:
+        UnreadableFileError: absent, not XML, or a setting that is not a positive number.
+    """
+    path = Path(device_set_xml)
+    with reading(path, "a PLUS device set"):
+        section = next(parse_xml(path, "a PLUS device set").iter("Segmentation"), None)
+        if section is None:
+            return WireSearch()
+        candidates = _positive(path, section, "NumberOfMaximumFiducialPointCandidates")
+        return WireSearch(
+            spacing_mm=_positive(path, section, "ApproximateSpacingMmPerPixel"),
+            clip=_clip(path, section),
+            candidates=None if candidates is None else round(candidates),
+            collinear_mm=_positive(path, section, "CollinearPointsMaxDistanceFromLineMm"),
+        )
+
+
+def _positive(path: Path, section: ElementTree.Element, name: str) -> float | None:
+    if name not in section.attrib:
+        return None
+    value = float(numbers(path, section, name, 1)[0])
+    if value <= 0:
+        raise UnreadableFileError(f"{path}: {name} of <Segmentation> is {value:g}; it must be positive")
+    return value
+
+
+def _clip(path: Path, section: ElementTree.Element) -> tuple[int, int, int, int] | None:
+    """Read first column, first row, columns, rows; None if the section has no clip rectangle."""
+    if "ClipRectangleOrigin" not in section.attrib or "ClipRectangleSize" not in section.attrib:
+        return None
+    left, top = numbers(path, section, "ClipRectangleOrigin", 2).tolist()
+    width, height = numbers(path, section, "ClipRectangleSize", 2).tolist()
+    return round(left), round(top), round(width), round(height)

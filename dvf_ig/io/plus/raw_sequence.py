@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from dvf_ig.core.arrays import BoolArray, FloatArray
+from dvf_ig.core.arrays import AnyArray, BoolArray, FloatArray
 from dvf_ig.core.errors import UnreadableFileError
 from dvf_ig.io import limits
 from dvf_ig.io.file_within import file_within
@@ -306,3 +306,50 @@ def _inflated(path: Path, payload: memoryview, expected: int) -> memoryview:
     if expected > limits.FILE_BYTES:
         raise UnreadableFileError(f"{path}: its header states {expected} bytes of images; split it")
     return inflated(path, payload, expected).data
+
+
+UNKNOWN = "XX"
+_ORIENTATION = re.compile(r"([MU][FN]|[FN][MU])[AD]?")
+
+
+def require_orientation(path: Path, text: str) -> str:
+    """Return an orientation that PLUS writes for 2-D images, or UNKNOWN.
+
+    Raises:
+        UnreadableFileError: another one, for example of a volume.
+    """
+    word = text.strip().upper()
+    if word in ("", "XX", "XXX"):
+        return UNKNOWN
+    if _ORIENTATION.fullmatch(word) is None:
+        raise UnreadableFileError(
+            f"{path}: UltrasoundImageOrientation is '{text[:20]}'; needed that of 2-D images (MF, UF, MN "
+            "or UN): save it again as a sequence of images"
+        )
+    return word
+
+
+def turned_orientation(stored: str) -> str | None:
+    """Return the orientation after `turned_images`; None if images in `stored` are not turned."""
+    return f"MF{stored[2:]}" if stored[:2] in ("UF", "MN", "UN") else None
+
+
+def turned_images(images: AnyArray, stored: str) -> AnyArray:
+    """Turn (n, rows, columns) images in UF, MN or UN to MF; others stay as they are."""
+    if turned_orientation(stored) is None:
+        return images
+    flips = tuple(axis for axis, letter in ((1, "N"), (2, "U")) if letter in stored[:2])
+    return np.ascontiguousarray(np.flip(images, flips))
+
+
+def turned_points(points_px: FloatArray, stored: str, shape: tuple[int, int]) -> FloatArray:
+    """Turn (…, 2) positions, column and row of the stored image, as `turned_images` does with the image.
+
+    Args:
+        shape: rows and columns of the image.
+    """
+    points = np.array(points_px)
+    for axis, letter in ((0, "U"), (1, "N")):
+        if turned_orientation(stored) is not None and letter in stored[:2]:
+            points[..., axis] = shape[1 - axis] - 1 - points[..., axis]
+    return points

@@ -16,8 +16,14 @@ from dvf_ig.io import limits
 from dvf_ig.io.reading import reading
 
 from .names import split_transform
-from .orientation import UNKNOWN, require_orientation, turned_images, turned_orientation
-from .raw_sequence import RawSequence, read_raw_sequence
+from .raw_sequence import (
+    UNKNOWN,
+    RawSequence,
+    read_raw_sequence,
+    require_orientation,
+    turned_images,
+    turned_orientation,
+)
 
 log = logging.getLogger(__name__)
 

@@ -12,7 +12,7 @@ from dvf_ig.core.recordings.sequence import TrackedSequence
 from dvf_ig.core.recordings.stream import PoseStream
 from dvf_ig.core.space.frames import RAS_FROM_LPS
 from dvf_ig.core.space.rigid import Rigid
-from dvf_ig.io.sidecar import SEQUENCE_COMMENT
+from dvf_ig.io.provenance import SEQUENCE_COMMENT
 from dvf_ig.io.writing.atomic import write_bytes
 
 from .names import join_transform

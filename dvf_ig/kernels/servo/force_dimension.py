@@ -5,8 +5,7 @@ from typing import Any
 import numpy as np
 from numba import carray
 
-from .device_call import device_function
-from .foreign import call_get_button, call_get_position, call_set_force
+from .foreign import call_get_button, call_get_position, call_set_force, device_function
 
 # Offsets in its context.
 GET_POSITION = 0

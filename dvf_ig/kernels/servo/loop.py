@@ -9,7 +9,7 @@ from dvf_ig.kernels.compiled import inlined, kernel
 
 from .borrowed import borrowed
 from .clock import elapsed_ns, monotonic_ns, sleep_until, wake_exactly
-from .device_call import call_device
+from .foreign import call_device
 from .layout import INPUT_WORDS, ROW_WORDS, WARPS_NUMBER_WORD
 from .shared import (
     fence_acquire,

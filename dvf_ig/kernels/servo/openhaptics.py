@@ -14,8 +14,7 @@ from numba import carray, core
 from dvf_ig.kernels.compiled import callback
 
 from .clock import elapsed_ns
-from .device_call import device_function
-from .foreign import call_doubles, call_error_code, call_integers, call_with_handle
+from .foreign import call_doubles, call_error_code, call_integers, call_with_handle, device_function
 from .shared import load_relaxed, publish, read_shared, store_relaxed
 
 types: Any = core.types

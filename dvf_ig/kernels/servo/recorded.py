@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from numba import carray
 
-from .device_call import device_function
+from .foreign import device_function
 
 # Offsets in its context, float64 numbers in an int64 array; then 3 numbers a sample, then 3 a force.
 COUNT = 0

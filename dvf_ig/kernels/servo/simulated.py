@@ -8,7 +8,7 @@ from numba import carray
 
 from dvf_ig.kernels.device import advance
 
-from .device_call import device_function
+from .foreign import device_function
 
 # Offsets in its context, float64 numbers in an int64 array.
 STATE = 0

@@ -1,8 +1,8 @@
 """OpenIGTLink, versions 1 to 3: messages as values, a decoder that trusts nothing, an encoder."""
 
+from .codec import Incoming as Incoming
 from .codec import decode as decode
 from .codec import encode as encode
-from .incoming import Incoming as Incoming
 from .message import Ignored as Ignored
 from .message import Image as Image
 from .message import Message as Message

@@ -33,7 +33,7 @@ from dvf_ig.core.threads import thread_pool
 
 from .consistency import LIMIT_MM, Stiffened, inverse_index, made_consistent
 from .demons import DemonsOptions, DisplacementField, match_images_by_demons
-from .free_form import FreeForm, Lattice
+from .free_form import FreeForm, Lattice, volume_ratio
 from .image_match import FreeFormOptions, match_images
 from .outliers import AnyDeformation, ReplacedPhase, replace_outliers
 from .region import Compared, compared_region, cropped_grid
@@ -245,3 +245,20 @@ class _Counter:
         with self._lock:
             self._done += 1
             self._report(self._done / self._total)
+
+
+def cavity_volumes_mm3(motion: CycleMotion, cavity: BoolArray) -> FloatArray:
+    """Compute (n,) volumes of the cavity by phase: ∫ det(∂x/∂X) dV over its voxels at end-diastole.
+
+    Args:
+        cavity: (nx, ny, nz) voxels of the cavity at end-diastole, on the 4-D image's grid.
+    Raises:
+        InvalidInputError: a cavity without voxels.
+    """
+    inside = np.asarray(motion.cropped(cavity))
+    if not inside.any():
+        raise InvalidInputError("the cavity has no voxels at end-diastole; check the label values")
+    voxel_mm3 = float(np.prod(motion.grid.spacing_mm))
+    spacing = motion.grid.spacing_mm
+    ratios = [volume_ratio(d.on_voxels(), spacing, inside) for d in motion.deformations]
+    return np.array([voxel_mm3 * float(ratio.sum()) for ratio in ratios])

@@ -24,8 +24,8 @@ from dvf_ig.core import (
     read_only_arrays,
 )
 from dvf_ig.core.threads import thread_pool
+from dvf_ig.kernels.boundary import foot_point_distance
 from dvf_ig.kernels.compiled import thread_count
-from dvf_ig.kernels.foot_points import foot_point_distance
 from dvf_ig.registration.lc2.channels import BLOOD
 
 SMOOTHING_VOXELS = 0.8

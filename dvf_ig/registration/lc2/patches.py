@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from dvf_ig.core import FloatArray, IntArray, read_only_arrays
-from dvf_ig.kernels.lc2.parts import SliceParts
-from dvf_ig.kernels.lc2.patches import window_moments
+from dvf_ig.kernels.lc2.parts import SliceParts, window_moments
 from dvf_ig.kernels.lc2.slices import (
     CENTER_STEP,
     FIRST,

@@ -22,8 +22,7 @@ from dvf_ig.core import (
 )
 from dvf_ig.core.arrays import AnyArray
 from dvf_ig.intake.calibrations import calibrate
-from dvf_ig.intake.session_log.document import document_of
-from dvf_ig.intake.session_log.heart import attach_heart
+from dvf_ig.intake.session_log.document import attach_heart, document_of
 from dvf_ig.intake.session_log.topics import (
     DOCUMENT,
     ECG,

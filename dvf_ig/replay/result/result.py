@@ -1,11 +1,16 @@
-"""Content of `result.json`: every estimate of a replay, and its error if the truth is known."""
+"""Content of `result.json` and its schema: every estimate, and its error if the truth is known."""
 
+import json
 from dataclasses import asdict
+from importlib import resources
 from typing import Any
 
 import numpy as np
+from jsonschema import Draft202012Validator
+from jsonschema.exceptions import best_match
 
 from dvf_ig.cardiac import frame_period_s
+from dvf_ig.core import InvalidInputError
 from dvf_ig.guidance import Status, summarise_supervision
 from dvf_ig.intake.fixtures import DeviceConfig
 from dvf_ig.registration import PairEvidence, RegistrationResult, ShapeChange, least_constrained_direction
@@ -15,7 +20,22 @@ from dvf_ig.session.reasons import no_force
 
 from .errors import ERROR_FIELDS, error_fields, margin_fields
 from .pose import age_fields, bound_fields, pose_bound_fields, tip_field, update_fields
-from .schema import SCHEMA, validate
+
+SCHEMA = "dvf_ig.replay/1"
+
+
+def schema() -> dict[str, Any]:
+    """Load the JSON schema of result.json."""
+    text = resources.files(__package__).joinpath("result.schema.json").read_text(encoding="utf-8")
+    loaded: dict[str, Any] = json.loads(text)
+    return loaded
+
+
+def validate(result: dict[str, Any]) -> None:
+    """Raise InvalidInputError unless `result` fits the schema."""
+    error = best_match(Draft202012Validator(schema()).iter_errors(result))
+    if error is not None:
+        raise InvalidInputError(f"result.json does not fit {SCHEMA}: {error.message}") from error
 
 
 def attempt_fields(attempt: RegistrationRecord) -> dict[str, Any]:

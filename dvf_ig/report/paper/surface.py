@@ -16,7 +16,7 @@ from matplotlib.patches import Rectangle
 from dvf_ig.core import DvfModel, FloatArray, read_only_arrays
 from dvf_ig.guidance import Sigmoid
 from dvf_ig.preop import SplineField, phase_errors
-from dvf_ig.report.plane_section import plane_section
+from dvf_ig.report.plane_overlay import plane_section
 from dvf_ig.report.style import ESTIMATE, TRUTH, open_frame
 
 if TYPE_CHECKING:

@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 
 from dvf_ig.core.arrays import BoolArray, FloatArray
 from dvf_ig.report.page import html_page, jpeg_tag, section, table
-from dvf_ig.report.plane_contour import draw_contour, image_extent
 from dvf_ig.report.plane_marks import LETTERS_NOTE, draw_plane_marks
-from dvf_ig.report.plane_overlay import AnatomyPlane, PlaneOverlay
+from dvf_ig.report.plane_overlay import AnatomyPlane, PlaneOverlay, draw_contour, image_extent
 from dvf_ig.report.style import MR_ON_GREY, ON_GREY, jpeg_bytes
 
 from .shape import ShapeShown, shape_figure

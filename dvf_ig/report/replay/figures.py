@@ -12,9 +12,8 @@ from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from dvf_ig.core.arrays import BoolArray, FloatArray
-from dvf_ig.report.plane_contour import draw_contour, image_extent
 from dvf_ig.report.plane_marks import draw_plane_marks
-from dvf_ig.report.plane_overlay import PlaneOverlay
+from dvf_ig.report.plane_overlay import PlaneOverlay, draw_contour, image_extent
 from dvf_ig.report.style import (
     ESTIMATE,
     GUIDE,

@@ -14,7 +14,7 @@ from data_synth.seeds import child_rng
 from dvf_ig.core import BoolArray, FloatArray, Rigid
 from dvf_ig.guidance import Fixtures, Hazard, SupervisorState
 from dvf_ig.guidance.servo import ServoInputs, ServoOptions, ServoRecord, SimulatedServo
-from dvf_ig.kernels.servo.device_call import device_function
+from dvf_ig.kernels.servo.foreign import device_function
 from dvf_ig.study.faults.session_trial import OUT_MM, TrialTrace
 from dvf_ig.study.passivity import steady_transform, wall_model
 

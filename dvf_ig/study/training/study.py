@@ -19,7 +19,7 @@ import numpy as np
 from data_synth.heart.anatomy import phantom_anatomy
 from dvf_ig.core import FloatArray, InvalidInputError, Mesh, read_only_arrays
 from dvf_ig.preop import signed_distance_mm
-from dvf_ig.preop.spline.phase_fit import sample_grid
+from dvf_ig.preop.spline.fit import sample_grid
 from dvf_ig.report.style import GUIDE, SERIES, png_bytes
 from dvf_ig.study.driver import (
     Driver,

@@ -20,7 +20,7 @@ from dvf_ig.calibration import (
 from dvf_ig.core import FrameMismatchError, InvalidInputError, Points, PoseStream, QualityGateError, Rigid
 from dvf_ig.core.space.paired import fit_paired_points
 from dvf_ig.io import read_coordinate_definitions, read_poses
-from dvf_ig.io.plus.phantom_landmarks import read_phantom_landmarks
+from dvf_ig.io.plus.nwire import read_phantom_landmarks
 
 BOX = np.array([[0.0, 0, 0], [90, 0, 0], [90, 60, 0], [0, 60, 20], [40, 30, 50]])
 vectors = st.tuples(*[st.floats(-3, 3)] * 3)

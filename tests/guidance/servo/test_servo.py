@@ -14,7 +14,7 @@ from dvf_ig.guidance.devices import RecordedDevice
 from dvf_ig.guidance.servo import Deadlines, Servo, ServoInputs, ServoOptions, SimulatedServo
 from dvf_ig.guidance.servo.record import BINS, deadlines_of
 from dvf_ig.kernels.servo.clock import monotonic_ns, sleep_until
-from dvf_ig.kernels.servo.device_call import device_function
+from dvf_ig.kernels.servo.foreign import device_function
 
 from .conftest import PATIENT_S
 

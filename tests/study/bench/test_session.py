@@ -8,7 +8,7 @@ import pytest
 from dvf_ig.core import InvalidInputError, PhaseState, Scenario
 from dvf_ig.replay import Replay
 from dvf_ig.session import EcgSamples, EcgSource, Session, ToolPose, TrackedFrame
-from dvf_ig.session.heart_clock import HeartClock
+from dvf_ig.session.clocks import HeartClock
 from dvf_ig.study.bench.session import OUT_OF_SIGHT_S, Round, round_of, run_session
 
 
