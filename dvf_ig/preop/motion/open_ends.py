@@ -12,8 +12,6 @@ GAP_MM = 18.0
 """Largest distance of slices between which the surface counts as known: stacks are made every 8 to 18 mm."""
 HALF_SLICE_MM = 2.0
 """How far a slice shows the surface on either side of its middle: slices are 6 to 10 mm thick."""
-FAR_MM = 200.0
-"""How far a slab reaches beyond an apex that the slices show to end."""
 
 
 @read_only_arrays
@@ -61,8 +59,9 @@ def seen_part(
 ) -> SeenPart | None:
     """Return the part of an organ's surface that a stack of slices shows; None for an image without gaps.
 
-    Above the basal slice nothing is known: there the labels end, not the heart. Below the apical one, only if
-    the stack ends within the organ. Nor is the surface known between slices more than GAP_MM apart.
+    Beyond the basal and the apical slice nothing is known: labels end there, not the heart. An apex that the
+    next slice no longer shows ends half a pitch to one pitch beyond, and closing it leaves 3 to 5 mm. Nor is
+    the surface known between slices more than GAP_MM apart.
 
     Args:
         grid, organ: of the stack, (nx, ny, nz) at end-diastole.
@@ -77,12 +76,10 @@ def seen_part(
     middles = middles if slice_shift_mm is None else middles - slice_shift_mm[slices]
     heights = middles @ normal
     order = np.argsort(heights)
-    heights, apical = heights[order], int(slices[order[0]])
+    heights = heights[order]
     apart_mm = np.abs(np.diff(slices[order])) * grid.spacing_mm[2]
     cuts = np.flatnonzero(apart_mm > GAP_MM) + 1
     slabs = [(part[0] - HALF_SLICE_MM, part[-1] + HALF_SLICE_MM) for part in np.split(heights, cuts)]
-    if apical not in (0, grid.shape[2] - 1) and grid.spacing_mm[2] <= GAP_MM:
-        slabs[0] = (slabs[0][0] - FAR_MM, slabs[0][1])
     still, phases = np.array(slabs), range(len(descent.base_mm))
     bounds = np.stack([still + descent.shift_mm(still, phase) for phase in phases])
     ends = np.array([heights[0] - HALF_SLICE_MM, heights[-1] + HALF_SLICE_MM])

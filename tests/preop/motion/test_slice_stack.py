@@ -12,7 +12,7 @@ from dvf_ig.preop.cine_model import _chamber, _Moving
 from dvf_ig.preop.motion.base_descent import BaseDescent, propagate_through, unknown_descent
 from dvf_ig.preop.motion.cycle import CycleMotion
 from dvf_ig.preop.motion.free_form import FreeForm, Lattice
-from dvf_ig.preop.motion.open_ends import FAR_MM, seen_part
+from dvf_ig.preop.motion.open_ends import seen_part
 from dvf_ig.preop.motion.slice_phases import retimed, slice_phases
 from dvf_ig.preop.motion.slice_stack import axis_of_lost_spacing, observable_axes
 
@@ -35,13 +35,13 @@ def without_spacing(image: VolumeSeries) -> VolumeSeries:
     ("missing", "heights_mm"),
     [
         ([], [[-43.5, 0.5]]),
-        ([4], [[-33.5 - FAR_MM, 0.5]]),
+        ([4], [[-33.5, 0.5]]),
         ([2], [[-43.5, -29.5], [-13.5, 0.5]]),
-        ([2, 4], [[-33.5 - FAR_MM, -29.5], [-13.5, 0.5]]),
+        ([2, 4], [[-33.5, -29.5], [-13.5, 0.5]]),
     ],
 )
 def test_what_slices_show_ends_where_they_or_their_labels_end(stack, missing, heights_mm):
-    """The base up to slice 0; the apex beyond slice 4, unless a slice shows that nothing is there."""
+    """The base up to slice 0, the apex down to the last slice that shows it."""
     image, labels = stack
     organ = labels[0] > 0
     organ[:, :, missing] = False
