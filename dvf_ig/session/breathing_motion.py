@@ -34,6 +34,8 @@ MAX_HELD_OUT_MM = 2.0
 REMEMBERED_BREATHS = 40
 LATENCIES_S = np.arange(-0.6, 0.41, 0.05)
 """Latencies of ρ that are compared."""
+LATENCY_BREATHS = 5
+"""They are compared again after so many breaths."""
 KNOWN_SHARE, LONGEST_BREATH_S = 0.8, 30.0
 """A breath of which less was learnt lies outside; a longer one is a pause."""
 COURSE_POINTS = 72
@@ -148,6 +150,7 @@ class LearntMotion:
         self._breath = 0
         self._last_onset_s = -inf
         self._unknown_breaths = 0
+        self._latency_s, self._latency_breath = nan, -LATENCY_BREATHS
 
     @property
     def model(self) -> BreathingPose | None:
@@ -265,7 +268,13 @@ class LearntMotion:
 
     @property
     def latency_s(self) -> float:
-        """How far ρ is behind the heart: the shift of ρ alone that best explains the beats."""
+        """How far ρ is behind the heart, as of one of the last breaths."""
+        if self._breath >= self._latency_breath + LATENCY_BREATHS:
+            self._latency_s, self._latency_breath = self._best_latency_s(), self._breath
+        return self._latency_s
+
+    def _best_latency_s(self) -> float:
+        """Find the shift of ρ alone that best explains the beats."""
         frames_s = np.concatenate([one.frames_s for one in self._beats])
         begins = np.cumsum([0, *(len(one.frames_s) for one in self._beats)])[:-1]
         counts = np.diff([*begins, len(frames_s)])[:, None]

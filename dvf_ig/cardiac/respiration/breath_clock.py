@@ -138,7 +138,9 @@ class BreathClock:
         self._table = np.empty((1024, 5))  # time, ρ, its two lags, 1 where they do not tell the heart's place
         self._count = 0
         self._rate = 0.0
-        self._usual_rate: deque[float] = deque(maxlen=8)  # largest rate of each of the last breaths
+        self._rates: deque[float] = deque(maxlen=8)  # largest of each of the last breaths
+        self._fastest = 0.0  # their median
+        self._period_s = math.nan  # median length of the last breaths
         self._largest_rate = 0.0
         self._armed = False
         self._range, self._range_until_s = (0.0, 1.0), -math.inf
@@ -202,7 +204,7 @@ class BreathClock:
             state = BreathState.INIT
             return BreathReading(math.nan, math.nan, math.nan, math.nan, math.nan, state, BreathEvent.NONE)
         rho, sigma = self._ahead(t_s - self.latest_s)
-        begin_s, period_s = self._onsets[-1] if self._onsets else math.nan, self._period_s()
+        begin_s, period_s = self._onsets[-1] if self._onsets else math.nan, self._period_s
         phase = min((t_s - begin_s) / period_s, math.nextafter(1.0, 0.0)) if period_s > 0 else math.nan
         state, event = self._state_at(t_s)
         return BreathReading(rho, sigma, self._rate, phase, period_s, state, event)
@@ -307,7 +309,7 @@ class BreathClock:
 
     def _watch(self, at_s: float, rho: float) -> None:
         """Find the beginning of breaths, and whether the running one is ordinary."""
-        o, usual = self._options, self._usual()
+        o, usual = self._options, self._fastest
         self._largest_rate = max(self._largest_rate, abs(self._rate))
         if rho > o.top or (rho < o.bottom and self._count > 5):
             self._break(BreathEvent.DEEP_BREATH if rho > o.top else BreathEvent.DISCONNECTION)
@@ -320,7 +322,7 @@ class BreathClock:
         elif self._armed and slow > low + BEGIN * (high - low):
             self._armed = False
             self._begin(at_s)
-        if self._onsets and at_s - self._onsets[-1] > o.late_share * self._period_s():
+        if self._onsets and at_s - self._onsets[-1] > o.late_share * self._period_s:
             self._break(BreathEvent.PAUSE)
 
     def _recent_range(self, at_s: float) -> tuple[float, float]:
@@ -337,7 +339,7 @@ class BreathClock:
 
     def _begin(self, at_s: float) -> None:
         """Count a breath, if it took about as long as usual, as ordinary."""
-        period_s, ordinary = self._period_s(), True
+        period_s, ordinary = self._period_s, True
         if self._onsets:
             share = (at_s - self._onsets[-1]) / period_s if period_s > 0 else 1.0
             ordinary = self._options.periods[0] <= share <= self._options.periods[1]
@@ -345,8 +347,12 @@ class BreathClock:
                 late = share > self._options.late_share
                 self._break(BreathEvent.PAUSE if late else BreathEvent.CHANGED_RATE)
         self._onsets.append(at_s)
-        self._usual_rate.append(self._largest_rate)
+        self._rates.append(self._largest_rate)
         self._largest_rate = 0.0
+        if len(self._onsets) > 1:
+            self._period_s = float(np.median(np.diff(self._onsets)))
+        if len(self._rates) >= 3:
+            self._fastest = float(np.median(self._rates))
         if ordinary:
             self._ordinary += 1
 
@@ -360,20 +366,13 @@ class BreathClock:
             self._parted = True
         self._ordinary = 0
 
-    def _usual(self) -> float:
-        return float(np.median(self._usual_rate)) if len(self._usual_rate) >= 3 else 0.0
-
-    def _period_s(self) -> float:
-        """Return the median of the last breaths' lengths."""
-        return float(np.median(np.diff(self._onsets))) if len(self._onsets) > 1 else math.nan
-
     def _state_at(self, t_s: float) -> tuple[BreathState, BreathEvent]:
         if t_s - self.latest_s > self._options.lost_s:
             return BreathState.LOST, BreathEvent.DISCONNECTION
         if len(self._onsets) < 3:
             return BreathState.INIT, BreathEvent.NONE
         quiet_s = t_s - self._onsets[-1]
-        if quiet_s > self._options.late_share * self._period_s():
+        if quiet_s > self._options.late_share * self._period_s:
             return BreathState.IRREGULAR, self._event or BreathEvent.PAUSE
         if self._ordinary < self._options.lock_breaths:
             return BreathState.IRREGULAR, self._event
