@@ -154,12 +154,12 @@ def heart_payload(model: DvfModel, fixtures: FixtureSet | None, warp: Warp | Non
 
 
 def _patient_surface(model: DvfModel, organ: CycleSurface, warp: Warp) -> dict[str, Any]:
-    """Encode the organ's surface as the patient has it, with its shift at end-diastole where it is known."""
+    """Encode the organ's surface as the patient has it, with its certain shifts at end-diastole."""
     moved = np.stack([warp.patient_places(vertices) for vertices in organ.vertices_mm])
     before, now = organ.vertices_mm[model.ed_phase], moved[model.ed_phase]
     normals = vertex_normals(Mesh(model.frame, before, organ.triangles))
-    known = warp.at(now)[1] <= LARGEST_MM2
-    outward = np.where(known, np.einsum("ni,ni->n", normals, now - before), np.nan)
+    certain = warp.at(now)[1] <= LARGEST_MM2
+    outward = np.where(certain, np.einsum("ni,ni->n", normals, now - before), np.nan)
     shown = CycleSurface(moved, organ.triangles)
     return _surface(model.surface_name, "patient", shown, outward_mm=packed(outward, SHIFT_STEP_MM))
 
