@@ -12,7 +12,7 @@ long is withheld (`Confirmation`; docs/theory/safety.md, trust).
 from dataclasses import dataclass, field, replace
 from math import inf
 
-from dvf_ig.core import PoseMotion, WarpMotion
+from dvf_ig.core import FloatArray, PoseMotion, WarpMotion
 from dvf_ig.registration import PoseEstimate, ShiftDetector, SimilarityWatch, TipSighting
 
 from .reasons import Doubt
@@ -155,6 +155,11 @@ class InUse:
     tip: TipEvidence = TipEvidence()
     contradicting: int = 0
     refusals: int = 0
+
+    def covariance_mm2(self, now_s: float) -> FloatArray:
+        """(6, 6) of the pose, less what the variance of a warp that is reached holds: the registration's."""
+        of_warp = self.estimate.warp is not None and self.warp is not None and self.warp.end_s <= now_s
+        return self.estimate.covariance_mm2 if of_warp else self.estimate.total_mm2
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -12,7 +12,7 @@ from dataclasses import replace
 from math import inf
 
 from dvf_ig.cardiac import RPeak
-from dvf_ig.core import PoseMotion, Rigid, WarpMotion
+from dvf_ig.core import FloatArray, PoseMotion, Rigid, WarpMotion
 from dvf_ig.registration import PoseEstimate, RegistrationResult, TipSighting
 from dvf_ig.registration.unfollowed_breathing import LEAST_BEATS
 
@@ -83,6 +83,13 @@ class PoseTracker:
     def warp(self) -> WarpMotion | None:
         """Change of the heart's shape over time, at that pose; None of a heart that has kept its shape."""
         return self.pose.warp if isinstance(self.pose, InUse) else None
+
+    def covariance_mm2(self, now_s: float) -> FloatArray | None:
+        """(6, 6) of the pose in use or the last one, as σ_d takes it; None before the first."""
+        last = last_used(self.pose)
+        if isinstance(last, InUse):
+            return last.covariance_mm2(now_s)
+        return None if last is None else last.estimate.total_mm2
 
     @property
     def estimate(self) -> PoseEstimate | None:

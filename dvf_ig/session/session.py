@@ -256,7 +256,7 @@ class Session:
         withheld = self._breathing.withheld(now_s)
         if motion is not None:
             motion = self._breathing.motion(motion, now_s)
-        heart, estimate = self.setup.heart, self._pose.estimate
+        heart, covariance = self.setup.heart, self._pose.covariance_mm2(now_s)
         model = heart.model
         self._transform = PoseAndPhase(
             pose=motion,
@@ -264,9 +264,7 @@ class Session:
             retiming=retiming_curve(phase.rr_s, model.timing.rr_s, model.es_fraction, self.setup.retiming)
             if phase.rr_s > 0
             else None,
-            covariance_mm2=None
-            if estimate is None
-            else estimate.total_mm2 + self._breathing.covariance_mm2(now_s),
+            covariance_mm2=None if covariance is None else covariance + self._breathing.covariance_mm2(now_s),
             center_mm=heart.center_mm,
             pose_until_s=-inf if confirmation is None or withheld else confirmation.until_s,
             warp=self._pose.warp,

@@ -500,6 +500,15 @@ def test_a_change_of_shape_comes_and_goes_at_a_bounded_speed() -> None:
     assert done.warp is None
 
 
+def test_a_warp_that_is_reached_holds_the_uncertainty_of_its_registration() -> None:
+    pose, _ = next_pose(IN_USE, Registered(NOW_S, RECORD, changed(0.0, 2.0), 0.0))
+    assert isinstance(pose, InUse)
+    estimate = pose.estimate
+    np.testing.assert_array_equal(pose.covariance_mm2(NOW_S), estimate.total_mm2)
+    np.testing.assert_array_equal(pose.covariance_mm2(NOW_S + 9.0), estimate.covariance_mm2)
+    np.testing.assert_array_equal(IN_USE.covariance_mm2(NOW_S + 9.0), IN_USE.estimate.total_mm2)
+
+
 def test_walls_stay_where_a_registration_saw_them_when_its_pose_is_fused() -> None:
     """The fused pose lies between both; the warp makes up for it."""
     pose, _ = next_pose(IN_USE, Registered(NOW_S, RECORD, changed(2.0, 1.0), 0.0))

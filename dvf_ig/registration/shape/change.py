@@ -316,7 +316,7 @@ def _known_along(
 
 
 def _guarded_walls(target: BoundaryTarget, modes: ShapeModes, best: ShapePosterior) -> GuardedWalls:
-    """Evaluate the fit at the walls where it is known well enough for a force; at all if nowhere."""
+    """Evaluate the fit at walls whose place is certain enough for a force, or at all if none is."""
     places = _walls_mm(target)
     normals = _outward(target, places, modes.center_mm)
     columns, alone = _known_along(modes, best, places, normals, modes.at(places, MODES))
@@ -326,7 +326,7 @@ def _guarded_walls(target: BoundaryTarget, modes: ShapeModes, best: ShapePosteri
         served[:] = True
     columns, variance = columns[served], float(variance[served].mean())
     motion = np.einsum("ni,nip->np", normals, rigid_motion(places, modes.center_mm))[served]
-    # what no fit knows of neighbours is taken to be as alike as what it does
+    # what the fit leaves out is taken to have the correlation of what it states
     alike = float(((columns.T @ columns) ** 2).sum() / (columns**2).sum() ** 2)
     return GuardedWalls(motion.T @ motion / len(motion), variance, variance**2 * alike)
 

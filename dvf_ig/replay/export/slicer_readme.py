@@ -98,8 +98,8 @@ def readme_text(frames: Mapping[str, str], run: ExportedRun, shown: int, fractio
 
 
 def _one_surface(frames: Mapping[str, str]) -> list[tuple[str, str]]:
-    """List every file, the surfaces in one row."""
-    surfaces = [name for name in frames if name.endswith(".stl")]
+    """List every file, the surfaces of the cycle in one row."""
+    surfaces = [name for name in frames if name.endswith(".stl") and not name.startswith("heart_now")]
     rows = [(name, frame) for name, frame in frames.items() if name not in surfaces[1:]]
     if len(surfaces) > 1:
         place = rows.index((surfaces[0], frames[surfaces[0]]))

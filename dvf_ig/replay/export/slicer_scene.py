@@ -188,8 +188,8 @@ def _patient_surface(out: SceneFolder, model: DvfModel, warp: Warp) -> None:
     """Add the surface as the patient has it at end-diastole, in parts by how far it has moved."""
     shown = shape_shown("", model.reference[model.ed_phase], warp, LARGEST_SIGMA_MM)
     outward = shown.outward_mm[shown.triangles].mean(axis=1)
-    known = shown.known[shown.triangles].all(axis=1)
-    step = np.where(known, np.digitize(outward, [-MOVED_MM, MOVED_MM]), len(SHIFT_PARTS) - 1)
+    certain = shown.known[shown.triangles].all(axis=1)
+    step = np.where(certain, np.digitize(outward, [-MOVED_MM, MOVED_MM]), len(SHIFT_PARTS) - 1)
     for number, (part, color, note) in enumerate(SHIFT_PARTS):
         triangles = shown.triangles[step == number]
         if len(triangles):

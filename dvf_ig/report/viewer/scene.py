@@ -130,7 +130,8 @@ def heart_payload(model: DvfModel, fixtures: FixtureSet | None, warp: Warp | Non
     """Encode surfaces of organ, blood and fixtures through the cycle.
 
     Args:
-        warp: change of the heart's shape since the MR, which shows the patient's surface as well.
+        warp: change of the heart's shape since the MR: organ and unseen are shown as in the MR, all other
+            surfaces as the patient has them.
     """
     organ = cycle_surface(model.reference, ORGAN_PITCH_MM)
     surfaces = []
@@ -140,11 +141,11 @@ def heart_payload(model: DvfModel, fixtures: FixtureSet | None, warp: Warp | Non
             shown = CycleSurface(organ.vertices_mm, organ.triangles[part])
             surfaces.append(_surface(model.surface_name, role, shown))
     surfaces += [
-        _surface(chamber.name, "blood", cycle_surface(chamber.surfaces, BLOOD_PITCH_MM))
+        _surface(chamber.name, "blood", _now(cycle_surface(chamber.surfaces, BLOOD_PITCH_MM), warp))
         for chamber in model.chambers
     ]
     surfaces += [] if warp is None else [_patient_surface(model, organ, warp)]
-    surfaces += [] if fixtures is None else _fixture_surfaces(model, fixtures, organ)
+    surfaces += [] if fixtures is None else _fixture_surfaces(model, fixtures, organ, warp)
     low, high = organ.vertices_mm.min(axis=(0, 1)), organ.vertices_mm.max(axis=(0, 1))
     return {
         "surfaces": surfaces,
@@ -153,15 +154,22 @@ def heart_payload(model: DvfModel, fixtures: FixtureSet | None, warp: Warp | Non
     }
 
 
+def _now(surface: CycleSurface, warp: Warp | None) -> CycleSurface:
+    """Move a surface of the MR to where the patient has it."""
+    if warp is None:
+        return surface
+    moved = np.stack([warp.patient_places(vertices) for vertices in surface.vertices_mm])
+    return CycleSurface(moved, surface.triangles)
+
+
 def _patient_surface(model: DvfModel, organ: CycleSurface, warp: Warp) -> dict[str, Any]:
-    """Encode the organ's surface as the patient has it, with its shift at end-diastole where it is known."""
-    moved = np.stack([warp.patient_places(vertices) for vertices in organ.vertices_mm])
-    before, now = organ.vertices_mm[model.ed_phase], moved[model.ed_phase]
+    """Encode the organ's surface as the patient has it, with its certain shifts at end-diastole."""
+    moved = _now(organ, warp)
+    before, now = organ.vertices_mm[model.ed_phase], moved.vertices_mm[model.ed_phase]
     normals = vertex_normals(Mesh(model.frame, before, organ.triangles))
-    known = warp.at(now)[1] <= LARGEST_MM2
-    outward = np.where(known, np.einsum("ni,ni->n", normals, now - before), np.nan)
-    shown = CycleSurface(moved, organ.triangles)
-    return _surface(model.surface_name, "patient", shown, outward_mm=packed(outward, SHIFT_STEP_MM))
+    certain = warp.at(now)[1] <= LARGEST_MM2
+    outward = np.where(certain, np.einsum("ni,ni->n", normals, now - before), np.nan)
+    return _surface(model.surface_name, "patient", moved, outward_mm=packed(outward, SHIFT_STEP_MM))
 
 
 def _unseen(model: DvfModel, organ: CycleSurface) -> BoolArray:
@@ -196,7 +204,9 @@ def _surface(name: str, role: str, surface: CycleSurface, **more: Any) -> dict[s
     }
 
 
-def _fixture_surfaces(model: DvfModel, fixtures: FixtureSet, organ: CycleSurface) -> list[dict[str, Any]]:
+def _fixture_surfaces(
+    model: DvfModel, fixtures: FixtureSet, organ: CycleSurface, warp: Warp | None
+) -> list[dict[str, Any]]:
     out = []
     for number, one in enumerate(fixtures.fixtures):
         if one.path is not None:
@@ -204,7 +214,7 @@ def _fixture_surfaces(model: DvfModel, fixtures: FixtureSet, organ: CycleSurface
         level = shown_level_mm(one.law)
         aim = isinstance(one.law, Gaussian)
         label = "aim" if aim else f"from {SHARE_OF_CAP * one.law.cap_n:.2g} N"
-        surface = fixture_surface(organ, Evaluator(model, one.law, withhold_unseen=False), level)
+        surface = _now(fixture_surface(organ, Evaluator(model, one.law, withhold_unseen=False), level), warp)
         name = one.name or ("guidance" if aim else "forbidden region")
         out.append(_surface(name, "fixture", surface, level_mm=round(level, 3), label=label, fixture=number))
     return out
