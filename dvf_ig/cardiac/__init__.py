@@ -3,13 +3,8 @@
 All of it is causal except `beat_phase`, which needs the R peak after the time as well.
 """
 
-from .beat_finder import RPeakOptions as RPeakOptions
-from .beat_pattern import BeatKind as BeatKind
-from .beat_pattern import BeatPatternOptions as BeatPatternOptions
-from .beats import BeatPhase as BeatPhase
 from .beats import beat_phase as beat_phase
 from .lead_off import LeadChange as LeadChange
-from .lead_off import LeadOffDetector as LeadOffDetector
 from .phase_clock import PhaseClock as PhaseClock
 from .phase_clock import PhaseClockOptions as PhaseClockOptions
 from .phase_tracking import PhaseTracking as PhaseTracking
@@ -17,13 +12,10 @@ from .phase_tracking import TriggerDetector as TriggerDetector
 from .phase_tracking import phase_from_peaks as phase_from_peaks
 from .phase_tracking import stream_recording as stream_recording
 from .phase_tracking import track_phase as track_phase
-from .phase_tracking import trigger_peaks as trigger_peaks
-from .retime import SYSTOLE_SLOPE_S_PER_BPM as SYSTOLE_SLOPE_S_PER_BPM
 from .retime import RetimeMode as RetimeMode
 from .retime import frame_period_s as frame_period_s
 from .retime import retime as retime
 from .retime import retiming_curve as retiming_curve
-from .retime import systole_share as systole_share
 from .rhythm import RhythmOptions as RhythmOptions
 from .rpeak import RPeak as RPeak
 from .rpeak import RPeakDetector as RPeakDetector
@@ -32,6 +24,5 @@ from .rr_predictor import PREDICTORS as PREDICTORS
 from .rr_predictor import PredictorName as PredictorName
 from .rr_predictor import make_predictor as make_predictor
 from .summary import MIN_BEATS as MIN_BEATS
-from .summary import GateSummary as GateSummary
 from .summary import state_segments as state_segments
 from .summary import summarise_gating as summarise_gating

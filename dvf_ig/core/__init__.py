@@ -69,7 +69,6 @@ from .timing.phase import PhaseState as PhaseState
 from .timing.phase import PhaseTrack as PhaseTrack
 from .timing.phase_forecast import PhaseForecast as PhaseForecast
 from .timing.phase_forecast import PhaseReading as PhaseReading
-from .timing.phase_forecast import PhaseReadings as PhaseReadings
 from .timing.retiming_curve import CubicPieces as CubicPieces
 from .timing.retiming_curve import RetimingCurve as RetimingCurve
 from .timing.trigger import TriggerTimes as TriggerTimes

@@ -1,23 +1,15 @@
 """Guidance forces: laws (Ren 2008, eqs 4–9), blending (eqs 10–11), evaluation, pose-and-phase, devices."""
 
-from .blend import Blend as Blend
-from .blend import blend_distances as blend_distances
-from .blend import blend_forces as blend_forces
-from .blend import force_of_blend as force_of_blend
 from .blend import static_force as static_force
-from .composition import Composed as Composed
 from .composition import Contribution as Contribution
 from .composition import compose as compose
 from .continuity import Continuity as Continuity
-from .continuity import ForceBounds as ForceBounds
 from .continuity import check_continuity as check_continuity
-from .continuity import force_bounds as force_bounds
 from .device import DeviceLimits as DeviceLimits
 from .device import FreeZone as FreeZone
 from .device import gaussian_for_free_zone as gaussian_for_free_zone
 from .device import tightest_gaussian as tightest_gaussian
 from .devices.simulated import DEVICES as DEVICES
-from .devices.simulated import DeviceState as DeviceState
 from .devices.simulated import SimulatedDevice as SimulatedDevice
 from .evaluator import Evaluator as Evaluator
 from .evaluator import ForceSamples as ForceSamples
@@ -31,23 +23,16 @@ from .laws import Confinement as Confinement
 from .laws import Gaussian as Gaussian
 from .laws import Law as Law
 from .laws import Sigmoid as Sigmoid
-from .places import PlacesInModel as PlacesInModel
 from .places import Status as Status
-from .pose_and_phase import BoundTick as BoundTick
 from .pose_and_phase import PoseAndPhase as PoseAndPhase
 from .supervision.hazards import HAZARD_RULES as HAZARD_RULES
 from .supervision.hazards import WITHHOLDING as WITHHOLDING
 from .supervision.hazards import Hazard as Hazard
-from .supervision.hazards import HazardRule as HazardRule
 from .supervision.hazards import Latch as Latch
 from .supervision.hazards import Response as Response
-from .supervision.hazards import hazard_of as hazard_of
-from .supervision.hazards import hazards_that_latch as hazards_that_latch
-from .supervision.hazards import hazards_with as hazards_with
 from .supervision.hazards import withholding as withholding
 from .supervision.supervisor import RearmAnswer as RearmAnswer
 from .supervision.supervisor import SupervisedForce as SupervisedForce
-from .supervision.supervisor import SupervisionSummary as SupervisionSummary
 from .supervision.supervisor import SupervisorState as SupervisorState
 from .supervision.supervisor import summarise_supervision as summarise_supervision
 from .targets import PathFixture as PathFixture

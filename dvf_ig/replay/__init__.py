@@ -9,4 +9,3 @@ from .result.result import result_of as result_of
 from .result.result import schema as schema
 from .result.result import validate as validate
 from .table import table as table
-from .ticks import Ticks as Ticks

@@ -7,13 +7,8 @@ their common look. Callers compute what a figure shows and pass it as a value.
 from .gating import breathing_png as breathing_png
 from .gating import gate_png as gate_png
 from .motion import write_motion_picture as write_motion_picture
-from .page import html_page as html_page
-from .page import image_tag as image_tag
-from .page import png_tag as png_tag
 from .residuals import write_latency_picture as write_latency_picture
 from .residuals import write_residual_picture as write_residual_picture
 from .scenario import preview_png as preview_png
 from .style import png_bytes as png_bytes
-from .style import svg_bytes as svg_bytes
-from .style import write_png as write_png
 from .wires import write_wire_picture as write_wire_picture

@@ -20,14 +20,11 @@ from .heart import label_map_of_model as label_map_of_model
 from .history import PoseUpdate as PoseUpdate
 from .history import RegistrationDecision as RegistrationDecision
 from .history import SessionHistory as SessionHistory
-from .reasons import Doubt as Doubt
 from .reasons import DoubtCause as DoubtCause
-from .reasons import NoForce as NoForce
 from .reasons import Refusal as Refusal
 from .reasons import Refused as Refused
 from .reasons import no_force as no_force
 from .session import Session as Session
-from .setup import BeatSource as BeatSource
 from .setup import CalibrationsInUse as CalibrationsInUse
 from .setup import EcgSource as EcgSource
 from .setup import SessionSetup as SessionSetup
@@ -40,7 +37,6 @@ from .ultrasound_registration import RegistrationRequest as RegistrationRequest
 from .ultrasound_registration import model_phase_at as model_phase_at
 from .ultrasound_registration import register_frames as register_frames
 from .ultrasound_registration import register_gated_volumes as register_gated_volumes
-from .work import Executor as Executor
 from .work import InlineExecutor as InlineExecutor
 from .work import Job as Job
 from .work import ThreadedExecutor as ThreadedExecutor

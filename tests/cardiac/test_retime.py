@@ -6,7 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.interpolate import PchipInterpolator
 
-from dvf_ig.cardiac import frame_period_s, retime, retiming_curve, systole_share
+from dvf_ig.cardiac import frame_period_s, retime, retiming_curve
+from dvf_ig.cardiac.retime import systole_share
 from dvf_ig.core import InvalidInputError
 
 PHI = np.linspace(0.0, 0.999, 500)

@@ -5,8 +5,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from dvf_ig.cardiac import BeatKind, RPeak, phase_from_peaks
-from dvf_ig.cardiac.beat_pattern import BeatPattern
+from dvf_ig.cardiac import RPeak, phase_from_peaks
+from dvf_ig.cardiac.beat_pattern import BeatKind, BeatPattern
 from dvf_ig.cardiac.rhythm import Rhythm
 from dvf_ig.core import BoolArray, FloatArray, PhaseState
 

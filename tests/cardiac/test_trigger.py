@@ -5,7 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dvf_ig.cardiac import TriggerDetector, phase_from_peaks, trigger_peaks
+from dvf_ig.cardiac import TriggerDetector, phase_from_peaks
+from dvf_ig.cardiac.phase_tracking import trigger_peaks
 from dvf_ig.core import FloatArray, IntArray, InvalidInputError, PhaseState, TriggerTimes
 from dvf_ig.io import read_triggers, write_triggers
 

@@ -17,7 +17,8 @@ from typer.testing import CliRunner, Result
 from dvf_ig.cli.main import app
 from dvf_ig.core import DvfModel, FloatArray, Rigid, TrackedSequence
 from dvf_ig.io import write_sequence, write_transform
-from dvf_ig.registration import against_touched, target_errors_mm
+from dvf_ig.registration import target_errors_mm
+from dvf_ig.registration.register import against_touched
 from dvf_ig.replay.page.registration_page import ShownInput
 
 POSE = random_pose(np.random.default_rng(4))

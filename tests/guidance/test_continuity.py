@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from dvf_ig.guidance import Evaluator, ForceSamples, Gaussian, Sigmoid, check_continuity, force_bounds
+from dvf_ig.guidance import Evaluator, ForceSamples, Gaussian, Sigmoid, check_continuity
+from dvf_ig.guidance.continuity import force_bounds
 
 BLENDS = ["force", "distance", "periodic"]
 LAWS = [Sigmoid(), Sigmoid(2.0, 0.5, 1.0), Gaussian(3.0, 2.0, depth_mm=1.0), Gaussian(2.0, 0.5, 0.4)]

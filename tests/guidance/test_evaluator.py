@@ -14,10 +14,9 @@ from dvf_ig.guidance import (
     Gaussian,
     Sigmoid,
     Status,
-    blend_distances,
-    blend_forces,
     static_force,
 )
+from dvf_ig.guidance.blend import blend_distances, blend_forces
 from dvf_ig.kernels.dynamic import force_tick
 from dvf_ig.kernels.spline import spline_batch
 

@@ -5,7 +5,8 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 from dvf_ig.core import CycleTiming
-from dvf_ig.guidance import Evaluator, Gaussian, Sigmoid, force_of_blend
+from dvf_ig.guidance import Evaluator, Gaussian, Sigmoid
+from dvf_ig.guidance.blend import force_of_blend
 from dvf_ig.guidance.evaluator import periodic_coefficients, periodic_powers
 from dvf_ig.kernels.spline import spline_batch
 

@@ -7,7 +7,7 @@ import pytest
 
 from dvf_ig.core import InvalidInputError
 from dvf_ig.guidance import DeviceLimits, Evaluator, Fixtures, FixtureSet, Sigmoid
-from dvf_ig.guidance.devices import RecordedDevice
+from dvf_ig.guidance.devices.recorded import RecordedDevice
 from dvf_ig.guidance.servo import Servo
 from dvf_ig.guidance.sideways import check_sideways, sideways_stiffness
 from dvf_ig.study.passivity import HALF_MM, KNOT_MM, wall_model

@@ -9,7 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dvf_ig.core import InvalidInputError
-from dvf_ig.guidance import DEVICES, DeviceState, FeedForward, SimulatedDevice
+from dvf_ig.guidance import DEVICES, FeedForward, SimulatedDevice
+from dvf_ig.guidance.devices.simulated import DeviceState
 
 MASS, VISCOUS = 0.05, 0.8
 AXIS = np.array([2.0, -1.0, 2.0]) / 3.0

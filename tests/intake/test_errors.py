@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from dvf_ig.core import InvalidInputError, Preop, UnreadableFileError
-from dvf_ig.intake import SessionFiles
+from dvf_ig.intake.parts import SessionFiles
 from dvf_ig.intake.preop import PreopFiles
 from dvf_ig.intake.problems import ProblemList, concerning
 from dvf_ig.io import GatedVolumeFile, read_sequence

@@ -14,11 +14,10 @@ from dvf_ig.guidance import (
     Response,
     SupervisedForce,
     SupervisorState,
-    hazards_that_latch,
-    hazards_with,
     withholding,
 )
 from dvf_ig.guidance.device import COMMON_DEVICE
+from dvf_ig.guidance.supervision.hazards import hazards_that_latch, hazards_with
 from dvf_ig.guidance.supervision.supervisor import (
     CLAMPS_WITHIN_S,
     FADE_S,

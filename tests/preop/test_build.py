@@ -7,15 +7,9 @@ import pytest
 
 from dvf_ig.core import FrameMismatchError, InvalidInputError, Mesh, SurfaceSeries
 from dvf_ig.kernels.spline import spline_batch
-from dvf_ig.preop import (
-    ModelOptions,
-    build_model,
-    check_model,
-    choose_knot_spacing,
-    close_surface,
-    model_from_surfaces,
-)
+from dvf_ig.preop import ModelOptions, build_model, check_model, close_surface, model_from_surfaces
 from dvf_ig.preop.build import border_distance_mm, end_systole, potential_at_border
+from dvf_ig.preop.knots import choose_knot_spacing
 
 
 @pytest.fixture(scope="module")

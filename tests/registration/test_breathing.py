@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from data_synth.breathing.breaths import BreathSpec, draw_breaths
 from data_synth.breathing.motion import Breathing, breathing_of
 from data_synth.breathing.recorded import recorded_breathing
-from dvf_ig.cardiac.respiration import BreathClock
+from dvf_ig.cardiac.respiration.breath_clock import BreathClock
 from dvf_ig.core import HEART_RADIUS_MM, FloatArray, InvalidInputError, Rigid
 from dvf_ig.registration import BeatMeasurement, BreathBeat, OscillationWatch, learn_breathing
 from dvf_ig.registration.tracking.pose_estimate import MEAN_SQUARE_OF_COORDINATES

@@ -7,7 +7,8 @@ from scipy import ndimage
 
 from dvf_ig.core import BoolArray
 from dvf_ig.kernels.grid.pool import block_sums
-from dvf_ig.registration import FrameInformation, FrameRejection, frame_information, gate_frames
+from dvf_ig.registration import FrameRejection, frame_information, gate_frames
+from dvf_ig.registration.gating import FrameInformation
 
 ROWS, COLUMNS = 240, 260
 PITCH_MM = (0.5, 0.5)

@@ -23,7 +23,6 @@ from dvf_ig.core import (
 from dvf_ig.registration import (
     BLOOD,
     WALL,
-    BoundaryPoints,
     HeartChannels,
     LandmarkPrior,
     Level,
@@ -39,6 +38,7 @@ from dvf_ig.registration import (
     target_errors_mm,
     target_from_labels,
 )
+from dvf_ig.registration.boundary.points import BoundaryPoints
 from dvf_ig.registration.shape.change import Halves
 
 QUICK = RegistrationOptions(starts=4)

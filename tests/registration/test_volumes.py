@@ -32,11 +32,10 @@ from dvf_ig.registration import (
     SliceSet,
     channels_from_mr,
     images_of_volumes,
-    prepare_volumes,
     register,
     target_errors_mm,
 )
-from dvf_ig.registration.lc2.slices import joined, within
+from dvf_ig.registration.lc2.slices import joined, prepare_volumes, within
 
 TURN = Rotation.from_rotvec([0.3, -0.5, 0.8]).as_matrix()
 POSE = Rigid.from_rotation_vector([-0.6, 0.2, 1.1], [40.0, -70.0, 15.0], "tracker", "probe")

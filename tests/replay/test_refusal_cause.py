@@ -8,7 +8,8 @@ import pytest
 from toy_lab import sweep
 
 from dvf_ig.core import ImageMap, Rigid
-from dvf_ig.registration import Evidence, ImageOffset
+from dvf_ig.registration import Evidence
+from dvf_ig.registration.evidence.image_offset import ImageOffset
 from dvf_ig.replay.registration import PreparedRegistration, explain_refusal
 from dvf_ig.session import UltrasoundCalibration, UltrasoundRecording
 

@@ -5,7 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dvf_ig.calibration import Dots, RejectedFrame, Rejection, WireFrame, WireSegmentation
+from dvf_ig.calibration import RejectedFrame, Rejection, WireSegmentation
+from dvf_ig.calibration.wires.dots import Dots
+from dvf_ig.calibration.wires.images import WireFrame
 from dvf_ig.core import InvalidInputError, TrackedSequence
 from dvf_ig.report import write_wire_picture
 from dvf_ig.report.wires import MOST_REFUSED, chosen_frames

@@ -22,7 +22,8 @@ from dvf_ig.core import (
     TrackedVolume,
     VolumeSeries,
 )
-from dvf_ig.registration import against_touched, channels_from_mr
+from dvf_ig.registration import channels_from_mr
+from dvf_ig.registration.register import against_touched
 from dvf_ig.session import Heart, model_phase_at, register_gated_volumes
 
 RR_S = 0.6

@@ -3,11 +3,8 @@
 from .beat_clock import BeatClock as BeatClock
 from .beat_clock import breath_rates as breath_rates
 from .beat_clock import breathing_in_beats as breathing_in_beats
-from .breath_clock import LAG_S as LAG_S
 from .breath_clock import PARTING as PARTING
 from .breath_clock import Breath as Breath
-from .breath_clock import BreathClock as BreathClock
-from .breath_clock import BreathClockOptions as BreathClockOptions
 from .breath_clock import BreathEvent as BreathEvent
 from .breath_clock import BreathReading as BreathReading
 from .breath_clock import BreathState as BreathState

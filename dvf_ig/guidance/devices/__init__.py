@@ -9,6 +9,4 @@ from .force_dimension import ForceDimensionDevice as ForceDimensionDevice
 from .openhaptics import OpenHapticsDevice as OpenHapticsDevice
 from .protocol import HapticDevice as HapticDevice
 from .protocol import HeldDevice as HeldDevice
-from .recorded import RecordedDevice as RecordedDevice
 from .simulated import SimulatedStylus as SimulatedStylus
-from .vendor_library import VendorLibraryError as VendorLibraryError

@@ -8,5 +8,4 @@ from .record import ServoRecord as ServoRecord
 from .record import ServoTick as ServoTick
 from .servo import Servo as Servo
 from .simulated_time import SimulatedServo as SimulatedServo
-from .simulated_time import simulate as simulate
 from .tracked import TrackedServo as TrackedServo

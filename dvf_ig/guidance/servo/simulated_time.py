@@ -84,16 +84,3 @@ class SimulatedServo:
         if self._loop.numbers[kernel.REARM_ANSWERED] < max(1, self._loop.numbers[kernel.REARM_ASKED]):
             return None
         return REARM_ANSWERS[int(self._loop.numbers[kernel.REARM_ANSWER])]
-
-
-def simulate(
-    fixtures: Fixtures,
-    device: HapticDevice,
-    inputs: ServoInputs,
-    ticks: int,
-    *,
-    limits: DeviceLimits = COMMON_DEVICE,
-    options: ServoOptions = ServoOptions(),  # noqa: B008  frozen
-) -> ServoRecord:
-    """One run with the same inputs throughout."""
-    return SimulatedServo(fixtures, device, limits=limits, options=options).run(inputs, ticks)

@@ -4,11 +4,9 @@ Fig. 4 fitted surface, Figs 5 and 11 force fields, Figs 8 to 10 potentials, Fig.
 (`dvf_ig.study.tracking`); also equations 10–11 over time, which the paper does not draw.
 """
 
-from .fields import SliceField as SliceField
 from .fields import field_figure as field_figure
 from .fields import organ_field as organ_field
 from .fields import surface_field as surface_field
-from .over_time import ForceOverTime as ForceOverTime
 from .over_time import force_over_time as force_over_time
 from .over_time import over_time_figure as over_time_figure
 from .page import PaperFigure as PaperFigure

@@ -6,8 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from dvf_ig.calibration import MapParameters, MapUncertainty
+from dvf_ig.calibration import MapUncertainty
 from dvf_ig.calibration.probe.covariance import BLOCKS, block_jackknife, time_blocks
+from dvf_ig.calibration.probe.map_parameters import MapParameters
 from dvf_ig.core import ImageMap, InvalidInputError, Rigid
 
 MAP = ImageMap(

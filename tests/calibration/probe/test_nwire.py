@@ -4,16 +4,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from dvf_ig.calibration import (
-    NWIRE_METHODS,
-    NWireMethod,
-    NWireOptions,
-    accepted,
-    calibrate_nwire,
-    diagonal_crossings,
-    validate_nwire,
-)
+from dvf_ig.calibration import NWIRE_METHODS, NWireOptions, accepted, calibrate_nwire, validate_nwire
 from dvf_ig.calibration.probe.errors import CalibrationErrors, calibration_errors, known_points_refusals
+from dvf_ig.calibration.probe.nwire_residuals import diagonal_crossings
+from dvf_ig.calibration.probe.nwire_solve import NWireMethod
 from dvf_ig.core import (
     FloatArray,
     ImageMap,

@@ -9,15 +9,15 @@ from data_synth.ultrasound.probe import SectorProbe
 from dvf_ig.calibration import (
     NWIRE_METHODS,
     Gate,
-    MapParameters,
-    NWireMethod,
     NWireOptions,
     calibrate_nwire,
     compare_nwire_methods,
     validate_nwire,
 )
+from dvf_ig.calibration.probe.map_parameters import MapParameters
 from dvf_ig.calibration.probe.nwire import usable_wires
 from dvf_ig.calibration.probe.nwire_residuals import AllWires, MiddleWires
+from dvf_ig.calibration.probe.nwire_solve import NWireMethod
 from dvf_ig.core import ImageMap, InvalidInputError, NWireRecording, Rigid
 
 PROBE = SectorProbe()

@@ -8,7 +8,10 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from data_synth.phantoms.nwire import fcal_phantom, wire_crossings_px
-from dvf_ig.calibration import Dots, FoundWires, RejectedFrame, Rejection, find_dots, find_wires, plan_wires
+from dvf_ig.calibration import RejectedFrame, Rejection
+from dvf_ig.calibration.wires.dots import Dots, find_dots
+from dvf_ig.calibration.wires.pattern import FoundWires, find_wires
+from dvf_ig.calibration.wires.plan import plan_wires
 from dvf_ig.core import FloatArray, InvalidInputError, NWirePhantom, Wire
 
 SPACING = 0.078

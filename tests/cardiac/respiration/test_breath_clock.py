@@ -6,14 +6,8 @@ import numpy as np
 import pytest
 from scipy.signal import butter, sosfiltfilt
 
-from dvf_ig.cardiac.respiration import (
-    BreathClock,
-    BreathEvent,
-    BreathState,
-    RelearningClock,
-    learn_scale,
-    track_breathing,
-)
+from dvf_ig.cardiac.respiration import BreathEvent, BreathState, RelearningClock, learn_scale, track_breathing
+from dvf_ig.cardiac.respiration.breath_clock import BreathClock
 from dvf_ig.core import FloatArray, InvalidInputError, Respiration
 from dvf_ig.io.respiration import read_respiration
 

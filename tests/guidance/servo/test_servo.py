@@ -10,7 +10,7 @@ from waiting import until
 
 from dvf_ig.core import InvalidInputError, Rigid
 from dvf_ig.guidance import Fixtures, FixtureSet, Hazard, RearmAnswer, SupervisorState
-from dvf_ig.guidance.devices import RecordedDevice
+from dvf_ig.guidance.devices.recorded import RecordedDevice
 from dvf_ig.guidance.servo import Deadlines, Servo, ServoInputs, ServoOptions, SimulatedServo
 from dvf_ig.guidance.servo.record import BINS, deadlines_of
 from dvf_ig.kernels.servo.clock import monotonic_ns, sleep_until

@@ -13,7 +13,8 @@ from waiting import until
 
 from dvf_ig.core import Rigid
 from dvf_ig.guidance import Fixtures, FixtureSet, SupervisorState
-from dvf_ig.guidance.devices import ForceDimensionDevice, OpenHapticsDevice, VendorLibraryError
+from dvf_ig.guidance.devices import ForceDimensionDevice, OpenHapticsDevice
+from dvf_ig.guidance.devices.vendor_library import VendorLibraryError
 from dvf_ig.guidance.servo import Servo, ServoInputs
 from dvf_ig.kernels.servo.openhaptics import exchange
 

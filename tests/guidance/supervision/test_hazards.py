@@ -4,15 +4,8 @@ import numpy as np
 import pytest
 from supervised_loop import TICK_S, WANTED, guiding, sizes
 
-from dvf_ig.guidance import (
-    HAZARD_RULES,
-    Hazard,
-    Latch,
-    Status,
-    SupervisorState,
-    hazard_of,
-    hazards_that_latch,
-)
+from dvf_ig.guidance import HAZARD_RULES, Hazard, Latch, Status, SupervisorState
+from dvf_ig.guidance.supervision.hazards import hazard_of, hazards_that_latch
 
 OK, DEGRADED, FADE, LATCHED = SupervisorState
 FADING = [

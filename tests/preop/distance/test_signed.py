@@ -4,16 +4,10 @@ import numpy as np
 import pytest
 
 from dvf_ig.core import Grid, InvalidInputError, Mesh
-from dvf_ig.preop import (
-    angle_deg,
-    build_triangle_tree,
-    facet_normals,
-    inside_mask,
-    signed_distance_mm,
-    smooth_normals,
-    surface_of_mask,
-    vertex_normals,
-)
+from dvf_ig.preop import build_triangle_tree, signed_distance_mm
+from dvf_ig.preop.check import angle_deg, facet_normals, smooth_normals, vertex_normals
+from dvf_ig.preop.distance.signed import inside_mask
+from dvf_ig.preop.surface.from_labels import surface_of_mask
 
 
 def test_sphere(sphere_of):

@@ -7,7 +7,7 @@ import pytest
 from short_axis_toy import contracting_stack
 
 from dvf_ig.core import VolumeSeries
-from dvf_ig.preop import FreeForm, FreeFormOptions, Lattice, match_images, track_cycle
+from dvf_ig.preop import track_cycle
 from dvf_ig.preop.motion import cycle
 from dvf_ig.preop.motion.consistency import (
     LIMIT_MM,
@@ -17,6 +17,8 @@ from dvf_ig.preop.motion.consistency import (
     made_consistent,
     parts_of,
 )
+from dvf_ig.preop.motion.free_form import FreeForm, Lattice
+from dvf_ig.preop.motion.image_match import FreeFormOptions, match_images
 
 OBSERVABLE = np.array([True, True, False])
 

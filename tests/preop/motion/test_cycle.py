@@ -9,24 +9,21 @@ from scipy.spatial.transform import Rotation
 from dvf_ig.core import CycleTiming, Grid, InvalidInputError, Volume, VolumeSeries
 from dvf_ig.io import read_surface_series, read_volume_series
 from dvf_ig.preop import (
-    DisplacementField,
-    FreeForm,
-    FreeFormOptions,
-    Lattice,
     MotionOptions,
-    assess_motion,
     build_triangle_tree,
     cavity_volumes_mm3,
     close_surface,
     dice,
-    inside_mask,
     propagate_labels,
-    propagate_surface,
-    surface_of_mask,
     track_cycle,
-    volume_ratio,
 )
-from dvf_ig.preop.motion.free_form import Bending
+from dvf_ig.preop.distance.signed import inside_mask
+from dvf_ig.preop.motion.cycle import propagate_surface
+from dvf_ig.preop.motion.demons import DisplacementField
+from dvf_ig.preop.motion.free_form import Bending, FreeForm, Lattice, volume_ratio
+from dvf_ig.preop.motion.image_match import FreeFormOptions
+from dvf_ig.preop.motion.quality import assess_motion
+from dvf_ig.preop.surface.from_labels import surface_of_mask
 
 OUTER_MM, INNER_MM = 17.0, 10.0
 SCALES = (1.0, 0.94, 0.87, 0.84, 0.9, 0.97)

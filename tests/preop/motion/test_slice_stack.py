@@ -7,12 +7,14 @@ import pytest
 from short_axis_toy import CAVITY, WALL, contracting_stack
 
 from dvf_ig.core import CycleTiming, Grid, InvalidInputError, Mesh, Volume, VolumeSeries
-from dvf_ig.preop import DisplacementField, assess_motion, dice, propagate_labels, track_cycle
+from dvf_ig.preop import dice, propagate_labels, track_cycle
 from dvf_ig.preop.cine_model import _chamber, _Moving
 from dvf_ig.preop.motion.base_descent import BaseDescent, propagate_through, unknown_descent
 from dvf_ig.preop.motion.cycle import CycleMotion
+from dvf_ig.preop.motion.demons import DisplacementField
 from dvf_ig.preop.motion.free_form import FreeForm, Lattice
 from dvf_ig.preop.motion.open_ends import seen_part
+from dvf_ig.preop.motion.quality import assess_motion
 from dvf_ig.preop.motion.slice_phases import retimed, slice_phases
 from dvf_ig.preop.motion.slice_stack import axis_of_lost_spacing, observable_axes
 

@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 
 from dvf_ig.core import InvalidInputError
 from dvf_ig.kernels.spline import spline_batch
-from dvf_ig.preop import AxisSolver, fit_coefficients, fit_weighted, surface_weights
+from dvf_ig.preop import AxisSolver, fit_coefficients
 from dvf_ig.preop.spline import fit as spline_fit
-from dvf_ig.preop.spline.fit import cubic_basis
+from dvf_ig.preop.spline.fit import cubic_basis, fit_weighted, surface_weights
 
 CELLS = (4, 5, 6)
 SOLVERS = tuple(AxisSolver.of(n) for n in CELLS)

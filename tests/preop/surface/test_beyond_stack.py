@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from dvf_ig.core import CycleTiming, FloatArray, FrameMismatchError, Grid, VolumeSeries
-from dvf_ig.preop import ExtendedLabels, beyond_stack
-from dvf_ig.preop.surface.beyond_stack import ASIDE_MM, KNOWN_MM
+from dvf_ig.preop import beyond_stack
+from dvf_ig.preop.surface.beyond_stack import ASIDE_MM, KNOWN_MM, ExtendedLabels
 
 STACK = Grid.axis_aligned("mr", (25, 25, 10), np.zeros(3), 2.0)
 """A slab from 0 to 18 mm along z, about a ventricle on the line (24, 24)."""

@@ -5,7 +5,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from dvf_ig.core import CycleTiming, Grid, InvalidInputError, Preop, VolumeSeries
-from dvf_ig.preop import border_caps, check_model, model_from_labels, surfaces_from_labels
+from dvf_ig.preop import check_model, model_from_labels
+from dvf_ig.preop.surface.from_labels import border_caps, surfaces_from_labels
 
 TIMING = CycleTiming.uniform(2, 0.8)
 

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dvf_ig.preop import count_edges
+from dvf_ig.preop.surface.topology import count_edges
 
 
 @given(seed=st.integers(0, 2**32 - 1))

@@ -22,18 +22,15 @@ from dvf_ig.kernels.boundary import SUMS, UNKNOWNS, DistanceSplines, OrientedPoi
 from dvf_ig.kernels.spline import spline_batch
 from dvf_ig.registration import (
     Boundary,
-    BoundaryFitOptions,
-    BoundaryPoints,
     BoundaryTarget,
     PoseChart,
     SliceSet,
     boundary_points,
-    boundary_starts,
-    fit_boundary,
-    signed_distance_mm,
     target_from_labels,
 )
-from dvf_ig.registration.boundary.points import edges_of_model_mm
+from dvf_ig.registration.boundary.fit import BoundaryFitOptions, boundary_starts, fit_boundary
+from dvf_ig.registration.boundary.points import BoundaryPoints, edges_of_model_mm
+from dvf_ig.registration.boundary.target import signed_distance_mm
 
 TARGETS = CENTER_MM + np.random.default_rng(1).uniform(-40, 40, (27, 3))
 

@@ -7,14 +7,13 @@ from hypothesis import strategies as st
 from toy_heart import CENTER_MM, toy_mr, toy_pose, toy_slices
 
 from dvf_ig.core import HEART_RADIUS_MM, FloatArray, InvalidInputError, Rigid
-from dvf_ig.registration import (
-    Lc2,
+from dvf_ig.registration import Lc2, SliceSet, channels_from_mr, least_constrained_direction
+from dvf_ig.registration.evidence.covariance import (
     PlacementUncertainty,
-    SliceSet,
-    channels_from_mr,
-    least_constrained_direction,
+    clock_covariance_mm2,
+    image_covariance_mm2,
+    sandwich,
 )
-from dvf_ig.registration.evidence.covariance import clock_covariance_mm2, image_covariance_mm2, sandwich
 from dvf_ig.registration.shape.blocks import BlockedLc2
 
 MODEL = channels_from_mr(toy_mr(), smoothing_mm=3.0)

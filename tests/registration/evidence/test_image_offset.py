@@ -9,7 +9,6 @@ from toy_heart import CENTER_MM, toy_mr, toy_pose, toy_slices
 
 from dvf_ig.core import FloatArray, Points, Rigid
 from dvf_ig.registration import (
-    ImageOffset,
     Lc2,
     PoseChart,
     ProbePoses,
@@ -18,6 +17,7 @@ from dvf_ig.registration import (
     fit_image_offset,
     target_errors_mm,
 )
+from dvf_ig.registration.evidence.image_offset import ImageOffset
 from dvf_ig.registration.lc2.optimise import OptimiserOptions, optimise
 
 PITCH_MM = 3.0

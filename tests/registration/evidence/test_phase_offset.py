@@ -6,7 +6,8 @@ from scipy import ndimage
 from toy_heart import toy_mr, toy_pose, toy_slices
 
 from dvf_ig.core import CycleTiming, VolumeSeries
-from dvf_ig.registration import Lc2, SliceSet, channels_from_mr, offset_of, phase_offset
+from dvf_ig.registration import Lc2, SliceSet, channels_from_mr, phase_offset
+from dvf_ig.registration.evidence.phase_offset import offset_of
 from dvf_ig.registration.lc2.slices import joined
 
 PHASES = 10

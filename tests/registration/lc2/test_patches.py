@@ -4,8 +4,14 @@ import numpy as np
 import pytest
 from toy_heart import toy_mr, toy_pose, toy_slices
 
-from dvf_ig.registration import Lc2, SliceSet, channels_from_mr, inverse_density_weights
-from dvf_ig.registration.lc2.patches import LEAST_DENSITY, patch_centers_mm, patches_of, pixel_runs
+from dvf_ig.registration import Lc2, SliceSet, channels_from_mr
+from dvf_ig.registration.lc2.patches import (
+    LEAST_DENSITY,
+    inverse_density_weights,
+    patch_centers_mm,
+    patches_of,
+    pixel_runs,
+)
 
 
 def seen(place_mm: list[float], times: int) -> np.ndarray:

@@ -10,8 +10,9 @@ from scipy.spatial.transform import Rotation
 
 from dvf_ig.core import CycleTiming, FloatArray, Grid, Rigid, VolumeSeries
 from dvf_ig.kernels.warp import LARGEST_MM2
-from dvf_ig.registration import BLOOD, WALL, BoundaryPoints, BoundaryTarget, target_from_labels
+from dvf_ig.registration import BLOOD, WALL, BoundaryTarget, target_from_labels
 from dvf_ig.registration.boundary.fit import Boundary
+from dvf_ig.registration.boundary.points import BoundaryPoints
 from dvf_ig.registration.pose_chart import rigid_motion
 from dvf_ig.registration.shape.change import Halves, ShapeChange, change_of_shape
 from dvf_ig.registration.shape.modes import shape_modes

@@ -7,7 +7,8 @@ import pytest
 
 from dvf_ig.core import DvfModel
 from dvf_ig.guidance import Evaluator, Gaussian, Sigmoid
-from dvf_ig.report.paper import SliceField, field_figure, organ_field, surface_field
+from dvf_ig.report.paper import field_figure, organ_field, surface_field
+from dvf_ig.report.paper.fields import SliceField
 
 
 def radial(field: SliceField) -> tuple[np.ndarray, np.ndarray]:
