@@ -26,7 +26,6 @@ from .recordings.phantom import NWireRecording as NWireRecording
 from .recordings.phantom import TargetRecording as TargetRecording
 from .recordings.phantom import Wire as Wire
 from .recordings.phantom import WireSearch as WireSearch
-from .recordings.respiration import Respiration as Respiration
 from .recordings.scenario import BreathingTruth as BreathingTruth
 from .recordings.scenario import LatencyRecording as LatencyRecording
 from .recordings.scenario import Preop as Preop
@@ -35,10 +34,11 @@ from .recordings.scenario import ScenarioTruth as ScenarioTruth
 from .recordings.scenario import ToolTruth as ToolTruth
 from .recordings.sequence import Fan as Fan
 from .recordings.sequence import TrackedSequence as TrackedSequence
+from .recordings.sequence import TrackedVolume as TrackedVolume
+from .recordings.signal import Respiration as Respiration
 from .recordings.signal import Signal as Signal
 from .recordings.signal import Trace as Trace
 from .recordings.stream import PoseStream as PoseStream
-from .recordings.tracked_volume import TrackedVolume as TrackedVolume
 from .seen_part import RAMP_MM as RAMP_MM
 from .seen_part import SeenPart as SeenPart
 from .space.frames import RAS_FROM_LPS as RAS_FROM_LPS

@@ -8,9 +8,8 @@ import numpy as np
 from dvf_ig.core.arrays import FloatArray
 from dvf_ig.core.errors import InvalidInputError
 from dvf_ig.core.recordings.phantom import NWireRecording, TargetRecording
-from dvf_ig.core.recordings.respiration import Respiration
 from dvf_ig.core.recordings.scenario import LatencyRecording
-from dvf_ig.core.recordings.signal import Signal
+from dvf_ig.core.recordings.signal import Respiration, Signal
 from dvf_ig.core.recordings.stream import PoseStream
 from dvf_ig.core.space.image_map import ImageMap
 from dvf_ig.core.space.points import Points

@@ -12,10 +12,9 @@ from typing import TYPE_CHECKING, Any
 from dvf_ig.core.errors import InvalidInputError
 from dvf_ig.core.model import DvfModel
 from dvf_ig.core.recordings.phantom import NWireRecording, TargetRecording
-from dvf_ig.core.recordings.respiration import Respiration
 from dvf_ig.core.recordings.scenario import LatencyRecording, Preop, Scenario, ScenarioTruth
 from dvf_ig.core.recordings.sequence import Fan
-from dvf_ig.core.recordings.signal import Signal
+from dvf_ig.core.recordings.signal import Respiration, Signal
 from dvf_ig.core.recordings.stream import PoseStream
 from dvf_ig.core.space.image_map import ImageMap
 from dvf_ig.core.space.points import Points

@@ -40,10 +40,9 @@ from dvf_ig.intake.live import BreathMarkerConfig, EcgFieldConfig, LiveConfig
 from dvf_ig.intake.parts import SessionFiles
 from dvf_ig.intake.preop import PreopFiles
 from dvf_ig.intake.readers import StartFiles
-from dvf_ig.intake.session_log.document import attach_heart, document_of_live
+from dvf_ig.intake.session_log.document import DOCUMENT, attach_heart, document_of_live
 from dvf_ig.intake.session_log.live import LIVE, LiveDocument, live_document
 from dvf_ig.intake.session_log.read import read_session_log
-from dvf_ig.intake.session_log.topics import DOCUMENT
 from dvf_ig.io.ros.log_file import LogWriter
 from dvf_ig.live.answers import state_messages
 from dvf_ig.live.igtl import Message, Status

@@ -40,8 +40,8 @@ from dvf_ig.core import (
     UnreadableFileError,
     VolumeSeries,
 )
+from dvf_ig.intake.session_log.document import EXACT_TOOL
 from dvf_ig.intake.session_log.read import read_session_log
-from dvf_ig.intake.session_log.topics import EXACT_TOOL
 from dvf_ig.replay.events import events_of
 from dvf_ig.replay.export.session_log import write_session_log
 

@@ -89,9 +89,8 @@ def live_setup(
 @contextmanager
 def recorded_session(out: Path, ready: "LiveSetup") -> "Iterator[SessionRecord]":
     """A record in the folder, with everything attached that a replay needs in addition to messages."""
-    from dvf_ig.intake.session_log.document import attach_heart, document_of_live
+    from dvf_ig.intake.session_log.document import DOCUMENT, attach_heart, document_of_live
     from dvf_ig.intake.session_log.live import LIVE, live_document
-    from dvf_ig.intake.session_log.topics import DOCUMENT
     from dvf_ig.io import output_folder
     from dvf_ig.io.ros.log_file import LogWriter
     from dvf_ig.live.record import session_record

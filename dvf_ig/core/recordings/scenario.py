@@ -13,9 +13,8 @@ from dvf_ig.core.space.volume import Volume, VolumeSeries
 from dvf_ig.core.timing.trigger import TriggerTimes
 
 from .phantom import NWireRecording, TargetRecording
-from .respiration import Respiration
 from .sequence import Fan, TrackedSequence
-from .signal import Signal, Trace
+from .signal import Respiration, Signal, Trace
 from .stream import PoseStream
 
 LV_BLOOD = "lv_blood"

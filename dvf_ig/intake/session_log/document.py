@@ -1,4 +1,4 @@
-"""Document of a session log, as JSON: calibrations, start, heart; every digit kept."""
+"""Topics of a session log, and its document as JSON: calibrations, start, heart; every digit kept."""
 
 import json
 from pathlib import Path
@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field
 
+from dvf_ig.core.arrays import FloatArray
 from dvf_ig.core.errors import UnreadableFileError
 from dvf_ig.core.model import DvfModel
 from dvf_ig.core.recordings.scenario import Preop, Scenario
@@ -14,6 +15,7 @@ from dvf_ig.core.space.image_map import ImageMap
 from dvf_ig.core.space.points import Landmarks, Points
 from dvf_ig.core.space.rigid import Rigid
 from dvf_ig.core.timing.trigger import TriggerTimes
+from dvf_ig.guidance import Hazard, Status, SupervisorState
 from dvf_ig.intake.parts import SessionFiles
 from dvf_ig.intake.scenario import ScenarioPreop
 from dvf_ig.intake.scenario_write import write_preop
@@ -21,9 +23,50 @@ from dvf_ig.intake.schema import FanConfig, PreopConfig
 from dvf_ig.io import limits
 from dvf_ig.io.model.model_file import model_bytes
 from dvf_ig.io.plus.names import split_transform
+from dvf_ig.io.ros import messages as ros
 from dvf_ig.io.ros.log_file import LogWriter
 from dvf_ig.io.writing.place import scratch_folder
 from dvf_ig.io.yaml_config import Section, validated
+
+DOCUMENT = "session.json"
+ECG, IMAGE, TRIGGER = "/ecg", "/ultrasound/image", "/trigger"
+EXACT_FRAME, EXACT_TOOL, RESPIRATION = "/exact/ultrasound", "/exact/tool", "/exact/respiration"
+STREAMS = {
+    ECG: ros.ARRAY,
+    TRIGGER: ros.ARRAY,
+    IMAGE: ros.IMAGE,
+    EXACT_FRAME: ros.ARRAY,
+    EXACT_TOOL: ros.ARRAY,
+    RESPIRATION: ros.ARRAY,
+}
+"""Topics that a replay reads, with the type of each."""
+POSE_LABEL = "t_s, valid, rotation (9, row-major), translation_mm (3): tracker_from_{}"
+IMAGE_LABEL = ", then whether the image is valid"
+LEVELS = {
+    SupervisorState.OK: 0,
+    SupervisorState.DEGRADED: 1,
+    SupervisorState.FADE: 2,
+    SupervisorState.LATCHED: 2,
+}
+"""Levels of diagnostics: OK, warning, error."""
+GUIDANCE = (
+    *("phi", "model_phase", "rr_s", "distance_mm", "pose_age_s"),
+    *("breath_phase", "breath_mm", "breath_state"),
+)
+"""Columns of ticks.csv that are logged as numbers; NaN for missing values, `BreathState` or -1."""
+STATUS_EVERY_S = 1.0
+
+
+def exact_pose(t_s: float, valid: bool, rotation: FloatArray, translation_mm: FloatArray) -> FloatArray:
+    return np.concatenate([[t_s, float(valid)], rotation.ravel(), translation_mm])
+
+
+def status_message(t_s: float, status: int, supervisor: int, hazards: int) -> ros.Message:
+    state = SupervisorState(supervisor)
+    active = "|".join(one.name.lower() for one in Hazard(hazards) if one.name)
+    values = {"status": Status(status).name.lower(), "hazards": active}
+    return ros.diagnostics(t_s, LEVELS[state], "supervisor", state.name.lower(), values)
+
 
 SCHEMA = "dvf_ig.log/1"
 Length = Annotated[float, Field(ge=-limits.LENGTH_MM, le=limits.LENGTH_MM)]

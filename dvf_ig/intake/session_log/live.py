@@ -32,7 +32,7 @@ from dvf_ig.session import (
     Trigger,
 )
 
-from .topics import (
+from .document import (
     ECG,
     EXACT_FRAME,
     EXACT_TOOL,

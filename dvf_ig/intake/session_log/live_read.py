@@ -24,9 +24,8 @@ from dvf_ig.io.ros import messages as ros
 from dvf_ig.io.ros.log_file import LogReader
 from dvf_ig.session import EcgSamples, Landmark, Rearm, RespirationSample, ToolPose, TrackedFrame
 
-from .document import SessionDocument
+from .document import ECG, EXACT_FRAME, EXACT_TOOL, IMAGE, RESPIRATION, STREAMS, TRIGGER, SessionDocument
 from .live import EVENT, LIVE_STREAMS, LOST, STATE, WORK, EventKind, LiveDocument
-from .topics import ECG, EXACT_FRAME, EXACT_TOOL, IMAGE, RESPIRATION, STREAMS, TRIGGER
 
 Stamped = TypeVar("Stamped", TrackedFrame, ToolPose, RespirationSample)
 UNIT = "as sent"

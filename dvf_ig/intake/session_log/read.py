@@ -30,10 +30,21 @@ from dvf_ig.io.ros.log_file import LogReader, opened_log
 from dvf_ig.io.writing.place import scratch_folder
 from dvf_ig.io.yaml_config import validated
 
-from .document import MODEL, SessionDocument, read_document
+from .document import (
+    DOCUMENT,
+    ECG,
+    EXACT_FRAME,
+    EXACT_TOOL,
+    IMAGE,
+    MODEL,
+    RESPIRATION,
+    STREAMS,
+    TRIGGER,
+    SessionDocument,
+    read_document,
+)
 from .live import LIVE, LiveDocument
 from .live_read import read_live_streams
-from .topics import DOCUMENT, ECG, EXACT_FRAME, EXACT_TOOL, IMAGE, RESPIRATION, STREAMS, TRIGGER
 
 _POSE = 14
 """Count of numbers of a pose: stamp, validity, rotation, translation."""

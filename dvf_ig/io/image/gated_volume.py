@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from dvf_ig.core.arrays import AnyArray, BoolArray
 from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
 from dvf_ig.core.plausible import VOLUME_STEP_S
-from dvf_ig.core.recordings.tracked_volume import TrackedVolume
+from dvf_ig.core.recordings.sequence import TrackedVolume
 from dvf_ig.core.space.rigid import Rigid
 from dvf_ig.core.space.volume import Grid, Volume
 from dvf_ig.io.reading import reading

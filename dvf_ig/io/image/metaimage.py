@@ -11,9 +11,16 @@ from dvf_ig.core.arrays import FloatArray
 from dvf_ig.core.errors import UnreadableFileError
 from dvf_ig.io import limits
 
-from .header import ImageHeader, Storage, read_until, real_numbers, three_dimensional, whole_numbers
+from .header import (
+    ImageHeader,
+    Storage,
+    named_voxel_files,
+    read_until,
+    real_numbers,
+    three_dimensional,
+    whole_numbers,
+)
 from .phase_times import PhaseTimes, uniform_times
-from .voxel_files import named_voxel_files
 
 log = logging.getLogger(__name__)
 

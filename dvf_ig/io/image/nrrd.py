@@ -17,6 +17,7 @@ from dvf_ig.io import limits
 from .header import (
     ImageHeader,
     Storage,
+    named_voxel_files,
     read_until,
     real_numbers,
     sides_and_directions,
@@ -24,7 +25,6 @@ from .header import (
     whole_numbers,
 )
 from .phase_times import PhaseTimes, uniform_times
-from .voxel_files import named_voxel_files
 
 log = logging.getLogger(__name__)
 

@@ -22,8 +22,7 @@ from dvf_ig.core import (
 )
 from dvf_ig.core.arrays import AnyArray
 from dvf_ig.intake.calibrations import calibrate
-from dvf_ig.intake.session_log.document import attach_heart, document_of
-from dvf_ig.intake.session_log.topics import (
+from dvf_ig.intake.session_log.document import (
     DOCUMENT,
     ECG,
     EXACT_FRAME,
@@ -35,6 +34,8 @@ from dvf_ig.intake.session_log.topics import (
     RESPIRATION,
     STATUS_EVERY_S,
     TRIGGER,
+    attach_heart,
+    document_of,
     exact_pose,
     status_message,
 )
