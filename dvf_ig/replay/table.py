@@ -202,8 +202,8 @@ def _force_rows(result: dict[str, Any]) -> list[tuple[str, str, str]]:
         share, served = 100 * contact["share"], 100 * contact["served_share"]
         text = f"in {share:.0f} % of ticks, force given in {served:.0f} % of those"
         if contact["known_share"] < MOSTLY_KNOWN:
-            known, served = 100 * contact["known_share"], 100 * contact["served_known_share"]
-            text += f"; in {served:.0f} % of the {known:.0f} % where the model knows the heart"
+            share, served = 100 * contact["known_share"], 100 * contact["served_known_share"]
+            text += f"; in {served:.0f} % of the {share:.0f} % where the model knows the heart"
         rows.append(("contact", "", text))
     return rows
 

@@ -91,17 +91,17 @@ def contact_served(replay: Replay, with_force: BoolArray) -> dict[str, float]:
         with_force: (n,) whether a tick has a force.
     """
     contact = true_contact(replay)[0] >= CONTACT_MM
-    known = contact & _known_at_tip(replay, contact)
+    modelled = contact & _modelled_at_tip(replay, contact)
     return {
         "ticks": int(contact.sum()),
         "share": float(contact.mean()),
         "served_share": float(with_force[contact].mean()) if contact.any() else 0.0,
-        "known_share": float(known.sum() / max(1, contact.sum())),
-        "served_known_share": float(with_force[known].mean()) if known.any() else 0.0,
+        "known_share": float(modelled.sum() / max(1, contact.sum())),
+        "served_known_share": float(with_force[modelled].mean()) if modelled.any() else 0.0,
     }
 
 
-def _known_at_tip(replay: Replay, chosen: BoolArray) -> BoolArray:
+def _modelled_at_tip(replay: Replay, chosen: BoolArray) -> BoolArray:
     """Flag (n,) chosen ticks where the model knows the heart at the true tip; False at others."""
     truth = replay.scenario.truth
     if truth is None:
@@ -113,9 +113,9 @@ def _known_at_tip(replay: Replay, chosen: BoolArray) -> BoolArray:
         truth.tool.tip_mr_mm[nearest],
         truth.tool.model_phase[nearest],
     )
-    known = np.zeros(len(chosen), dtype=np.bool_)
-    known[chosen] = samples.status == Status.OK
-    return known
+    out = np.zeros(len(chosen), dtype=np.bool_)
+    out[chosen] = samples.status == Status.OK
+    return out
 
 
 def _hazard(ticks: Ticks, truth: ScenarioTruth) -> dict[str, float]:
