@@ -1,6 +1,6 @@
 """One engine for the operating room and the replay: events in, inputs of the servo and its force out.
 
-    ECG      R peaks ─► phase φ, its σ and state ─► T_d, retiming          heart_clock
+    ECG      R peaks ─► phase φ, its σ and state ─► T_d, retiming          clocks
     breath   ρ, its state ─► frames at rest, motion of the heart           breathing
     frames   gate ─► register, compare every beat ─► pose and its age      arrived_ultrasound, pose_tracker
     tool     newest pose ─► predicted tip                                  tool_tracker
