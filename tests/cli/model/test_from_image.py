@@ -177,7 +177,7 @@ def test_labels_on_another_grid_are_refused(folder):
 def test_a_model_and_its_evidence_are_written_together_or_not_at_all(tmp_path, monkeypatch):
     beside = FileBeside(tmp_path / "heart.json", lambda path: path.write_text("{}"))
     built = BuiltModel(ball_model(), {}, (beside,), (tmp_path / "heart.png",))
-    monkeypatch.setattr("dvf_ig.cli.model.request.model_of", lambda *_, **__: built)
+    monkeypatch.setattr("dvf_ig.cli.model.sources.model_of", lambda *_, **__: built)
     checked = check_model(ball_model(), points_per_phase=20, rng=np.random.default_rng(0))
     monkeypatch.setattr(model, "_errors", lambda *_: checked)
     arguments = ("model", "build", "--surfaces", tmp_path, "-o", tmp_path / "heart.npz")
