@@ -113,8 +113,8 @@ class NoForce(Enum):
     )
     OUT_OF_VOLUME = (
         "the tool stayed outside the box of the model in {share:.0%} of the ticks: check that the MR shows "
-        "where it works (dvf-ig view MODEL), and that its poses and tip are in mm, relative to the probe's "
-        "frame, and of this intervention"
+        "where it works (dvf-ig view MODEL), and that its poses and tip are in mm, relative to the same "
+        "frame as those of the probe, and of this intervention"
     )
     UNSEEN = (
         "the tool was at a part of the heart that no MR slice shows in {share:.0%} of the ticks: check "
