@@ -84,7 +84,7 @@ def write_outputs(
     published = _published_poses(ticks, tracked_against)
     if published:
         write_pose_sequence(published, folder / POSES)
-        frames[POSES] = published[0][1].name.replace("mr", "ras", 1)
+        frames[POSES] = f"ras_from_{tracked_against}"
     if warp is not None:
         write_shape(warp, folder / SHAPE)
         frames[SHAPE] = warp.frame

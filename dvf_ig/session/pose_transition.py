@@ -214,8 +214,7 @@ def next_pose(pose: Pose, event: PoseEvent) -> Transition:
 
 
 def _fuse(pose: InUse, event: Registered) -> Transition:
-    """Fuse a registration near the pose in use; one elsewhere suspends it, or weakens it if
-    it could begin no pose itself."""
+    """Fuse a registration near the pose in use; elsewhere a usable one suspends it, another weakens it."""
     registration, now_s = event.registration, event.now_s
     off_mm = mean_displacement_mm(event.estimate.pose, pose.estimate.pose, pose.estimate.center_mm)
     if off_mm <= JUMP_MM:

@@ -73,7 +73,7 @@ def error_fields(replay: Replay) -> dict[str, Any]:
     distance, true_force = true_contact(replay)
     contact = distance >= CONTACT_MM
     with_force = ticks.guided & ticks.force_n.any(axis=1)
-    out["contact"] = contact_served(replay, with_force)
+    out["contact"] = _contact_fields(replay, contact, with_force)
     if true_force is not None:
         believed = np.where(valid, ticks.distance_mm, np.nan)
         surface = score_surface(believed, distance, with_force, 1.0 / RATE_HZ)
@@ -84,13 +84,12 @@ def error_fields(replay: Replay) -> dict[str, Any]:
     return out
 
 
-def contact_served(replay: Replay, with_force: BoolArray) -> dict[str, float]:
+def _contact_fields(replay: Replay, contact: BoolArray, with_force: BoolArray) -> dict[str, float]:
     """Compute the share of ticks in contact, and of those with a force, also where the model knows the heart.
 
     Args:
-        with_force: (n,) whether a tick has a force.
+        contact, with_force: (n,) whether the tip is truly in contact in a tick, and whether it has a force.
     """
-    contact = true_contact(replay)[0] >= CONTACT_MM
     modelled = contact & _modelled_at_tip(replay, contact)
     return {
         "ticks": int(contact.sum()),

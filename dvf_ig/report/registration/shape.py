@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 from dvf_ig.core import BoolArray, FloatArray, IntArray, Mesh, Warp, read_only_arrays
 from dvf_ig.report.style import WIDE_IN
-from dvf_ig.report.viewer.surfaces import vertex_normals
+from dvf_ig.report.viewer.surfaces import normal_shifts
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -55,8 +55,8 @@ def shape_shown(sentence: str, mesh: Mesh, warp: Warp, largest_sigma_mm: float) 
     """
     before = mesh.vertices_mm
     now = warp.patient_places(before)
-    outward: FloatArray = np.einsum("ni,ni->n", vertex_normals(mesh), now - before)
-    known = np.sqrt(warp.at(now)[1]) <= largest_sigma_mm
+    outward, sigma_mm = normal_shifts(mesh, now, warp)
+    known = sigma_mm <= largest_sigma_mm
     return ShapeShown(sentence, before, now, np.asarray(mesh.triangles), outward, known)
 
 

@@ -21,7 +21,7 @@ from dvf_ig.guidance import (
     Status,
     SupervisorState,
 )
-from dvf_ig.kernels.warp import LARGEST_MM2
+from dvf_ig.kernels.warp import LARGEST_SIGMA_MM
 
 from .packing import packed, packed_exactly
 from .surfaces import (
@@ -29,8 +29,8 @@ from .surfaces import (
     CycleSurface,
     cycle_surface,
     fixture_surface,
+    normal_shifts,
     shown_level_mm,
-    vertex_normals,
 )
 
 SCHEMA = "dvf_ig.view/1"
@@ -165,10 +165,9 @@ def _now(surface: CycleSurface, warp: Warp | None) -> CycleSurface:
 def _patient_surface(model: DvfModel, organ: CycleSurface, warp: Warp) -> dict[str, Any]:
     """Encode the organ's surface as the patient has it, with its certain shifts at end-diastole."""
     moved = _now(organ, warp)
-    before, now = organ.vertices_mm[model.ed_phase], moved.vertices_mm[model.ed_phase]
-    normals = vertex_normals(Mesh(model.frame, before, organ.triangles))
-    certain = warp.at(now)[1] <= LARGEST_MM2
-    outward = np.where(certain, np.einsum("ni,ni->n", normals, now - before), np.nan)
+    before = Mesh(model.frame, organ.vertices_mm[model.ed_phase], organ.triangles)
+    outward, sigma_mm = normal_shifts(before, moved.vertices_mm[model.ed_phase], warp)
+    outward[sigma_mm > LARGEST_SIGMA_MM] = np.nan
     return _surface(model.surface_name, "patient", moved, outward_mm=packed(outward, SHIFT_STEP_MM))
 
 

@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 
 from dvf_ig.core.arrays import FloatArray, IntArray, read_only_arrays
 from dvf_ig.core.space.mesh import Mesh
+from dvf_ig.core.space.warp import Warp
 from dvf_ig.guidance import Confinement, Evaluator, Gaussian, Law
 
 SHARE_OF_CAP = 0.1
@@ -125,6 +126,18 @@ def vertex_normals(mesh: Mesh) -> FloatArray:
     for k in range(3):
         np.add.at(sums, mesh.triangles[:, k], faces)
     return np.asarray(sums / np.maximum(np.linalg.norm(sums, axis=1, keepdims=True), 1e-12))
+
+
+def normal_shifts(mesh: Mesh, now_mm: FloatArray, warp: Warp) -> tuple[FloatArray, FloatArray]:
+    """Compute how far a heart that has changed its shape lies outward of a surface of its MR.
+
+    Args:
+        mesh: in the MR; now_mm: (v, 3) its vertices as the patient has them, see `Warp.patient_places`.
+    Returns:
+        (v,) shifts along the normals, mm, and (v,) standard deviation of a wall there.
+    """
+    outward_mm = np.einsum("ni,ni->n", vertex_normals(mesh), now_mm - mesh.vertices_mm)
+    return np.asarray(outward_mm), np.sqrt(warp.at(now_mm)[1])
 
 
 def _onto(points: FloatArray, mesh: Mesh, tree: cKDTree, normals: FloatArray) -> FloatArray:
