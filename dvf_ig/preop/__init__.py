@@ -43,4 +43,5 @@ from .surface.closing import caps_of as caps_of
 from .surface.closing import close_surface as close_surface
 from .surface.rasterise import rasterise as rasterise
 from .surface.rasterise import rasterise_meshes as rasterise_meshes
+from .surface.slice_blood import with_blood_that_enters as with_blood_that_enters
 from .voxel_size import with_voxel_size as with_voxel_size

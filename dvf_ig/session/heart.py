@@ -23,6 +23,7 @@ from dvf_ig.kernels.compiled import thread_count
 from dvf_ig.preop import (
     CHAMBER_SURFACES,
     beyond_stack,
+    with_blood_that_enters,
     close_surface,
     model_from_preop,
     observable_axes,
@@ -120,17 +121,19 @@ def build_heart(
         _require_within(preop.mr, model, center)
     partly = preop.mr is not None and ends_within(preop.mr.grid, vertices)
     has_anatomy = preop.labels is not None or preop.surfaces
-    covered = None
+    covered, compared = None, None
     if preop.mr is not None and partly:
         labels = label_map_of_model(model, preop.mr.grid)
         shown = _shown(labels, model.seen)
         covered = covered_part(labels, vertices, shown)
+        if _is_stack(preop.mr.grid):
+            compared = with_blood_that_enters(labels, preop.mr)
         if _is_stack(preop.mr.grid) and preop.views:
             shifts_mm = _view_shifts_mm(preop.mr, preop.views, labels, model.ed_phase)
             extended = beyond_stack(labels, shown, preop.views, shifts_mm)
             if extended is not None:
                 covered = covered.extended(extended.labels, extended.known)
-                labels = extended.labels
+                labels = compared = extended.labels
     else:
         labels = label_map(preop) if has_anatomy else label_map_of_model(model)
     seen = bool((labels.values == BLOOD).any())
@@ -143,7 +146,9 @@ def build_heart(
             channels = channels_from_mr(preop.mr, smoothing_mm=MR_SMOOTHING_MM)
         else:
             smoothing_mm = STACK_SMOOTHING_MM if partly else LABEL_SMOOTHING_MM
-            channels = channels_from_labels(labels, smoothing_mm=smoothing_mm)
+            channels = channels_from_labels(
+                labels if compared is None else compared, smoothing_mm=smoothing_mm
+            )
         surface = target.result() if target is not None else None
     return Heart(model, channels, center, surface, grey, covered)
 
