@@ -23,13 +23,13 @@ from dvf_ig.kernels.compiled import thread_count
 from dvf_ig.preop import (
     CHAMBER_SURFACES,
     beyond_stack,
-    with_blood_that_enters,
     close_surface,
     model_from_preop,
     observable_axes,
     rasterise,
     rasterise_meshes,
     slice_shifts,
+    with_blood_that_enters,
 )
 from dvf_ig.registration import (
     BLOOD,
@@ -119,38 +119,57 @@ def build_heart(
     center = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
     if preop.mr is not None:
         _require_within(preop.mr, model, center)
-    partly = preop.mr is not None and ends_within(preop.mr.grid, vertices)
-    has_anatomy = preop.labels is not None or preop.surfaces
-    covered, compared = None, None
-    if preop.mr is not None and partly:
-        labels = label_map_of_model(model, preop.mr.grid)
-        shown = _shown(labels, model.seen)
-        covered = covered_part(labels, vertices, shown)
-        if _is_stack(preop.mr.grid):
-            compared = with_blood_that_enters(labels, preop.mr)
-        if _is_stack(preop.mr.grid) and preop.views:
-            shifts_mm = _view_shifts_mm(preop.mr, preop.views, labels, model.ed_phase)
-            extended = beyond_stack(labels, shown, preop.views, shifts_mm)
-            if extended is not None:
-                covered = covered.extended(extended.labels, extended.known)
-                labels = compared = extended.labels
-    else:
-        labels = label_map(preop) if has_anatomy else label_map_of_model(model)
-    seen = bool((labels.values == BLOOD).any())
+    labels = _labels_of(preop, model)
+    seen = bool((labels.boundary.values == BLOOD).any())
     if not seen:
         log.warning(_WITHOUT_CHAMBERS, model.patient_id)
-    grey = preop.mr is not None and not (partly and _is_stack(preop.mr.grid))
     with thread_pool(thread_count()) as pool:
-        target = pool.submit(target_from_labels, labels, labels.timing.fractions) if seen else None
-        if preop.mr is not None and grey:
+        boundary = labels.boundary
+        target = pool.submit(target_from_labels, boundary, boundary.timing.fractions) if seen else None
+        if preop.mr is not None and labels.by_grey_levels:
             channels = channels_from_mr(preop.mr, smoothing_mm=MR_SMOOTHING_MM)
         else:
-            smoothing_mm = STACK_SMOOTHING_MM if partly else LABEL_SMOOTHING_MM
-            channels = channels_from_labels(
-                labels if compared is None else compared, smoothing_mm=smoothing_mm
-            )
+            smoothing_mm = LABEL_SMOOTHING_MM if labels.covered is None else STACK_SMOOTHING_MM
+            channels = channels_from_labels(labels.compared, smoothing_mm=smoothing_mm)
         surface = target.result() if target is not None else None
-    return Heart(model, channels, center, surface, grey, covered)
+    return Heart(model, channels, center, surface, labels.by_grey_levels, labels.covered)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Labels:
+    """Wall and blood of a heart at every phase.
+
+    Attributes:
+        boundary: of whose surface the boundary is.
+        compared: that LC2 compares where it does not compare grey levels.
+        covered: see `Heart`.
+        by_grey_levels: whether LC2 compares grey levels of the MR.
+    """
+
+    boundary: VolumeSeries
+    compared: VolumeSeries
+    covered: CoveredPart | None
+    by_grey_levels: bool
+
+
+def _labels_of(preop: Preop, model: DvfModel) -> _Labels:
+    mr, vertices = preop.mr, model.reference[model.ed_phase].vertices_mm
+    if mr is None or not ends_within(mr.grid, vertices):
+        has_anatomy = preop.labels is not None or preop.surfaces
+        labels = label_map(preop) if has_anatomy else label_map_of_model(model)
+        return _Labels(labels, labels, None, mr is not None)
+    labels = label_map_of_model(model, mr.grid)
+    shown = _shown(labels, model.seen)
+    covered = covered_part(labels, vertices, shown)
+    if not _is_stack(mr.grid):
+        return _Labels(labels, labels, covered, True)
+    if preop.views:
+        shifts_mm = _view_shifts_mm(mr, preop.views, labels, model.ed_phase)
+        extended = beyond_stack(labels, shown, preop.views, shifts_mm)
+        if extended is not None:
+            covered = covered.extended(extended.labels, extended.known)
+            return _Labels(extended.labels, extended.labels, covered, False)
+    return _Labels(labels, with_blood_that_enters(labels, mr), covered, False)
 
 
 def _shown(labels: VolumeSeries, seen: SeenPart | None) -> BoolArray:

@@ -23,6 +23,8 @@ from dvf_ig.core import (
     require_same_frame,
 )
 
+from .slice_blood import BLOOD, WALL, signed_depth_mm
+
 BEYOND_MM = 56.0
 """How far beyond the stack views are looked at: atria reach 40 to 50 mm above the mitral plane."""
 ASIDE_MM = 10.0
@@ -39,7 +41,6 @@ WALL_MM = 2.5
 """Thickness of the walls of atria and great vessels."""
 NEARNESS_POWER, LEAST_APART_MM = 4.0, 0.5
 """Weight of a view is the inverse of this power of the distance from its plane, of no less than that."""
-WALL, BLOOD = 1, 2
 
 
 @read_only_arrays
@@ -158,9 +159,4 @@ def _depth_mm(ventricles: BoolArray, bright: BoolArray, pixel_mm: FloatArray) ->
     inside_mm = ndimage.distance_transform_edt(both, sampling=pixel_mm)
     deepest = ndimage.maximum(inside_mm, numbers, np.arange(1, count + 1)) if count else np.zeros(0)
     kept = np.isin(numbers, 1 + np.flatnonzero(np.asarray(deepest) >= LEAST_DEPTH_MM))
-    half = 0.5 * float(np.mean(pixel_mm))
-    return np.where(
-        kept,
-        ndimage.distance_transform_edt(kept, sampling=pixel_mm) - half,
-        half - ndimage.distance_transform_edt(~kept, sampling=pixel_mm),
-    )
+    return signed_depth_mm(kept, pixel_mm)

@@ -35,25 +35,20 @@ def with_blood_that_enters(labels: VolumeSeries, stack: VolumeSeries) -> VolumeS
     """
     require_same_frame(labels.grid.frame, stack.grid.frame, "a short-axis stack and the labels of its heart")
     pixel_mm = stack.grid.spacing_mm[:2]
-    at_slices = _labels_in_slices(labels, stack)
-    heart = (at_slices != 0).any(axis=0)
+    in_slices = _labels_in_slices(labels, stack)
+    heart = (in_slices != 0).any(axis=0)
     index = np.moveaxis(stack.grid.to_index(labels.grid.centers_mm()), -1, 0)
     values = labels.values.copy()
     numbers = nearest_phase(stack.timing.fractions, labels.timing.fractions)
     for phase, number in enumerate(numbers.tolist()):
-        depth = np.stack(
-            [
-                _depth_mm(_entered(grey, of_slice, inside, pixel_mm), pixel_mm)
-                for grey, of_slice, inside in zip(
-                    np.moveaxis(stack.values[number], 2, 0),
-                    np.moveaxis(at_slices[phase], 2, 0),
-                    np.moveaxis(heart, 2, 0),
-                    strict=True,
-                )
-            ]
-        )
-        where = index[[2, 0, 1]]
-        values[phase][ndimage.map_coordinates(depth, where, order=1, mode="nearest") > 0.0] = BLOOD
+        depth_mm = np.empty(stack.grid.shape)
+        for k in range(stack.grid.shape[2]):
+            slice_k = (slice(None), slice(None), k)
+            entered = _entered(
+                stack.values[number][slice_k], in_slices[phase][slice_k], heart[slice_k], pixel_mm
+            )
+            depth_mm[slice_k] = signed_depth_mm(entered, pixel_mm)
+        values[phase][ndimage.map_coordinates(depth_mm, index, order=1, mode="nearest") > 0.0] = BLOOD
     return VolumeSeries(labels.grid, values, labels.timing)
 
 
@@ -82,7 +77,7 @@ def _disc(width_pixels: float) -> BoolArray:
     return np.asarray(np.add.outer(reach**2, reach**2) <= radius**2 + 0.5)
 
 
-def _depth_mm(mask: BoolArray, pixel_mm: FloatArray) -> FloatArray:
+def signed_depth_mm(mask: BoolArray, pixel_mm: FloatArray) -> FloatArray:
     """Signed distance to the outline of a mask, positive inside; the slice's diagonal outside of none."""
     half = 0.5 * float(pixel_mm.mean())
     if not mask.any():
