@@ -11,7 +11,7 @@ from dvf_ig.core import FloatArray, InvalidInputError, Preop, Rigid, Volume, Vol
 
 from .stack import StackCine, StackProtocol, stack_cine, stack_grid
 
-ExamName = Literal["sax8", "sax10", "sax+lax"]
+ExamName = Literal["sax7", "sax8", "sax10", "sax+lax"]
 EXAMS: tuple[ExamName, ...] = get_args(ExamName)
 PHASES = (20, 30)
 """Fewest and most phases of an examination."""
@@ -28,7 +28,7 @@ FIELD_MM = 18.0
 LAX_THICKNESS_MM = 8.0
 LAX_VIEWS = (("lax_4ch", 0.0), ("lax_2ch", 60.0), ("lax_3ch", 120.0))
 """Long-axis views: name, and angle about the long axis from the plane through both ventricles, degrees."""
-THICKNESS_MM: dict[ExamName, float] = {"sax8": 8.0, "sax10": 10.0, "sax+lax": 8.0}
+THICKNESS_MM: dict[ExamName, float] = {"sax7": 8.0, "sax8": 8.0, "sax10": 10.0, "sax+lax": 8.0}
 PIXEL_MM, PITCH_MM = 1.4, 10.0
 """Pixels, and distance from slice to slice: slices of 8 mm have gaps of 2 mm."""
 
@@ -82,8 +82,8 @@ def examination(
     """Examine a heart.
 
     Args:
-        name: "sax8" (8 mm slices, 2 mm gaps), "sax10" (10 mm, no gaps), or "sax+lax" (as "sax8", with three
-            long-axis cines).
+        name: "sax8" (8 mm slices, 2 mm gaps), "sax10" (10 mm, no gaps), "sax+lax" (as "sax8", with three
+            long-axis cines), or "sax7" (as "sax8", the seven slices in the middle of the ventricles alone).
         rng: draws phases, breath-holds, heart rates, coil shading and noise.
         phases: number of them instead of the drawn one, to save time.
     Raises:
@@ -103,7 +103,7 @@ def examination(
         rr_jitter=RR_JITTER,
     )
     heart = _long_axis_frame(anatomy)
-    sax = _stack(anatomy, heart, protocol, stack_rng)
+    sax = _stack(anatomy, heart, protocol, name, stack_rng)
     views = LAX_VIEWS if name == "sax+lax" else ()
     lax = [_view(anatomy, heart, angle, phases, r) for (_, angle), r in zip(views, view_rngs, strict=False)]
     return Examination(sax, tuple(lax), _base_descent(anatomy, heart, phases))
@@ -120,15 +120,16 @@ def _long_axis_frame(anatomy: PhantomAnatomy) -> Rigid:
 
 
 def _stack(
-    anatomy: PhantomAnatomy, heart: Rigid, protocol: StackProtocol, rng: np.random.Generator
+    anatomy: PhantomAnatomy, heart: Rigid, protocol: StackProtocol, name: ExamName, rng: np.random.Generator
 ) -> StackCine:
     local = heart.inverse().apply_array(anatomy.ed_vertices_mm)
     low, high = local.min(axis=0) - FIELD_MM, local.max(axis=0) + FIELD_MM
     length = float(np.linalg.norm(np.diff(anatomy.long_axis_mm, axis=0)))
     count = int((length - BELOW_BASE_MM + BEYOND_APEX_MM) / protocol.pitch_mm) + 1
-    count = min(max(count, SLICES[0]), SLICES[1])
-    low[2] = length - BELOW_BASE_MM - (count - 1) * protocol.pitch_mm
-    size = np.array([*(high - low)[:2], (count - 1) * protocol.pitch_mm - 1e-6])
+    count = SLICES[0] if name == "sax7" else min(max(count, SLICES[0]), SLICES[1])
+    reach_mm = (count - 1) * protocol.pitch_mm
+    low[2] = 0.5 * (length - reach_mm) if name == "sax7" else length - BELOW_BASE_MM - reach_mm
+    size = np.array([*(high - low)[:2], reach_mm - 1e-6])
     grid = stack_grid(heart.rotation, heart.apply_array(low), size, protocol)
     timing = (anatomy.rr_s, anatomy.es_fraction)
     return stack_cine(anatomy.reference, anatomy.resting_motion, grid, timing, rng, protocol)

@@ -39,6 +39,7 @@ PRESET_NAMES = (
 class Exam(StrEnum):
     """Examination as which the phantom's MR is acquired."""
 
+    sax7 = "sax7"
     sax8 = "sax8"
     sax10 = "sax10"
     sax_lax = "sax+lax"
@@ -96,8 +97,8 @@ def scenario(
         Exam | None,
         typer.Option(
             "--exam",
-            help="Phantom only: its MR as an examination: short-axis slices of 8 mm with gaps, of 10 mm, or "
-            "with three long-axis cines (default: isotropic 4-D MR).",
+            help="Phantom only: its MR as an examination: short-axis slices of 8 mm with gaps, the middle "
+            "seven of them alone, slices of 10 mm, or with three long-axis cines (default: isotropic 4-D MR).",
         ),
     ] = None,
     seconds: Annotated[

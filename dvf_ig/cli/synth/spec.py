@@ -63,7 +63,7 @@ class SpecFile(BaseModel):
     seconds: float = 60.0
     seed: int = 1
     heart: str = "standard"
-    exam: Literal["sax8", "sax10", "sax+lax"] | None = None
+    exam: Literal["sax7", "sax8", "sax10", "sax+lax"] | None = None
     anatomy_seed: int | None = None
     motion_seed: int | None = None
     mismatch_seed: int | None = None
@@ -116,7 +116,7 @@ def scenario_spec(file: SpecFile) -> "ScenarioSpec":
     )
 
 
-def _exam(file: SpecFile) -> Literal["sax8", "sax10", "sax+lax"] | None:
+def _exam(file: SpecFile) -> Literal["sax7", "sax8", "sax10", "sax+lax"] | None:
     if file.exam is not None and file.anatomy != "phantom":
         raise InvalidInputError(
             "--exam images the phantom's heart; leave it out, or take --anatomy phantom: the pre-operative "

@@ -184,9 +184,9 @@ VARIED = HeartSpec("varied")
 """Drawn from a population of healthy, dilated and hypertrophic hearts."""
 MOTION: tuple[MotionPreset, MotionPreset] = ("paper5mm", "physiological")
 """Motions of hearts with even and with odd numbers."""
-EXAMS: dict[str, tuple[ExamName, ExamName]] = {
-    "sweep-of-sax": ("sax8", "sax10"),
-    "sweep-of-sax+lax": ("sax+lax", "sax+lax"),
+EXAMS: dict[str, tuple[ExamName, ...]] = {
+    "sweep-of-sax": ("sax8", "sax10", "sax7", "sax7"),
+    "sweep-of-sax+lax": ("sax+lax",),
 }
 """Examinations by kind of images, two hearts after two: each comes with both motions."""
 EXAM_PHASES = 12
@@ -302,7 +302,7 @@ def registered_heart(settings: Settings, number: int) -> RegisteredHeart:
     images = settings["images"]
     if images == "volumes":
         return _volumes(seed, drawing, condition, rng)
-    exam = EXAMS[images][seed // 2 % 2] if images in EXAMS else None
+    exam = EXAMS[images][seed // 2 % len(EXAMS[images])] if images in EXAMS else None
     return _sweep(seed, drawing, condition, rng, exam)
 
 

@@ -33,6 +33,18 @@ def test_slices_run_from_the_apex_to_the_mitral_plane(anatomy: PhantomAnatomy, c
     assert (coarse.sax.labels.values[0][..., 1:] > 0).any(axis=(0, 1)).all(), "every slice but the first"
 
 
+def test_seven_slices_leave_apex_and_base_out(
+    anatomy: PhantomAnatomy, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "PIXEL_MM", 5.0)
+    grid = examination(anatomy, "sax7", np.random.default_rng(4), 3).sax.image.grid
+    apex, base = anatomy.long_axis_mm
+    axis, length = (base - apex) / np.linalg.norm(base - apex), np.linalg.norm(base - apex)
+    assert grid.shape[2] == 7
+    ends = np.array([(grid.to_mm(np.array([0.0, 0.0, k])) - apex) @ axis for k in (0, 6)])
+    np.testing.assert_allclose(ends, [0.5 * length - 30.0, 0.5 * length + 30.0])
+
+
 def test_views_hold_the_long_axis_and_stand_across_the_stack(
     anatomy: PhantomAnatomy, coarse: Examination
 ) -> None:
@@ -70,4 +82,4 @@ def test_an_unknown_examination_is_refused() -> None:
     unknown: Any = "sax12"
     with pytest.raises(InvalidInputError, match="sax12"):
         replace(ScenarioSpec(), exam=unknown)
-    assert EXAMS == ("sax8", "sax10", "sax+lax")
+    assert EXAMS == ("sax7", "sax8", "sax10", "sax+lax")
