@@ -98,7 +98,7 @@ def scenario(
         typer.Option(
             "--exam",
             help="Phantom only: its MR as an examination: short-axis slices of 8 mm with gaps, the middle "
-            "seven of them alone, slices of 10 mm, or with three long-axis cines (default: isotropic 4-D MR).",
+            "seven of them alone, slices of 10 mm, or with three long-axis cines (default: isotropic MR).",
         ),
     ] = None,
     seconds: Annotated[
