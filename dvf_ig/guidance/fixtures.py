@@ -279,7 +279,8 @@ class Fixtures:
         reasons = codes[np.argmax(refused, axis=0), np.arange(count)]
         served = ~refused.any(axis=0) & ((reasons == Status.OK) | self.walls)
         near = np.isfinite([one.distance_mm for one in each])
-        first = (near & (self._forbidden[:, None] | (reasons != Status.NO_PHASE))).argmax(axis=0)
+        eligible = near & (self._forbidden[:, None] | (reasons != Status.NO_PHASE))
+        first: IntArray = np.asarray(eligible.argmax(axis=0))
 
         def primary(name: str) -> FloatArray:
             values = np.array([getattr(one, name) for one in each])[first, np.arange(count)]

@@ -88,7 +88,8 @@ class PathTarget:
                 "point of it is known through the cycle; build the model from surfaces or from an image with "
                 "motion (model build --surfaces, or --image with --labels or --seeds)"
             )
-        away_mm, nearest = cKDTree(first.vertices_mm).query(drawn, min(FOLLOWED, len(first.vertices_mm)))
+        followed = range(1, min(FOLLOWED, len(first.vertices_mm)) + 1)
+        away_mm, nearest = (np.asarray(one) for one in cKDTree(first.vertices_mm).query(drawn, followed))
         farthest = int(away_mm[:, 0].argmax())
         if away_mm[farthest, 0] > FARTHEST_MM:
             raise InvalidInputError(
