@@ -215,8 +215,8 @@ class Fixtures:
     guidance, one joint cap). Where any fixture has a status other than OK there is no force of any of them,
     and the first such status is that of all. Distance, gradient and rate are those of the primary fixture.
 
-    A forbidden region on a further structure has no force outside that structure's box, which contains all
-    places where it is felt, and takes no force from the others there: the primary fixture is then the first
+    A forbidden region on a further structure has no force outside that structure's box, which contains its
+    whole reach, and takes no force from the others there: the primary fixture is then the first
     one within reach, and distance and gradient are NaN if there is none.
 
     Where no slice shows the surface there is no force (status UNSEEN); with an adaptive margin there is one,
@@ -245,7 +245,7 @@ class Fixtures:
         self.far_outside = tuple(
             one.structure is not None and isinstance(one.law, Sigmoid) for one in options.fixtures
         )
-        """Of each fixture, whether it is merely far away outside its structure's box."""
+        """(k,) whether each fixture is merely far away outside its structure's box."""
 
     @property
     def walls(self) -> bool:
@@ -303,10 +303,10 @@ class Fixtures:
 
 
 def unfelt_outside(samples: ForceSamples, input_status: IntArray | None) -> ForceSamples:
-    """Samples of a wall whose structure is merely far away where it is OUT_OF_VOLUME."""
+    """Turn OUT_OF_VOLUME of a wall, whose structure is merely far away, into the status of the input."""
     far = samples.status == Status.OUT_OF_VOLUME
-    known = np.int64(Status.OK) if input_status is None else np.asarray(input_status)
-    return dataclasses.replace(samples, status=np.where(far, known, samples.status))
+    status = np.int64(Status.OK) if input_status is None else np.asarray(input_status)
+    return dataclasses.replace(samples, status=np.where(far, status, samples.status))
 
 
 def _bound(model: DvfModel, one: FixtureOptions, options: FixtureSet) -> Evaluator | PathFixture:

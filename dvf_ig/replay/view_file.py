@@ -61,7 +61,7 @@ class ViewFile:
 
 
 def write_view_file(replay: Replay, folder: Path, run: Path, recording: Path, model: Path | None) -> None:
-    """Write `view.json`, and the models of further structures beside it.
+    """Write `view.json`, and the models of further structures next to it.
 
     Args:
         folder: folder to write to; `run` is its final name, to which paths are relative.

@@ -67,7 +67,7 @@ class MarginTracker:
     """Margins of the fixtures over time: targets by σ at the tip, reached within the slew rules.
 
     On the session's model alone, σ is that of the primary fixture; with further structures each fixture has
-    its own, and the largest margin where it is out of its structure's box.
+    its own, and the largest margin outside its structure's box.
 
     Args:
         fixtures: with the choice of a margin; a path keeps its law. Where no slice shows a surface, σ is not
@@ -112,8 +112,8 @@ class MarginTracker:
             def target_mm(model: DvfModel, distance_mm: float, slope: FloatArray, rate: float) -> float:
                 rates = np.array([rate])
                 sigma = sigma_at(transform, tip, now_s, slope[None], rates, pose_age_s, model)
-                known = _seen(model, transform, tip, now_s, distance_mm, slope)
-                return self._options.wanted_mm(float(sigma.total_mm[0]) if known else np.nan)
+                seen = _seen(model, transform, tip, now_s, distance_mm, slope)
+                return self._options.wanted_mm(float(sigma.total_mm[0]) if seen else np.nan)
 
             if self._each:
                 for i, part in enumerate(self._parts):

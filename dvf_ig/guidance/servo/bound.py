@@ -111,18 +111,18 @@ def _structures(fixtures: Fixtures) -> tuple[NDArray[np.float32], list[int | Non
     """Coefficients of all further structures, and where each fixture's begin; None if it is not on one."""
     parts: list[NDArray[np.float32]] = []
     begins: list[int | None] = []
-    known: dict[tuple[int, bool], int] = {}
+    placed: dict[tuple[int, bool], int] = {}
     size = 0
     for part, one in zip(fixtures.parts, fixtures.options.fixtures, strict=True):
         if one.structure is None or not isinstance(part, Evaluator):
             begins.append(None)
             continue
         key = (id(one.structure), part.blend == "periodic")
-        if key not in known:
-            known[key] = size
+        if key not in placed:
+            placed[key] = size
             parts.append(part.coefficients.ravel())
             size += part.coefficients.size
-        begins.append(known[key])
+        begins.append(placed[key])
     return np.concatenate([np.zeros(0, dtype=np.float32), *parts]), begins
 
 

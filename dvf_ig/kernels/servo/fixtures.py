@@ -127,7 +127,7 @@ def _add_others(
 def _forces(bound: Any, place: Vector, phi: float, slope: Slope, forces: FloatArray) -> Output:
     """Forces of all fixtures at a known phase, model frame; output of the first within reach.
 
-    Where one has no force because of its status, the output is that of none; the heart's surface comes first.
+    If the status of one withholds its force, the output is that of none; the heart's surface comes first.
 
     Args:
         place, slope: as of `dvf_ig.kernels.dynamic.force_at`.

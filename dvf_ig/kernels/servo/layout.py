@@ -61,8 +61,8 @@ softens), its depth by `widen_depth` (−1 of a forbidden region, +1 of a confin
 depth: both widen the region). `first` is the first fixture on the heart's surface, `first_linear` the first
 that is linear in phase; `others` counts those `apart` from it. A path has `path_points` points in each of its
 phases; any other fixture apart is on a structure, whose coefficients have `structure_shape` and begin at
-`structure_begin`. A wall that is `far_outside` has no force outside the structure's box, which contains all
-places where it is felt."""
+`structure_begin`. A wall that is `far_outside` has no force outside the structure's box, which contains its
+whole reach."""
 
 LIMITS = np.dtype(
     [
