@@ -63,7 +63,7 @@ Row = tuple[Number, Number, Number]
 
 
 class _FixtureConfig(Section):
-    """What all fixtures have; `model` is the file of a further structure, None: the session's model."""
+    """Keys of every fixture; `model` is the file of a further structure, None: the session's model."""
 
     name: str = ""
     cap_n: Number = 0.6

@@ -126,8 +126,8 @@ class MarginTracker:
                 self._target_mm[:] = target_mm(self._model, tick.distance_mm, gradient, rate)
         self.margin_mm = np.array(
             [
-                0.0 if law is None else next_margin_mm(now, wanted, dt_s, law, self._step_n)
-                for now, wanted, law in zip(
+                0.0 if law is None else next_margin_mm(now, target, dt_s, law, self._step_n)
+                for now, target, law in zip(
                     self.margin_mm.tolist(), self._target_mm.tolist(), self._laws, strict=True
                 )
             ]

@@ -277,10 +277,10 @@ def cross_to_walls(
     of_warp = pose_phase.warped != 0.0
     if status == code.NO_PHASE and share < 1.0:
         if of_warp:
-            held = _warped_forces(bound, inputs, scratch.warps, t_s, place, m.last_phase, forces)[0][0]
+            last = _warped_forces(bound, inputs, scratch.warps, t_s, place, m.last_phase, forces)[0][0]
         else:
-            held = _forces(bound, place, m.last_phase, None, forces)[0]
-        if held == code.OK:
+            last = _forces(bound, place, m.last_phase, None, forces)[0]
+        if last == code.OK:
             _turn_forces(pose, forces)
             _compose(bound, scratch, composed)
     if status == code.OK and share <= 0.0:
