@@ -121,9 +121,9 @@ def test_structures_that_do_not_fit_are_refused(ball, atrium, oesophagus):
     widened = {"margin": MarginOptions("adaptive")}
     refused("ends 10.0 mm", wall(oesophagus, Sigmoid(0.85, 0.3)), **widened)
     assert Fixtures(ball, FixtureSet((wall(oesophagus, Sigmoid(0.85, 0.3)),)))
-    refused("where their surfaces touch", wall(atrium, Sigmoid(2.0, 0.6)))
+    refused("where their surfaces touch", wall(atrium, Sigmoid(2.4, 0.6)))
     stiff = DeviceLimits(stiffness_n_per_m=500.0)
-    assert Fixtures(ball, FixtureSet((FixtureOptions(WALL), wall(atrium, Sigmoid(2.0, 0.6))), device=stiff))
+    assert Fixtures(ball, FixtureSet((FixtureOptions(WALL), wall(atrium, Sigmoid(2.4, 0.6))), device=stiff))
     elsewhere = replace(atrium, frame="ct", reference=tuple(replace(m, frame="ct") for m in atrium.reference))
     with pytest.raises(FrameMismatchError):
         Fixtures(ball, FixtureSet((wall(elsewhere),)))

@@ -35,6 +35,7 @@ from dvf_ig.intake.session import session_fixtures
 from dvf_ig.intake.session_log.live import LiveDocument, live_document, structure_files
 from dvf_ig.io import write_landmarks, write_model
 from dvf_ig.io.json_file import read_json, write_json
+from dvf_ig.io.yaml_config import read_yaml
 
 CURVE = np.array([[-8.0, 0.0, 12.0], [0.0, 3.0, 15.0], [9.0, 1.0, 11.0]])
 
@@ -88,11 +89,13 @@ fixtures:
 def test_the_guide_s_example_is_read(tmp_path: Path, curve: Path) -> None:
     page = Path(__file__).resolve().parents[2] / "dvf_ig/docs/guide/own-recordings.md"
     examples = re.findall(r"```yaml\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
-    (example,) = (text for text in examples if "law: path" in text)
+    example, further = (text for text in examples if "law: path" in text)
     options, retiming = read_fixtures(written(tmp_path, example))
     assert (options.cap_n, retiming) == (0.6, "two-segment")
     assert options.fixtures[0] == FixtureOptions(Sigmoid(depth_mm=2.0), name="epicardium")
     assert options.fixtures[1].law == Gaussian(4.0)
+    config = FixturesConfig.model_validate(read_yaml(written(tmp_path, further), "fixtures"))
+    assert [one.model for one in config.fixtures] == ["left_atrium.npz", "oesophagus.npz"]
 
 
 def test_defaults_are_those_of_the_values(tmp_path: Path) -> None:

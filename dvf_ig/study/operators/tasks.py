@@ -306,7 +306,7 @@ def dissection_measures(dissection: Dissection) -> dict[str, float]:
 
 LESION_MM = 30.0
 GAP_MM = 4.0
-"""Least distance of the line from the oesophagus' surface over the beat: an atrium's wall and fat, assumed."""
+"""Least distance of the line from the oesophagus' surface over the beat: wall and fat, assumed."""
 TUBE_MM, BEYOND_MM = 8.0, 25.0
 """Radius of the oesophagus, and its length beyond either end of the line: assumed."""
 MARGIN_MM = 2.0
@@ -388,7 +388,7 @@ def tube_behind(line: MovingLine, site: Site) -> Tube:
 
 
 def lesion_fixtures(model: DvfModel, line: MovingLine, tube: Tube) -> tuple[FixtureOptions, ...]:
-    """Guidance to the line, drawn at end-diastole and beating with the model; the forbidden oesophagus."""
+    """Guide to the line, drawn at end-diastole and beating with the model; forbid the oesophagus."""
     drawn = line.points(float(model.timing.fractions[model.ed_phase]))
     oesophagus = tube.model(model.patient_id)
     return (
