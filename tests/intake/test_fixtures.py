@@ -163,7 +163,7 @@ fixtures:
         ("fixtures: [{law: sigmoid}]", "fixtures.0.law is 'sigmoid'; needed 'forbidden', 'guidance', 'path'"),
         (
             "fixtures: [{law: guidance, gamma: 2.0}]",
-            "fixtures.0: unknown key gamma; needed some of name, cap_n, model, law, delta, m, depth_mm, blend",
+            "fixtures.0: unknown key gamma; needed some of name, cap_n, model, law, delta, m, depth_mm",
         ),
         ("fixtures: [{law: forbidden}, {law: guidance, delta: wide}]", "fixtures.1.delta: needed a number"),
         ("fixtures: [{law: forbidden, gamma: true}]", "fixtures.0.gamma: needed a number"),
