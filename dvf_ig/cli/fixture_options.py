@@ -106,7 +106,8 @@ FixturesFileOption = Annotated[
     typer.Option(
         "--fixtures",
         rich_help_panel=SECTION,
-        help="YAML of one or several fixtures, in place of the options of one.",
+        help="YAML of one or several fixtures, on the heart and further structures, in place of the "
+        "options of one.",
     ),
 ]
 RetimingOption = Annotated[

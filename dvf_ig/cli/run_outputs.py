@@ -18,9 +18,9 @@ RESULT, PAGE = "result.json", "report.html"
 def run_files() -> tuple[str, ...]:
     """Names of every file that may be written."""
     from dvf_ig.replay.outputs import NAMES
-    from dvf_ig.replay.view_file import VIEW
+    from dvf_ig.replay.view_file import STRUCTURE_FILES, VIEW
 
-    return (RESULT, PAGE, VIEW, *NAMES)
+    return (RESULT, PAGE, VIEW, *NAMES, *STRUCTURE_FILES)
 
 
 def write_run(

@@ -140,6 +140,11 @@ class DvfModel:
         return len(self.timing)
 
     @property
+    def still(self) -> bool:
+        """Whether the surface is the same in every phase, as that of a structure that does not beat."""
+        return all(np.array_equal(one, self.coefficients[0]) for one in self.coefficients[1:])
+
+    @property
     def upper_mm(self) -> FloatArray:
         """Far corner (3,) of the box in which the model is defined."""
         knots = np.array(self.coefficients.shape[1:]) - 3

@@ -28,6 +28,8 @@ class FixtureOptions:
         blend: how neighbouring phases of the model are blended; unused by a path.
         path: what a Gaussian guides to; None: the model's surface.
         name: of the fixture in messages.
+        structure: model of a further structure on whose surface the fixture is, or with which its path beats;
+            None: the session's model, or a path in its frame.
     Raises:
         InvalidInputError: an unknown blend, or a forbidden region that is felt too far outside.
     """
@@ -36,6 +38,7 @@ class FixtureOptions:
     blend: Blend = "force"
     path: PathTarget | None = None
     name: str = ""
+    structure: DvfModel | None = None
 
     def __post_init__(self) -> None:
         if self.blend not in BLEND_CODES:
@@ -55,6 +58,8 @@ class FixtureOptions:
         """Its law and numbers under the names of the command line's options; of a path not its points."""
         law = self.law
         numbers: dict[str, str | float | bool] = {"name": self.name, "cap_n": law.cap_n}
+        if self.structure is not None:
+            numbers["structure"] = self.structure.surface_name
         if isinstance(law, Gaussian):
             numbers |= {"delta": law.delta_mm, "m": law.m}
             if self.path is not None:
@@ -103,6 +108,11 @@ class FixtureSet:
         return max(f.law.cap_n for f in self.fixtures) if self.cap_n is None else self.cap_n
 
     @property
+    def on_model_alone(self) -> bool:
+        """Whether every fixture is on the session's model: then a distance to it gives all forces."""
+        return all(one.path is None and one.structure is None for one in self.fixtures)
+
+    @property
     def composed(self) -> bool:
         """Whether forces need composing: several fixtures, or a joint cap below that of the only one."""
         return len(self.fixtures) > 1 or self.joint_cap_n < self.fixtures[0].law.cap_n
@@ -134,9 +144,10 @@ def force_at_distance(options: FixtureSet, distance_mm: FloatArray, normal: Floa
         distance_mm: (n,) signed distance to the organ's surface.
         normal: (n, 3) its unit gradient.
     Returns:
-        the force in the frame of `normal`; None for a set with a path, whose distance this is not.
+        the force in the frame of `normal`; None for a set with a path or a structure, whose distance this is
+        not.
     """
-    if any(one.path is not None for one in options.fixtures):
+    if not options.on_model_alone:
         return None
     each = np.stack([static_force(one.law, distance_mm, normal) for one in options.fixtures], axis=1)
     if not options.composed:
@@ -145,31 +156,47 @@ def force_at_distance(options: FixtureSet, distance_mm: FloatArray, normal: Floa
 
 
 def check_joint_stiffness(options: FixtureSet) -> None:
-    """Hold the fixtures on the surface, composed, to their device's stiffness along the normal.
+    """Hold the fixtures on surfaces, composed, to their device's stiffness along the normal.
 
-    Secants of the force over distance: they never exceed the steepest slope, and miss little of it.
+    Fixtures on one surface count at their distances; different surfaces may touch, so their slopes add up.
 
     Raises:
         InvalidInputError: together they are stiffer than the device renders.
     """
-    on_surface = tuple(one for one in options.fixtures if one.path is None)
-    if len(on_surface) < 2:
+    on_surfaces = [one for one in options.fixtures if one.path is None]
+    if len(on_surfaces) < 2:
         return
+    structures = dict.fromkeys(one.structure for one in on_surfaces)
+    steepest = [
+        _steepest(options, tuple(one for one in on_surfaces if one.structure is structure))
+        for structure in structures
+    ]
+    slope, allowed = sum(one[0] for one in steepest), options.device.allowed_stiffness_n_per_mm
+    if slope > allowed * (1.0 + 1e-6):
+        where = f"{steepest[0][1]:.2g} mm below the surface"
+        where = where if len(structures) == 1 else "where their surfaces touch"
+        raise InvalidInputError(
+            f"the fixtures together are too stiff for the device: {slope * MM_PER_M:.4g} N/m {where}, "
+            f"at most {allowed * MM_PER_M:.4g} N/m allowed; lower a cap, make a law less steep, or set their "
+            "depths apart"
+        )
+
+
+def _steepest(options: FixtureSet, fixtures: tuple[FixtureOptions, ...]) -> tuple[float, float]:
+    """Largest slope, N/mm, of the composed force of fixtures on one surface, and its depth in mm.
+
+    Secants of the force over distance: they never exceed the steepest slope, and miss little of it.
+    """
+    on_surface = tuple(dataclasses.replace(one, structure=None) for one in fixtures)
     # whole µm: over less, rounding of the force would count as slope
     distance_mm = np.unique(np.concatenate([_about_depth(one.law) for one in on_surface]).round(3))
     normal = np.tile([1.0, 0.0, 0.0], (len(distance_mm), 1))
     force_n = force_at_distance(dataclasses.replace(options, fixtures=on_surface), distance_mm, normal)
     if force_n is None:
-        return
+        return 0.0, 0.0
     slope = np.abs(np.diff(force_n[:, 0])) / np.diff(distance_mm)
     steepest = int(slope.argmax())
-    allowed = options.device.allowed_stiffness_n_per_mm
-    if slope[steepest] > allowed * (1.0 + 1e-6):
-        raise InvalidInputError(
-            f"the fixtures together are too stiff for the device: {slope[steepest] * MM_PER_M:.4g} N/m "
-            f"{distance_mm[steepest]:.2g} mm below the surface, at most {allowed * MM_PER_M:.4g} N/m "
-            "allowed; lower a cap, make a law less steep, or set their depths apart"
-        )
+    return float(slope[steepest]), float(distance_mm[steepest])
 
 
 def _about_depth(law: Law) -> FloatArray:
@@ -188,6 +215,10 @@ class Fixtures:
     guidance, one joint cap). Where any fixture has a status other than OK there is no force of any of them,
     and the first such status is that of all. Distance, gradient and rate are those of the primary fixture.
 
+    A forbidden region on a further structure has no force outside that structure's box, which contains its
+    whole reach, and takes no force from the others there: the primary fixture is then the first
+    one within reach, and distance and gradient are NaN if there is none.
+
     Where no slice shows the surface there is no force (status UNSEEN); with an adaptive margin there is one,
     and the session makes the margin the largest there.
 
@@ -195,12 +226,13 @@ class Fixtures:
     distance and gradient are those of the first of them.
 
     Args:
-        model: this patient's model; every fixture on a surface is on its surface.
+        model: this patient's model; every fixture that names no structure is on its surface.
         options: the fixtures, their joint cap, and the device that renders them.
     Raises:
         InvalidInputError: laws beyond the device's limits, each alone or those on the surface together, or a
-            path with an unfit law.
-        FrameMismatchError: a path in another frame than the model.
+            path with an unfit law; a structure of another patient or with other phase times than the model
+            (unless it does not beat), or a wall that is felt outside its structure's box.
+        FrameMismatchError: a path or a structure in another frame than the model.
     """
 
     def __init__(self, model: DvfModel, options: FixtureSet = FORBIDDEN_SURFACE) -> None:
@@ -209,12 +241,16 @@ class Fixtures:
         self.parts = tuple(_bound(model, one, options) for one in options.fixtures)
         check_joint_stiffness(options)
         self._composed = options.composed
-        self._first_wall = next((i for i, one in enumerate(options.fixtures) if one.forbidden), None)
+        self._forbidden = np.array([one.forbidden for one in options.fixtures])
+        self.far_outside = tuple(
+            one.structure is not None and isinstance(one.law, Sigmoid) for one in options.fixtures
+        )
+        """(k,) whether each fixture is merely far away outside its structure's box."""
 
     @property
     def walls(self) -> bool:
         """Whether a forbidden region is among them: then a force remains where the phase is not known."""
-        return self._first_wall is not None
+        return bool(self._forbidden.any())
 
     def evaluate(
         self, model_from_query: Rigid, xyz_mm: Any, model_phase: Any, status: IntArray | None = None
@@ -231,14 +267,20 @@ class Fixtures:
             FrameMismatchError: the model is in another frame than the map's target.
             InvalidInputError: shapes that do not fit.
         """
-        if not self._composed:
-            return self.parts[0].force_through(model_from_query, xyz_mm, model_phase, status)
         each = [part.force_through(model_from_query, xyz_mm, model_phase, status) for part in self.parts]
+        each = [
+            unfelt_outside(one, status) if far_outside else one
+            for one, far_outside in zip(each, self.far_outside, strict=True)
+        ]
+        if not self._composed:
+            return each[0]
         codes, count = np.array([one.status for one in each]), len(each[0])
         refused = (codes != Status.OK) & (codes != Status.NO_PHASE)
         reasons = codes[np.argmax(refused, axis=0), np.arange(count)]
         served = ~refused.any(axis=0) & ((reasons == Status.OK) | self.walls)
-        first = np.where(reasons == Status.NO_PHASE, self._first_wall or 0, 0)
+        near = np.isfinite([one.distance_mm for one in each])
+        eligible = near & (self._forbidden[:, None] | (reasons != Status.NO_PHASE))
+        first: IntArray = np.asarray(eligible.argmax(axis=0))
 
         def primary(name: str) -> FloatArray:
             values = np.array([getattr(one, name) for one in each])[first, np.arange(count)]
@@ -260,12 +302,49 @@ class Fixtures:
         )
 
 
+def unfelt_outside(samples: ForceSamples, input_status: IntArray | None) -> ForceSamples:
+    """Turn OUT_OF_VOLUME of a wall, whose structure is merely far away, into the status of the input."""
+    far = samples.status == Status.OUT_OF_VOLUME
+    status = np.int64(Status.OK) if input_status is None else np.asarray(input_status)
+    return dataclasses.replace(samples, status=np.where(far, status, samples.status))
+
+
 def _bound(model: DvfModel, one: FixtureOptions, options: FixtureSet) -> Evaluator | PathFixture:
     device, withhold = options.device, options.margin.mode != "adaptive"
     try:
+        surface = model
+        if one.structure is not None:
+            surface = one.structure
+            _require_fit(surface, model, one, options.margin.wanted_mm(math.nan))
         if one.path is None:
-            return Evaluator(model, one.law, blend=one.blend, device=device, withhold_unseen=withhold)
+            return Evaluator(surface, one.law, blend=one.blend, device=device, withhold_unseen=withhold)
         require_same_frame(model.frame, one.path.frame, "path of a fixture")
         return PathFixture(one.path, one.law, device=device)
     except InvalidInputError as exc:
         raise one.named(exc) from exc
+
+
+def _require_fit(structure: DvfModel, model: DvfModel, one: FixtureOptions, margin_mm: float) -> None:
+    """Refuse a structure that does not belong to the model, or whose box ends where a wall is still felt."""
+    name = structure.surface_name
+    require_same_frame(model.frame, structure.frame, f"structure {name}")
+    structure.require_patient(model.patient_id, f"the structure {name} is")
+    same = np.array_equal(structure.timing.fractions, model.timing.fractions)
+    if not structure.still and not (same and structure.timing.rr_s == model.timing.rr_s):
+        raise InvalidInputError(
+            f"the structure {name} has other phase times than the session's model; needed both from the same "
+            "images, or one that does not beat"
+        )
+    if one.path is not None or not isinstance(one.law, Sigmoid):
+        return
+    vertices_mm = np.concatenate([mesh.vertices_mm for mesh in structure.reference])
+    below_mm = (vertices_mm.min(axis=0) - structure.origin_mm).min()
+    above_mm = (structure.upper_mm - vertices_mm.max(axis=0)).min()
+    room_mm = min(float(below_mm), float(above_mm))
+    reach_mm = one.law.reach_mm + margin_mm
+    if room_mm < reach_mm:
+        raise InvalidInputError(
+            f"the model of the structure {name} ends {room_mm:.1f} mm from its surface, but the wall is felt "
+            f"{reach_mm:.1f} mm from it, margin included; build it with --margin-mm {math.ceil(reach_mm)} or "
+            "more, or make the law steeper"
+        )

@@ -5,9 +5,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from dvf_ig.core import (
     CycleTiming,
+    DvfModel,
     FloatArray,
     IntArray,
     InvalidInputError,
@@ -25,6 +27,10 @@ from .device import COMMON_DEVICE, DeviceLimits
 from .evaluator import ForceSamples, checked_query
 from .laws import Gaussian, Law
 from .places import Status
+
+FOLLOWED = 4
+FARTHEST_MM = 5.0
+"""Vertices that a point of a beating path follows, and its largest distance from the nearest of them."""
 
 
 @read_only_arrays
@@ -61,6 +67,41 @@ class PathTarget:
     def static(cls, frame: str, points_mm: Any) -> "PathTarget":
         """A static path (k, 3)."""
         return cls(frame, np.array(points_mm, dtype=np.float64)[None])
+
+    @classmethod
+    def beating(cls, model: DvfModel, points_mm: Any) -> "PathTarget":
+        """A path (k, 3), drawn at the model's end-diastole, that moves with the model's surface.
+
+        Each point moves as the FOLLOWED nearest vertices do, weighted by 1/distance.
+
+        Raises:
+            InvalidInputError: surfaces whose vertices do not correspond from phase to phase, or a point too
+                far from the surface to move with it.
+        """
+        drawn = frozen_floats(points_mm, "path", (None, 3))
+        if model.still:
+            return cls.static(model.frame, drawn)
+        first = model.reference[model.ed_phase]
+        if not all(np.array_equal(mesh.triangles, first.triangles) for mesh in model.reference):
+            raise InvalidInputError(
+                f"a path cannot beat with {model.surface_name}, whose phases have different triangles: no "
+                "point of it is known through the cycle; build the model from surfaces or from an image with "
+                "motion (model build --surfaces, or --image with --labels or --seeds)"
+            )
+        followed = range(1, min(FOLLOWED, len(first.vertices_mm)) + 1)
+        away_mm, nearest = (np.asarray(one) for one in cKDTree(first.vertices_mm).query(drawn, followed))
+        farthest = int(away_mm[:, 0].argmax())
+        if away_mm[farthest, 0] > FARTHEST_MM:
+            raise InvalidInputError(
+                f"point {farthest} of a path is {away_mm[farthest, 0]:.1f} mm from {model.surface_name} at "
+                f"end-diastole, at most {FARTHEST_MM:g} mm is allowed of a path that beats with it; draw "
+                "it on the surface that `model export` writes"
+            )
+        weight = 1.0 / np.maximum(away_mm, 1e-6)
+        weight /= weight.sum(axis=1, keepdims=True)
+        moved = [mesh.vertices_mm[nearest] - first.vertices_mm[nearest] for mesh in model.reference]
+        points = [drawn + np.einsum("kn,kni->ki", weight, shift) for shift in moved]
+        return cls(model.frame, np.stack(points), model.timing)
 
     def at(self, model_phase: float) -> FloatArray:
         """(k, 3) points at a phase, linear between its neighbours."""

@@ -7,6 +7,8 @@ device: {name: omega.3, continuous_force_n: 12, stiffness_n_per_m: 2000}   # nee
 fixtures:                   # the first is the primary one
   - {law: forbidden, name: epicardium, gamma: 1.0, depth_mm: 2.0}
   - {law: path, delta: 4.0, path: incision.mrk.json}
+  - {law: forbidden, name: oesophagus, model: oesophagus.npz}   # on a further structure
+  - {law: path, path: line.mrk.json, model: left_atrium.npz}    # beats with its surface
 """
 
 import math
@@ -25,6 +27,7 @@ from dvf_ig.io.reading import reading
 from dvf_ig.io.yaml_config import Section, read_yaml, validated
 
 if TYPE_CHECKING:
+    from dvf_ig.core import DvfModel
     from dvf_ig.guidance import DeviceLimits, FixtureOptions, FixtureSet, PathTarget
     from dvf_ig.guidance.margins import MarginOptions
 
@@ -60,8 +63,11 @@ Row = tuple[Number, Number, Number]
 
 
 class _FixtureConfig(Section):
+    """Keys of every fixture; `model` is the file of a further structure, None: the session's model."""
+
     name: str = ""
     cap_n: Number = 0.6
+    model: Annotated[str, Field(min_length=1)] | None = None
 
 
 class ForbiddenConfig(_FixtureConfig):
@@ -73,12 +79,14 @@ class ForbiddenConfig(_FixtureConfig):
     inside: bool = False
     blend: BlendName = "force"
 
-    def options(self, folder: Path | None = None, frame: str = "mr") -> "FixtureOptions":
+    def options(
+        self, folder: Path | None = None, frame: str = "mr", structure: "DvfModel | None" = None
+    ) -> "FixtureOptions":
         """Build the fixture; raise InvalidInputError for a number out of range."""
         from dvf_ig.guidance import Confinement, FixtureOptions, Sigmoid
 
         law = (Confinement if self.inside else Sigmoid)(self.gamma, self.cap_n, self.depth_mm)
-        return FixtureOptions(law, self.blend, name=self.name)
+        return FixtureOptions(law, self.blend, name=self.name, structure=structure)
 
 
 class GuidanceConfig(_FixtureConfig):
@@ -90,18 +98,21 @@ class GuidanceConfig(_FixtureConfig):
     depth_mm: Millimetres = 0.0
     blend: BlendName = "force"
 
-    def options(self, folder: Path | None = None, frame: str = "mr") -> "FixtureOptions":
+    def options(
+        self, folder: Path | None = None, frame: str = "mr", structure: "DvfModel | None" = None
+    ) -> "FixtureOptions":
         """Build the fixture; raise InvalidInputError for a number out of range."""
         from dvf_ig.guidance import FixtureOptions, Gaussian
 
         law = Gaussian(self.delta, self.m, self.cap_n, self.depth_mm)
-        return FixtureOptions(law, self.blend, name=self.name)
+        return FixtureOptions(law, self.blend, name=self.name, structure=structure)
 
 
 class PathConfig(_FixtureConfig):
-    """Guidance to a path at rest in the model's frame: straight segments between points, mm, LPS.
+    """Guidance to a path: straight segments between points, mm, LPS, in the session's model's frame.
 
-    `path` is a list of points, or a curve of 3D Slicer, whose control points are used.
+    `path` is a list of points, or a curve of 3D Slicer, whose control points are used. With `model` it was
+    drawn on that model's surface at end-diastole and beats with it; else it is at rest.
     """
 
     law: Literal["path"] = "path"
@@ -121,19 +132,25 @@ class PathConfig(_FixtureConfig):
             return value
         raise ValueError("needed points [[x, y, z], …] in mm, or the name of a .mrk.json file")
 
-    def options(self, folder: Path | None = None, frame: str = "mr") -> "FixtureOptions":
+    def options(
+        self, folder: Path | None = None, frame: str = "mr", structure: "DvfModel | None" = None
+    ) -> "FixtureOptions":
         """Build the fixture.
 
         Args:
             folder: base of relative file names; None: the working directory.
             frame: of the points.
+            structure: model that `model` names.
         Raises:
             InvalidInputError: a number out of range, or an unfit path.
         """
-        from dvf_ig.guidance import FixtureOptions, Gaussian
+        from dvf_ig.guidance import FixtureOptions, Gaussian, PathTarget
 
         target = self._target(folder or Path(), frame)
-        return FixtureOptions(Gaussian(self.delta, self.m, self.cap_n), path=target, name=self.name)
+        if structure is not None:
+            target = PathTarget.beating(structure, target.points_mm[0])
+        law = Gaussian(self.delta, self.m, self.cap_n)
+        return FixtureOptions(law, path=target, name=self.name, structure=structure)
 
     def _target(self, folder: Path, frame: str) -> "PathTarget":
         from dvf_ig.guidance import PathTarget
@@ -204,15 +221,19 @@ class FixturesConfig(Section):
             folder: base of relative file names.
             frame: of the model and of every path.
         Raises:
-            InvalidInputError: a number out of range or an unfit path; names the key.
+            InvalidInputError: a number out of range, an unfit path or an unreadable model; names the key.
         """
         from dvf_ig.guidance import FixtureSet
         from dvf_ig.guidance.device import COMMON_DEVICE
+        from dvf_ig.io.model.model_file import read_model
 
         options = []
+        structures: dict[str | None, DvfModel | None] = {None: None}
         for n, one in enumerate(self.fixtures):
             try:
-                options.append(one.options(folder, frame))
+                if one.model not in structures:
+                    structures[one.model] = read_model(folder / str(one.model))
+                options.append(one.options(folder, frame, structures[one.model]))
             except InvalidInputError as exc:
                 raise InvalidInputError(f"fixtures.{n}: {exc}") from exc
         device = COMMON_DEVICE if self.device is None else self.device.limits()

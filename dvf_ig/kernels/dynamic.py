@@ -16,7 +16,6 @@ from .compiled import inlined, kernel
 from .fixture_field import (
     BLEND,
     BLEND_DISTANCE,
-    BLEND_PATH,
     BLEND_PERIODIC,
     DEPTH,
     PER_KNOT,
@@ -134,6 +133,8 @@ def forces_on_surface(
     linear: NDArray[np.float32],
     periodic: NDArray[np.float32],
     packed: FloatArray,
+    apart: IntArray,
+    first_linear: int,
     q: Vector,
     phi: float,
     slope: Slope,
@@ -143,35 +144,37 @@ def forces_on_surface(
 
     Args:
         linear, periodic: (n, cx, cy, cz) coefficients of the two kinds of blend; (0, …) of one not used.
-        packed: (k, p) fixtures; their poses are not used. A path has no force here.
+        packed: (k, p) fixtures; their poses are not used.
+        apart: (k,) 1 for a fixture that is not on this surface, which has no force here.
+        first_linear: the first fixture on this surface that is linear in phase, if there is one.
         q, slope: as of `force_at`.
         phi: model phase.
         forces: (k, 3) N, model frame; complete only if the status is OK.
     Returns:
-        output of the first fixture; the status is the first that is not OK.
+        output of the first fixture on this surface, NaN without one; the status is the first that is not OK.
     """
     nothing = pack(0.0, 0.0, 0.0, 0.0)
     a, b, mixed, alpha, rate = nothing, nothing, nothing, 0.0, 0.0
     if len(linear) > 0:
-        status, u, v, w = knot_coordinates(linear, packed[0], q, phi)
+        status, u, v, w = knot_coordinates(linear, packed[first_linear], q, phi)
         if status != code.OK:
             return no_output(status)
-        a, b, mixed, alpha, rate = _two_fields(linear, packed[0], (u, v, w), phi)
-    first = no_output(code.FAULT)
+        a, b, mixed, alpha, rate = _two_fields(linear, packed[first_linear], (u, v, w), phi)
+    first, begun = no_output(code.OK), False
     for i in range(len(packed)):
+        if apart[i] != 0:
+            continue
         f = packed[i]
         if int(f[BLEND]) == BLEND_PERIODIC:
             result = _periodic_at(periodic, f, q, phi, slope)
-        elif int(f[BLEND]) == BLEND_PATH:
-            result = code.OK, (0.0, 0.0, 0.0), math.nan, (math.nan, math.nan, math.nan), math.nan
         else:
             result = output_of(_blended_force(f, a, b, mixed, alpha, slope), mixed, rate)
             result = within_seen(f, len(linear), q, phi, result)
         if result[0] != code.OK:
             return no_output(result[0])
         forces[i, 0], forces[i, 1], forces[i, 2] = result[1]
-        if i == 0:
-            first = result
+        if not begun:
+            first, begun = result, True
     return first
 
 

@@ -5,6 +5,7 @@ from .build import border_distance_mm as border_distance_mm
 from .build import build_model as build_model
 from .build import model_from_labels as model_from_labels
 from .build import model_from_surfaces as model_from_surfaces
+from .build import model_of_still as model_of_still
 from .build import potential_at_border as potential_at_border
 from .check import ModelCheck as ModelCheck
 from .check import check_model as check_model

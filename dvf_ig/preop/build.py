@@ -202,6 +202,26 @@ def model_from_surfaces(
     )
 
 
+def model_of_still(
+    mesh: Mesh,
+    *,
+    patient_id: str,
+    surface_name: str,
+    options: ModelOptions = ModelOptions(),
+    progress: Progress | None = None,
+    sources: Sequence[str] = (),
+) -> DvfModel:
+    """Close the surface of a structure that does not beat and build its model: two equal phases.
+
+    Raises:
+        InvalidInputError: a surface that cannot be closed, or of no possible size.
+    """
+    vertices = np.stack([mesh.vertices_mm] * 2)
+    timing = CycleTiming(np.array([0.0, 0.5]), 1.0)
+    series = SurfaceSeries(surface_name, mesh.frame, vertices, mesh.triangles, timing, patient_id)
+    return model_from_surfaces(series, options=options, progress=progress, sources=sources)
+
+
 def model_from_labels(
     preop: Preop,
     *,

@@ -102,13 +102,16 @@ def _breath(recorded: Respiration, scale: SurrogateScale | None) -> SampledSigna
 def _fixtures(run: RunFolder) -> FixtureSet:
     """Rebuild the fixtures that acted."""
     described = run.result["fixtures"]
-    parts = [_fixture(one, path) for one, path in zip(described, run.view.paths, strict=True)]
+    apart = zip(described, run.view.paths, run.view.structures, strict=True)
+    parts = [_fixture(*one) for one in apart]
     stated = run.result.get("device")
     device = COMMON_DEVICE if stated is None else DeviceConfig.model_validate(stated).limits()
     return FixtureSet(tuple(parts), run.result["fixtures_cap_n"], device=device)
 
 
-def _fixture(described: dict[str, Any], path: PathTarget | None) -> FixtureOptions:
+def _fixture(
+    described: dict[str, Any], path: PathTarget | None, structure: DvfModel | None
+) -> FixtureOptions:
     cap_n, depth_mm = described["cap_n"], described.get("depth_mm", 0.0)
     law: Law
     if "delta" in described:
@@ -116,7 +119,7 @@ def _fixture(described: dict[str, Any], path: PathTarget | None) -> FixtureOptio
     else:
         kind = Confinement if described["inside"] else Sigmoid
         law = kind(described["gamma"], cap_n, depth_mm)
-    return FixtureOptions(law, described.get("blend", "force"), path, described["name"])
+    return FixtureOptions(law, described.get("blend", "force"), path, described["name"], structure)
 
 
 def _ticks(run: RunFolder, scenario: Scenario) -> dict[str, AnyArray]:

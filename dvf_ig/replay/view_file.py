@@ -11,13 +11,17 @@ from typing import Any
 
 import numpy as np
 
-from dvf_ig.core import CycleTiming, FloatArray, UnreadableFileError, read_only_arrays
+from dvf_ig.core import CycleTiming, DvfModel, FloatArray, UnreadableFileError, read_only_arrays
 from dvf_ig.guidance import PathTarget
-from dvf_ig.io import read_json, write_sidecar
+from dvf_ig.intake.session_log.live import STRUCTURES, structure_files
+from dvf_ig.io import read_json, read_model, write_model, write_sidecar
+from dvf_ig.io.file_within import path_within
+from dvf_ig.kernels.servo.layout import MAX_FIXTURES
 
 from .engine import Replay
 
 VIEW = "view.json"
+STRUCTURE_FILES = tuple(f"{STRUCTURES}{k}.npz" for k in range(MAX_FIXTURES))
 KIND = "view"
 _AT = 0.01
 """Share of the way to a stored pose within which it applies, as none exists before the first."""
@@ -31,6 +35,7 @@ class ViewFile:
     Attributes:
         recording: scenario folder or session.yaml that was replayed.
         paths: path of each fixture, in order; None for one on the surface.
+        structures: structure of each fixture, in order; None for one on the heart.
         model: file of the model; None if the recording names it or it was built.
         r_peaks_s: (k,) R peaks that were detected.
         pose_t_s: (m,) times of the poses, tracker clock.
@@ -40,6 +45,7 @@ class ViewFile:
     recording: Path
     model: Path | None
     paths: tuple[PathTarget | None, ...]
+    structures: tuple[DvfModel | None, ...]
     r_peaks_s: FloatArray
     pose_t_s: FloatArray
     mr_from_tracker: FloatArray
@@ -55,7 +61,7 @@ class ViewFile:
 
 
 def write_view_file(replay: Replay, folder: Path, run: Path, recording: Path, model: Path | None) -> None:
-    """Write `view.json`.
+    """Write `view.json`, and the models of further structures next to it.
 
     Args:
         folder: folder to write to; `run` is its final name, to which paths are relative.
@@ -64,12 +70,17 @@ def write_view_file(replay: Replay, folder: Path, run: Path, recording: Path, mo
     Raises:
         OutputError: not writable.
     """
+    structures = structure_files(replay.setup.fixtures)
+    for name, structure in structures.items():
+        write_model(structure, folder / name)
+    names = {id(structure): name for name, structure in structures.items()}
     t_s, poses = replay.ticks.thinned_poses()
     rows = [row if np.isfinite(row).all() else None for row in poses.reshape(-1, 12).round(9)]
     content = {
         "recording": _relative(recording, run),
         "model": None if model is None else _relative(model, run),
         "paths": [_path(one.path) for one in replay.setup.fixtures.fixtures],
+        "structures": [names.get(id(one.structure)) for one in replay.setup.fixtures.fixtures],
         "r_peaks_s": [round(peak.t_s, 6) for peak in replay.history.peaks],
         "poses": {"t_s": t_s.round(6), "mr_from_tracker": rows},
     }
@@ -90,11 +101,14 @@ def read_view_file(run: Path) -> ViewFile:
         )
     content = read_json(path, "a replay's view file")
     try:
+        structures = content.get("structures", [None] * len(content["paths"]))
+        models = {name: read_model(path_within(run, name, path)) for name in set(structures) - {None}}
         rows = [[np.nan] * 12 if row is None else row for row in content["poses"]["mr_from_tracker"]]
         return ViewFile(
             recording=_place(run, content["recording"]),
             model=None if content["model"] is None else _place(run, content["model"]),
             paths=tuple(None if one is None else _path_target(one) for one in content["paths"]),
+            structures=tuple(None if one is None else models[one] for one in structures),
             r_peaks_s=_floats(content["r_peaks_s"]),
             pose_t_s=_floats(content["poses"]["t_s"]),
             mr_from_tracker=_floats(rows).reshape(-1, 3, 4),

@@ -11,7 +11,7 @@ from math import inf
 import numpy as np
 
 from dvf_ig.core import DvfModel, FloatArray
-from dvf_ig.guidance import DeviceLimits, FixtureSet, PoseAndPhase, Status
+from dvf_ig.guidance import DeviceLimits, Evaluator, Fixtures, PoseAndPhase, Status
 from dvf_ig.guidance.margins import DistanceSigma, distance_sigma, isotropic, next_margin_mm
 from dvf_ig.guidance.servo import ServoTick
 from dvf_ig.guidance.supervision.supervisor import SLEW_SPEED_M_S
@@ -64,22 +64,26 @@ def sigma_at(
 
 
 class MarginTracker:
-    """Margins of the fixtures over time: a target by σ at the tip, reached within the slew rules.
+    """Margins of the fixtures over time: targets by σ at the tip, reached within the slew rules.
+
+    On the session's model alone, σ is that of the primary fixture; with further structures each fixture has
+    its own, and the largest margin outside its structure's box.
 
     Args:
-        fixtures: with the choice of a margin; a path keeps its law.
+        fixtures: with the choice of a margin; a path keeps its law. Where no slice shows a surface, σ is not
+            known.
         device: its stiffness gives the slew limit.
-        model: of the heart; where no slice shows its surface, σ is not known.
     """
 
-    def __init__(self, fixtures: FixtureSet, device: DeviceLimits, model: DvfModel) -> None:
-        self._options, self._model = fixtures.margin, model
-        self._laws = [None if one.path is not None else one.law for one in fixtures.fixtures]
+    def __init__(self, fixtures: Fixtures, device: DeviceLimits) -> None:
+        self._options, self._model, self._parts = fixtures.options.margin, fixtures.model, fixtures.parts
+        self._laws = [None if one.path is not None else one.law for one in fixtures.options.fixtures]
+        self._each = any(one.structure is not None for one in fixtures.options.fixtures)
         start = 0.0 if self._options.mode == "adaptive" else self._options.wanted_mm(np.nan)
         self.margin_mm = np.array([0.0 if law is None else start for law in self._laws])
         self._step_n = device.stiffness_n_per_m * SLEW_SPEED_M_S * SERVO_PERIOD_S
         self._updated_s = -inf
-        self._target_mm = start
+        self._target_mm = np.full(len(self._laws), start)
 
     def due(self, now_s: float) -> bool:
         """Whether an adaptive margin is to be updated."""
@@ -101,30 +105,46 @@ class MarginTracker:
         dt_s = min(now_s - self._updated_s, 2.0 * UPDATE_S)
         self._updated_s = now_s
         if tick.status in (Status.OK, Status.NO_PHASE) and transform.pose is not None:
-            gradient = transform.pose.at(now_s).rotation @ tick.gradient
-            rate = np.array([tick.rate_mm_per_cycle])
+            turn = transform.pose.at(now_s).rotation
+            gradient = turn @ tick.gradient
             tip = tip_tracker_mm[None]
-            sigma = sigma_at(transform, tip, now_s, gradient[None], rate, pose_age_s, self._model)
-            known = self._seen(transform, tip, now_s, tick.distance_mm, gradient)
-            self._target_mm = self._options.wanted_mm(float(sigma.total_mm[0]) if known else np.nan)
+
+            def target_mm(model: DvfModel, distance_mm: float, slope: FloatArray, rate: float) -> float:
+                rates = np.array([rate])
+                sigma = sigma_at(transform, tip, now_s, slope[None], rates, pose_age_s, model)
+                seen = _seen(model, transform, tip, now_s, distance_mm, slope)
+                return self._options.wanted_mm(float(sigma.total_mm[0]) if seen else np.nan)
+
+            if self._each:
+                for i, part in enumerate(self._parts):
+                    if isinstance(part, Evaluator):
+                        at = transform.evaluate(part, tip, now_s)
+                        distance_mm, rate = float(at.distance_mm[0]), float(at.rate_mm_per_cycle[0])
+                        self._target_mm[i] = target_mm(part.model, distance_mm, turn @ at.gradient[0], rate)
+            else:
+                rate = tick.rate_mm_per_cycle
+                self._target_mm[:] = target_mm(self._model, tick.distance_mm, gradient, rate)
         self.margin_mm = np.array(
             [
-                0.0 if law is None else next_margin_mm(now, self._target_mm, dt_s, law, self._step_n)
-                for now, law in zip(self.margin_mm.tolist(), self._laws, strict=True)
+                0.0 if law is None else next_margin_mm(now, target, dt_s, law, self._step_n)
+                for now, target, law in zip(
+                    self.margin_mm.tolist(), self._target_mm.tolist(), self._laws, strict=True
+                )
             ]
         )
 
-    def _seen(
-        self,
-        transform: PoseAndPhase,
-        tip_mm: FloatArray,
-        now_s: float,
-        distance_mm: float,
-        gradient: FloatArray,
-    ) -> bool:
-        """Whether slices show the surface nearest to the tip."""
-        if self._model.seen is None:
-            return True
-        place, timing = transform.at(tip_mm, now_s), self._model.timing
-        distance, phase = np.array([distance_mm]), float(place.model_phase[0])
-        return bool(self._model.seen.share(place.xyz_mm, distance, gradient[None], phase, timing)[0] == 1.0)
+
+def _seen(
+    model: DvfModel,
+    transform: PoseAndPhase,
+    tip_mm: FloatArray,
+    now_s: float,
+    distance_mm: float,
+    gradient: FloatArray,
+) -> bool:
+    """Whether slices show the surface nearest to the tip."""
+    if model.seen is None:
+        return True
+    place, timing = transform.at(tip_mm, now_s), model.timing
+    distance, phase = np.array([distance_mm]), float(place.model_phase[0])
+    return bool(model.seen.share(place.xyz_mm, distance, gradient[None], phase, timing)[0] == 1.0)

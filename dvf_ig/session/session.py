@@ -97,7 +97,7 @@ class Session:
         self._tip = TipWatch(self._frames, setup.calibrations, setup.fan)
         fixtures = Fixtures(setup.heart.model, setup.fixtures)
         self._servo = TrackedServo(fixtures, limits=setup.device, latch_after_s=latch_after_s)
-        self._margins = MarginTracker(setup.fixtures, setup.device, setup.heart.model)
+        self._margins = MarginTracker(fixtures, setup.device)
         self._actions: list[Landmark | Rearm] = []
         self._known: tuple[object, object, object, float] = (None, None, None, -inf)
         self._rearmed: RearmAnswer | None = None

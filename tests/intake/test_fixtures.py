@@ -1,10 +1,12 @@
 """Fixtures in YAML: every key reaches its value, two of them are composed, and what is wrong is named."""
 
+import json
 import re
 from pathlib import Path
 
 import numpy as np
 import pytest
+from toy_ball import structure
 
 from dvf_ig.core import DvfModel, InvalidInputError, Landmarks, Points, Rigid, UnreadableFileError
 from dvf_ig.guidance import (
@@ -30,8 +32,10 @@ from dvf_ig.intake.fixtures import (
 )
 from dvf_ig.intake.schema import SessionConfig
 from dvf_ig.intake.session import session_fixtures
-from dvf_ig.io import write_landmarks
+from dvf_ig.intake.session_log.live import LiveDocument, live_document, structure_files
+from dvf_ig.io import write_landmarks, write_model
 from dvf_ig.io.json_file import read_json, write_json
+from dvf_ig.io.yaml_config import read_yaml
 
 CURVE = np.array([[-8.0, 0.0, 12.0], [0.0, 3.0, 15.0], [9.0, 1.0, 11.0]])
 
@@ -85,11 +89,13 @@ fixtures:
 def test_the_guide_s_example_is_read(tmp_path: Path, curve: Path) -> None:
     page = Path(__file__).resolve().parents[2] / "dvf_ig/docs/guide/own-recordings.md"
     examples = re.findall(r"```yaml\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
-    (example,) = (text for text in examples if "law: path" in text)
+    example, further = (text for text in examples if "law: path" in text)
     options, retiming = read_fixtures(written(tmp_path, example))
     assert (options.cap_n, retiming) == (0.6, "two-segment")
     assert options.fixtures[0] == FixtureOptions(Sigmoid(depth_mm=2.0), name="epicardium")
     assert options.fixtures[1].law == Gaussian(4.0)
+    config = FixturesConfig.model_validate(read_yaml(written(tmp_path, further), "fixtures"))
+    assert [one.model for one in config.fixtures] == ["left_atrium.npz", "oesophagus.npz"]
 
 
 def test_defaults_are_those_of_the_values(tmp_path: Path) -> None:
@@ -157,7 +163,7 @@ fixtures:
         ("fixtures: [{law: sigmoid}]", "fixtures.0.law is 'sigmoid'; needed 'forbidden', 'guidance', 'path'"),
         (
             "fixtures: [{law: guidance, gamma: 2.0}]",
-            "fixtures.0: unknown key gamma; needed some of name, cap_n, law, delta, m, depth_mm, blend",
+            "fixtures.0: unknown key gamma; needed some of name, cap_n, model, law, delta, m, depth_mm",
         ),
         ("fixtures: [{law: forbidden}, {law: guidance, delta: wide}]", "fixtures.1.delta: needed a number"),
         ("fixtures: [{law: forbidden, gamma: true}]", "fixtures.0.gamma: needed a number"),
@@ -283,3 +289,47 @@ def test_a_joint_cap_of_a_session_holds_without_a_list_of_fixtures(tmp_path: Pat
     options, _ = session_fixtures(SessionConfig.model_validate(document), tmp_path, "session.yaml")
     assert options is not None
     assert options.joint_cap_n == 0.6
+
+
+def test_structures_and_beating_paths_are_read_and_logged_with_their_models(
+    tmp_path: Path, ball: DvfModel
+) -> None:
+    """From YAML, and from a live session's log: equal fixtures, each model once."""
+    for name, model in {
+        "atrium": structure("atrium", [18.0, 4.0, 0.0], 8.0),
+        "oesophagus": structure("oesophagus", [30.0, 4.0, 0.0], 5.0, still=True),
+    }.items():
+        write_model(model, tmp_path / f"{name}.npz")
+    text = """
+fixtures:
+  - {law: path, delta: 4.0, path: [[26.0, 4.0, 0.0], [25.0, 7.0, 2.0]], model: atrium.npz}
+  - {law: guidance, cap_n: 0.3, model: atrium.npz}
+  - {law: forbidden, name: oesophagus, cap_n: 0.3, model: oesophagus.npz}
+  - {law: forbidden, cap_n: 0.3}
+"""
+    options, _ = read_fixtures(written(tmp_path, text))
+    line, pull, wall, heart = options.fixtures
+    assert line.structure is pull.structure
+    assert line.structure is not None
+    assert wall.structure is not None
+    assert (line.structure.surface_name, wall.structure.surface_name) == ("atrium", "oesophagus")
+    assert line.path is not None
+    assert line.path.timing is not None
+    assert heart.structure is None
+    assert Fixtures(ball, options).parts
+    files = structure_files(options)
+    assert list(files) == ["structure-0.npz", "structure-1.npz"]
+    log = tmp_path / "log"
+    log.mkdir()
+    for file, model in files.items():
+        write_model(model, log / file)
+    content = json.loads(live_document(options, "uniform", 3))
+    back = LiveDocument.model_validate(content).fixtures.fixture_set(log)
+    for one, other in zip(back.fixtures, options.fixtures, strict=True):
+        assert one.described() == other.described()
+        if one.path is not None and other.path is not None:
+            np.testing.assert_array_equal(one.path.points_mm, other.path.points_mm)
+        if one.structure is not None and other.structure is not None:
+            np.testing.assert_array_equal(one.structure.coefficients, other.structure.coefficients)
+    with pytest.raises(UnreadableFileError, match=r"fixtures\.0: .*nowhere\.npz"):
+        read_fixtures(written(tmp_path, "fixtures: [{law: forbidden, model: nowhere.npz}]\n"))

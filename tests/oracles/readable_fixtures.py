@@ -98,7 +98,7 @@ class TickedFixtures(Fixtures):
     ) -> int:
         primary: int | None = 0
         if input_status == Status.NO_PHASE:
-            primary = self._first_wall
+            primary = next((i for i, one in enumerate(self.options.fixtures) if one.forbidden), None)
         for tick, part in zip(self._ticks, self._parts_out, strict=True):
             found = tick(model_from_query, xyz_mm, model_phase, input_status, part)
             if primary is None or found not in (Status.OK, Status.NO_PHASE):

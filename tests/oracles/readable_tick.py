@@ -9,10 +9,10 @@ import numpy as np
 from readable_phase_loss import PhaseLoss
 from readable_supervisor import Supervisor
 
-from dvf_ig.core import FloatArray, Rigid
+from dvf_ig.core import FloatArray, IntArray, Rigid
 from dvf_ig.guidance.device import DeviceLimits
 from dvf_ig.guidance.evaluator import ForceSamples
-from dvf_ig.guidance.fixtures import Fixtures, FixtureSet, composed_force
+from dvf_ig.guidance.fixtures import Fixtures, FixtureSet, composed_force, unfelt_outside
 from dvf_ig.guidance.places import Status
 from dvf_ig.guidance.servo import ServoInputs, ServoOptions
 from dvf_ig.guidance.servo.bound import tick_constants
@@ -75,10 +75,10 @@ class ReadableTick:
         self, fixtures: Fixtures, limits: DeviceLimits, options: ServoOptions, latency_s: float
     ) -> None:
         self._set: FixtureSet = fixtures.options
-        self._parts = fixtures.parts
+        self._parts, self._far_outside = fixtures.parts, fixtures.far_outside
         self._c, self._options = tick_constants(fixtures, options, latency_s), options
         self._supervisor, self._loss = Supervisor(limits, walls=fixtures.walls), PhaseLoss()
-        self._wall = next((i for i, one in enumerate(fixtures.options.fixtures) if one.forbidden), None)
+        self._forbidden = [one.forbidden for one in fixtures.options.fixtures]
         self.observer = PassivityObserver(self._c.delay_ticks, self._c.largest_damping)
         self._last: tuple[float, FloatArray] | None = None
         self._speed = np.zeros(3)
@@ -105,10 +105,10 @@ class ReadableTick:
         ahead = xyz + (c.lead_s * self._speed if self._options.predict_tool else 0.0)
         field_n, wanted_n, surface, status = self._forces(ahead, t_s + c.lead_s, dt_s, inputs, status)
         met = status in (Status.FAULT, Status.OUT_OF_VOLUME, Status.UNSEEN)
-        if met or not hazards & withholding(self._wall is not None):
+        if met or not hazards & withholding(any(self._forbidden)):
             hazards |= hazard_of(status)
         self.observer.observe(xyz, field_n, dt_s, following=self._following)
-        if status == Status.OK or (status == Status.NO_PHASE and self._wall is not None):
+        if math.isfinite(self.distance_mm):
             wanted_n = wanted_n + self.observer.damping(self._speed, surface, c.period_s)
         length = float(np.linalg.norm(wanted_n))
         if length > c.cap_n:
@@ -136,12 +136,18 @@ class ReadableTick:
         place = inputs.transform.at(xyz[None], t_s)
         self._loss.step(dt_s, found, float(place.model_phase[0]))
         self.distance_mm = math.nan
-        if found != Status.OK and (found != Status.NO_PHASE or self._wall is None):
+        if found != Status.OK and (found != Status.NO_PHASE or not any(self._forbidden)):
             return nothing, nothing, nothing, found
-        first = 0 if found == Status.OK or self._wall is None else self._wall
-        primary = each[first]
-        self.distance_mm = float(primary.distance_mm[0])
         field_n = self._crossed(self._composed(each), xyz, t_s, inputs, found)
+        near = [
+            i
+            for i, one in enumerate(each)
+            if np.isfinite(one.distance_mm[0]) and (found == Status.OK or self._forbidden[i])
+        ]
+        if not near:
+            return field_n, field_n, nothing, found
+        first, primary = near[0], each[near[0]]
+        self.distance_mm = float(primary.distance_mm[0])
         gradient = primary.gradient[0]
         rotation = inputs.transform.pose.at(t_s).rotation if inputs.transform.pose is not None else np.eye(3)
         per_cycle, part = primary.rate_mm_per_cycle, self._parts[first]
@@ -162,9 +168,12 @@ class ReadableTick:
         return [
             part.force_through(pose, xyz[None], place.model_phase, known)
             if isinstance(part, PathFixture)
-            else transform.evaluate(part, xyz[None], t_s, given)
-            for part in self._parts
+            else self._near(i, transform.evaluate(part, xyz[None], t_s, given), known)
+            for i, part in enumerate(self._parts)
         ]
+
+    def _near(self, i: int, samples: ForceSamples, known: IntArray) -> ForceSamples:
+        return unfelt_outside(samples, known) if self._far_outside[i] else samples
 
     def _composed(self, each: list[ForceSamples]) -> FloatArray:
         return composed_force(self._set, np.array([one.force_n[0] for one in each])).force_n
@@ -174,7 +183,7 @@ class ReadableTick:
     ) -> FloatArray:
         """The force, mixed with that of the last known phase, or with the walls of the worst one."""
         share, pose = self._loss.share, inputs.transform.pose
-        if self._wall is None or pose is None:
+        if not any(self._forbidden) or pose is None:
             return force_n
         if found == Status.OK and share > 0.0:
             worst = self._composed(self._each(xyz, t_s, inputs, Status.NO_PHASE))

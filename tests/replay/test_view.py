@@ -19,12 +19,14 @@ from typer.testing import CliRunner
 
 from dvf_ig.cli.main import app
 from dvf_ig.core import DvfModel, Landmarks, Points, UnreadableFileError
+from dvf_ig.guidance import FixtureOptions, FixtureSet, Sigmoid
 from dvf_ig.intake import cached_model
 from dvf_ig.replay import Replay
 from dvf_ig.replay.page.replay_page import _overlays
 from dvf_ig.replay.result.result import validate
 from dvf_ig.replay.run_folder import read_run, read_ticks
 from dvf_ig.replay.view import _fixtures
+from dvf_ig.replay.view_file import read_view_file, write_view_file
 from dvf_ig.report.viewer import RegistrationView, live_page, registration_payload, viewer_html
 
 NEEDS_BROWSER = pytest.mark.skipif(chromium() is None, reason=MISSING)
@@ -62,6 +64,21 @@ def opened(window: Page, page_file: Path) -> Page:
     told = f"viewer ready after {ready_ms:.0f} ms ({perf_counter() - began:.2f} s with the driver)"
     sys.stdout.write(f"\n{told}\n")
     return window
+
+
+def test_the_models_of_further_structures_are_kept_in_the_folder(
+    replay: Replay, written: Path, tmp_path: Path
+) -> None:
+    atrium = replace(replay.heart.model, surface_name="atrium")
+    parts = tuple(FixtureOptions(Sigmoid(cap_n=0.1), structure=one) for one in (atrium, None, atrium))
+    setup = replace(replay.setup, fixtures=FixtureSet(parts))
+    write_view_file(replace(replay, setup=setup), tmp_path, tmp_path, written, None)
+    first, heart, last = read_view_file(tmp_path).structures
+    assert first is last
+    assert first is not None
+    assert heart is None
+    assert first.surface_name == "atrium"
+    np.testing.assert_array_equal(first.coefficients, atrium.coefficients)
 
 
 def test_the_folder_reads_back(replay: Replay, written: Path, run: Path) -> None:

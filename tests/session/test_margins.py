@@ -5,6 +5,7 @@ from statistics import NormalDist
 
 import numpy as np
 import pytest
+from toy_ball import structure
 from toy_session import CENTER, GUIDED_S, run, ticks, tool_events, toy_setup, toy_streams
 
 from dvf_ig.core import RIGID_SIGMA_MM, FloatArray, Rigid, SeenPart
@@ -25,11 +26,14 @@ def outside(t_s: float) -> FloatArray:
 
 
 def states_with(
-    margin: MarginOptions, until_s: float = GUIDED_S + 2.0, seen: SeenPart | None = None
+    margin: MarginOptions,
+    until_s: float = GUIDED_S + 2.0,
+    seen: SeenPart | None = None,
+    fixtures: tuple[FixtureOptions, ...] = WALL_AND_GUIDE,
 ) -> list[GuidanceState]:
     streams = toy_streams(until_s)
     streams.tool = tool_events(until_s, at=outside)
-    setup = replace(toy_setup(), fixtures=FixtureSet(WALL_AND_GUIDE, margin=margin))
+    setup = replace(toy_setup(), fixtures=FixtureSet(fixtures, margin=margin))
     heart = replace(setup.heart, model=replace(setup.heart.model, seen=seen))
     setup = replace(setup, heart=heart)
     with Session(setup) as session:
@@ -83,3 +87,22 @@ def test_a_margin_widens_the_wall_that_a_session_renders() -> None:
         expected = run(session, streams.merged(), ticks(GUIDED_S, GUIDED_S + 2.0))
     np.testing.assert_allclose([s.wanted_n for s in fixed], [s.wanted_n for s in expected], atol=1e-12)
     assert np.abs(fixed[-1].wanted_n - off[-1].wanted_n).max() > 0.02
+
+
+def test_each_structure_has_the_margin_of_its_own_distance() -> None:
+    """A still one has none by the phase; one out of reach has the largest; the heart's is as without them."""
+    tip = CENTER + np.array([18.0, 0.0, 0.0])
+    soft = Sigmoid(cap_n=0.2)
+    still = structure("oesophagus", tip + np.array([0.0, 8.0, 0.0]), 5.0, still=True)
+    beating = structure("atrium", tip + np.array([9.0, 0.0, 0.0]), 6.0)
+    far = structure("nerve", tip + np.array([0.0, 0.0, 90.0]), 5.0, still=True)
+    walls = tuple(FixtureOptions(soft, structure=one) for one in (None, still, beating, far))
+    states = states_with(MarginOptions("adaptive", largest_mm=4.0), fixtures=walls)
+    alone = states_with(MarginOptions("adaptive", largest_mm=4.0), fixtures=walls[:1])
+    heart, of_still, of_beating, of_far = np.array([s.margin_mm for s in states[100:]]).T
+    np.testing.assert_allclose(heart, [s.margin_mm[0] for s in alone[100:]], atol=0.05)
+    assert (of_far == 4.0).all()
+    others = np.sqrt(RIGID_SIGMA_MM**2 + TIP_SIGMA_MM**2 + TOOL_SIGMA_MM**2)
+    quantile = NormalDist().inv_cdf(0.95)
+    assert (of_still > quantile * others).all()
+    assert np.ptp(of_still) < 0.3 * np.ptp(of_beating)

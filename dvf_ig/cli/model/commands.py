@@ -34,7 +34,12 @@ OutputOption = Annotated[
     Path, typer.Option("-o", "--out", callback=output_file, help="Model file to write (.npz).")
 ]
 SurfacesOption = Annotated[
-    Path | None, typer.Option("--surfaces", help="Folder (or archive) of surfaces, one mesh a phase.")
+    Path | None,
+    typer.Option(
+        "--surfaces",
+        help="Folder (or archive) of surfaces, one mesh a phase; or one mesh file, of a structure "
+        "that does not beat (an oesophagus, a nerve).",
+    ),
 ]
 SurfaceOption = Annotated[str, typer.Option("--surface", help="Name of the surface to guard.")]
 LabelsOption = Annotated[

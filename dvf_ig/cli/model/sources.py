@@ -16,6 +16,8 @@ def model_of(request: BuildRequest, *, as_json: bool) -> BuiltModel:
     """Build the model, with its evidence if it is made from an image."""
     if request.image is not None:
         return model_from_image(request, request.image, as_json=as_json)
+    if request.surfaces is not None and request.surfaces.is_file():
+        return BuiltModel(_from_mesh(request, request.surfaces), {})
     if request.surfaces is not None:
         model = _from_surfaces(request, request.surfaces)
         if not model.chambers:
@@ -45,6 +47,22 @@ def _from_surfaces(request: BuildRequest, folder: Path) -> DvfModel:
             options=request.model_options(),
             progress=report,
             sources=(f"{folder.name}: {request.surface}",),
+        )
+
+
+def _from_mesh(request: BuildRequest, file: Path) -> DvfModel:
+    from dvf_ig.io import read_mesh
+    from dvf_ig.preop import model_of_still
+
+    mesh = read_mesh(file)
+    with progress("fitting") as report:
+        return model_of_still(
+            mesh,
+            patient_id=request.patient_id(file),
+            surface_name=file.stem,
+            options=request.model_options(),
+            progress=report,
+            sources=(file.name,),
         )
 
 

@@ -90,8 +90,9 @@ def live_setup(
 def recorded_session(out: Path, ready: "LiveSetup") -> "Iterator[SessionRecord]":
     """A record in the folder, with everything attached that a replay needs in addition to messages."""
     from dvf_ig.intake.session_log.document import DOCUMENT, attach_heart, document_of_live
-    from dvf_ig.intake.session_log.live import LIVE, live_document
+    from dvf_ig.intake.session_log.live import LIVE, live_document, structure_files
     from dvf_ig.io import output_folder
+    from dvf_ig.io.model.model_file import model_bytes
     from dvf_ig.io.ros.log_file import LogWriter
     from dvf_ig.live.record import session_record
 
@@ -104,6 +105,8 @@ def recorded_session(out: Path, ready: "LiveSetup") -> "Iterator[SessionRecord]"
         log.attach(DOCUMENT, "application/json", document)
         options = live_document(setup.fixtures, setup.retiming, setup.seed)
         log.attach(LIVE, "application/json", options)
+        for name, model in structure_files(setup.fixtures).items():
+            log.attach(name, "application/octet-stream", b"".join(model_bytes(model)))
 
     with output_folder(out, run_files()), session_record(out, attach, warn) as record:
         yield record

@@ -4,6 +4,7 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dvf_ig.core import FloatArray, InvalidInputError, Rigid
 from dvf_ig.guidance.device import MM_PER_M, DeviceLimits
@@ -68,7 +69,7 @@ def bind_fixtures(fixtures: Fixtures, device: DeviceLimits, options: ServoOption
     """Everything that stays the same while a servo runs.
 
     Args:
-        fixtures: on the patient's surface, or to a path.
+        fixtures: on the patient's surface, on further structures, or to a path.
         device: its limits; the stiffness gives the slew limit, and no fixture exceeds its continuous force.
         options: of the servo.
         latency_s: of the device (`HapticDevice.latency_s`).
@@ -84,7 +85,9 @@ def bind_fixtures(fixtures: Fixtures, device: DeviceLimits, options: ServoOption
     for i, row in enumerate(rows):
         packed[i, : len(row)] = row
     nothing = np.zeros((0, 4, 4, 4), dtype=np.float32)
-    surfaces = [part for part in parts if isinstance(part, Evaluator)]
+    structures, begins = _structures(fixtures)
+    placed = zip(parts, begins, strict=True)
+    surfaces = [part for part, begin in placed if isinstance(part, Evaluator) and begin is None]
     linear = [part.coefficients for part in surfaces if part.blend != "periodic"]
     periodic = [part.coefficients for part in surfaces if part.blend == "periodic"]
     settings = np.zeros(1, SETTINGS)
@@ -92,35 +95,66 @@ def bind_fixtures(fixtures: Fixtures, device: DeviceLimits, options: ServoOption
         settings[name] = value
     set_limits(settings["limits"], device)
     set_hazards(settings["hazards"], fixtures.walls)
-    points, times = _set_fixtures(settings["fixtures"][0], packed, fixtures)
+    points, times = _set_fixtures(settings["fixtures"][0], packed, fixtures, begins)
     return Bound(
         linear[0] if linear else nothing,
         periodic[0] if periodic else nothing,
         packed,
+        structures,
         points,
         times,
         settings,
     )
 
 
-def _set_fixtures(of: Any, packed: FloatArray, fixtures: Fixtures) -> tuple[FloatArray, FloatArray]:
+def _structures(fixtures: Fixtures) -> tuple[NDArray[np.float32], list[int | None]]:
+    """Coefficients of all further structures, and where each fixture's begin; None if it is not on one."""
+    parts: list[NDArray[np.float32]] = []
+    begins: list[int | None] = []
+    placed: dict[tuple[int, bool], int] = {}
+    size = 0
+    for part, one in zip(fixtures.parts, fixtures.options.fixtures, strict=True):
+        if one.structure is None or not isinstance(part, Evaluator):
+            begins.append(None)
+            continue
+        key = (id(one.structure), part.blend == "periodic")
+        if key not in placed:
+            placed[key] = size
+            parts.append(part.coefficients.ravel())
+            size += part.coefficients.size
+        begins.append(placed[key])
+    return np.concatenate([np.zeros(0, dtype=np.float32), *parts]), begins
+
+
+def _set_fixtures(
+    of: Any, packed: FloatArray, fixtures: Fixtures, begins: list[int | None]
+) -> tuple[FloatArray, FloatArray]:
     """Fill FIXTURES; all paths' points (m, 3) and phase times."""
     points, times = np.zeros((0, 3)), np.zeros(0)
-    of["walls"] = fixtures.walls
-    for i, part in enumerate(fixtures.parts):
+    of["walls"], of["far_outside"][: len(begins)] = fixtures.walls, fixtures.far_outside
+    of["first"] = of["first_linear"] = MAX_FIXTURES
+    for i, (part, begin) in enumerate(zip(fixtures.parts, begins, strict=True)):
         guiding, confining = isinstance(part.law, Gaussian), isinstance(part.law, Confinement)
         of["cap_n"][i], of["forbidden"][i] = part.law.cap_n, not guiding
         of["base_width"][i], of["base_depth_mm"][i] = packed[i, LAW + 1], packed[i, DEPTH]
         if isinstance(part, PathFixture):
             target = part.target
-            of["paths"] += 1
+            of["apart"][i] = 1
             of["path_phases"][i], of["path_points"][i] = target.points_mm.shape[:2]
             of["path_first_point"][i], of["path_first_time"][i] = len(points), len(times)
             points = np.concatenate([points, target.points_mm.reshape(-1, 3)])
             times = np.append(times, 0.0 if target.timing is None else target.timing.fractions)
             continue
+        if begin is not None:
+            of["apart"][i], of["structure_begin"][i] = 1, begin
+            of["structure_shape"][i] = part.coefficients.shape
+        else:
+            of["first"] = min(of["first"], i)
+            if part.blend != "periodic":
+                of["first_linear"] = min(of["first_linear"], i)
         of["widen_width"][i] = 1.0 if guiding else 0.0
         of["widen_depth"][i] = 0.0 if guiding else (1.0 if confining else -1.0)
+    of["others"] = of["apart"].sum()
     return points, times
 
 

@@ -217,7 +217,8 @@ class Servo:
 
     def _warm_up(self) -> None:
         """Compile or load every kernel, and touch the coefficients, before the first tick."""
-        for coefficients in (self._loop.bound.linear, self._loop.bound.periodic):
+        bound = self._loop.bound
+        for coefficients in (bound.linear, bound.periodic, bound.structures):
             float(np.sum(coefficients))
         published = self._loop.published
         shared.publish(self._loop.counter, published, published.copy())

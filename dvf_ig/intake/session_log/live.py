@@ -16,6 +16,7 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import Field
 
+from dvf_ig.core import DvfModel
 from dvf_ig.core.arrays import FloatArray
 from dvf_ig.guidance import FixtureSet
 from dvf_ig.intake.fixtures import DeviceConfig, FixturesConfig, RetimingName
@@ -46,6 +47,8 @@ from .document import (
 )
 
 LIVE = "live.json"
+STRUCTURES = "structure-"
+"""Begin of the names of files that hold further structures."""
 EVENT, STATE, WORK = "/exact/event", "/exact/state", "/exact/work"
 LIVE_STREAMS = {EVENT: ros.ARRAY, STATE: ros.ARRAY, WORK: ros.ARRAY}
 LOST = "lost"
@@ -105,12 +108,20 @@ def live_document(fixtures: FixtureSet, retiming: RetimingName, seed: int) -> by
     """Encode a session's fixtures, retiming and seed as JSON.
 
     Raises:
-        pydantic.ValidationError: a moving path, which no configuration can state.
+        pydantic.ValidationError: a path that moves with no structure, which no configuration can state.
     """
     described: list[dict[str, Any]] = []
+    names = {id(model): name for name, model in structure_files(fixtures).items()}
     for one in fixtures.fixtures:
-        points = {} if one.path is None else {"path": one.path.points_mm.reshape(-1, 3).tolist()}
-        described.append({**one.described(), **points})
+        stated: dict[str, Any] = one.described()
+        if one.structure is not None:
+            del stated["structure"]
+            stated["model"] = names[id(one.structure)]
+        if one.path is not None:
+            beats = one.structure is not None and one.path.timing is not None
+            points = one.path.points_mm[one.structure.ed_phase if one.structure and beats else slice(None)]
+            stated["path"] = points.reshape(-1, 3).tolist()
+        described.append(stated)
     margin = fixtures.margin
     document = {
         "fixtures": {
@@ -125,6 +136,12 @@ def live_document(fixtures: FixtureSet, retiming: RetimingName, seed: int) -> by
     return json.dumps(
         LiveDocument.model_validate(document).model_dump(mode="json", by_alias=True), indent=1
     ).encode()
+
+
+def structure_files(fixtures: FixtureSet) -> dict[str, DvfModel]:
+    """The models of further structures, each once, by the name of the file that holds it."""
+    models = {id(one.structure): one.structure for one in fixtures.fixtures if one.structure is not None}
+    return {f"{STRUCTURES}{k}.npz": model for k, model in enumerate(models.values())}
 
 
 def event_messages(event: Event, arrived_s: float) -> Iterator[Timed]:

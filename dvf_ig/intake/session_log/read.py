@@ -43,7 +43,7 @@ from .document import (
     SessionDocument,
     read_document,
 )
-from .live import LIVE, LiveDocument
+from .live import LIVE, STRUCTURES, LiveDocument
 from .live_read import read_live_streams
 
 _POSE = 14
@@ -71,7 +71,7 @@ def read_session_log(path: Path, *, images: bool = True) -> SessionFiles:
         document = read_document(attached[DOCUMENT], path)
         heart = _heart(path, document, attached)
         if LIVE in attached:
-            return _live(log, path, document, heart, attached[LIVE], images=images)
+            return _live(log, path, document, heart, attached, images=images)
         arrays: dict[str, list[FloatArray]] = {topic: [] for topic in STREAMS}
         shown: list[NDArray[np.uint8]] = []
         for topic, message in log.messages(STREAMS):
@@ -86,17 +86,27 @@ def read_session_log(path: Path, *, images: bool = True) -> SessionFiles:
 
 
 def _live(
-    log: LogReader, path: Path, document: SessionDocument, heart: PreopFiles, live: bytes, *, images: bool
+    log: LogReader,
+    path: Path,
+    document: SessionDocument,
+    heart: PreopFiles,
+    attached: dict[str, bytes],
+    *,
+    images: bool,
 ) -> SessionFiles:
     try:
-        content = json.loads(live)
+        content = json.loads(attached[LIVE])
     except (ValueError, RecursionError) as exc:
         raise UnreadableFileError(f"{path}: its {LIVE} is damaged ({exc})") from exc
     options = validated(LiveDocument, content, path)
     streams = read_live_streams(log, document, options, path, images=images)
     scenario = _scenario(document, heart, streams.ecg, streams.ultrasound, streams.tool)
     scenario = replace(scenario, respiration=streams.respiration)
-    fixtures = options.fixtures.fixture_set(Path())
+    with scratch_folder() as folder, not_recorded():
+        for file, data in attached.items():
+            if file.startswith(STRUCTURES):
+                path_within(folder, file, path).write_bytes(data)
+        fixtures = options.fixtures.fixture_set(folder)
     return SessionFiles.of(
         scenario, heart.model, fixtures=fixtures, retiming=options.retiming, record=streams.record
     )

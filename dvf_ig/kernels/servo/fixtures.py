@@ -13,7 +13,7 @@ from dvf_ig.core import FloatArray
 from dvf_ig.kernels import status as code
 from dvf_ig.kernels.compiled import inlined, kernel
 from dvf_ig.kernels.composition import compose_forces
-from dvf_ig.kernels.dynamic import forces_on_surface
+from dvf_ig.kernels.dynamic import force_at, forces_on_surface
 from dvf_ig.kernels.fixture_field import BLEND, BLEND_PERIODIC, DEPTH, LAW, Output, no_output
 from dvf_ig.kernels.path import path_force
 from dvf_ig.kernels.place import Columns, phase_at, pose_at, status_at
@@ -61,43 +61,83 @@ def _turn_forces(pose: Columns, forces: FloatArray) -> None:
         )
 
 
+@inlined
+def _structure(bound: Any, i: int) -> Any:
+    """Coefficients (n, cx, cy, cz) of the structure of fixture `i`."""
+    of = bound.settings[0].fixtures
+    shape = of.structure_shape[i]
+    begin = of.structure_begin[i]
+    end = begin + shape[0] * shape[1] * shape[2] * shape[3]
+    return bound.structures[begin:end].reshape((shape[0], shape[1], shape[2], shape[3]))
+
+
 @kernel
-def _add_paths(
+def _path_output(bound: Any, i: int, place: Vector, phi: float, slope: Slope) -> Output:
+    of = bound.settings[0].fixtures
+    output = path_force(
+        bound.path_points,
+        bound.path_times,
+        of.path_first_point[i],
+        of.path_points[i],
+        of.path_first_time[i],
+        of.path_phases[i],
+        bound.packed[i],
+        place,
+        phi,
+    )
+    return output[0], warped_vector(slope, output[1]), output[2], output[3], output[4]
+
+
+@kernel
+def _structure_output(bound: Any, i: int, place: Vector, phi: float, slope: Slope) -> Output:
+    """Output of a fixture on a further structure; OK and NaN where its wall is too far away to be felt."""
+    output = force_at(_structure(bound, i), bound.packed[i], place, phi, slope)
+    if output[0] == code.OUT_OF_VOLUME and bound.settings[0].fixtures.far_outside[i] != 0:
+        return no_output(code.OK)
+    return output
+
+
+@kernel
+def _add_others(
     bound: Any, place: Vector, phi: float, slope: Slope, forces: FloatArray, first: Output
 ) -> Output:
-    """Put the paths' forces into `forces`; output of the first fixture. Not inlined: paths are rare."""
+    """Put the forces of paths and further structures into `forces`; output of the first fixture within reach.
+
+    Not inlined: most sessions have none.
+    """
     of = bound.settings[0].fixtures
+    begun = False
     for i in range(len(bound.packed)):
-        if of.path_points[i] == 0:
+        begun = begun or i == of.first
+        if of.apart[i] == 0:
             continue
-        output = path_force(
-            bound.path_points,
-            bound.path_times,
-            of.path_first_point[i],
-            of.path_points[i],
-            of.path_first_time[i],
-            of.path_phases[i],
-            bound.packed[i],
-            place,
-            phi,
-        )
+        if of.path_points[i] != 0:
+            output = _path_output(bound, i, place, phi, slope)
+        else:
+            output = _structure_output(bound, i, place, phi, slope)
         if output[0] != code.OK:
             return output
-        forces[i, 0], forces[i, 1], forces[i, 2] = warped_vector(slope, output[1])
-        first = output if i == 0 else first
+        forces[i, 0], forces[i, 1], forces[i, 2] = output[1]
+        if not begun and math.isfinite(output[2]):
+            first, begun = output, True
     return first
 
 
 @inlined
 def _forces(bound: Any, place: Vector, phi: float, slope: Slope, forces: FloatArray) -> Output:
-    """Forces of all fixtures at a known phase, model frame; output of the first, or of what has none.
+    """Forces of all fixtures at a known phase, model frame; output of the first within reach.
+
+    If the status of one withholds its force, the output is that of none; the heart's surface comes first.
 
     Args:
         place, slope: as of `dvf_ig.kernels.dynamic.force_at`.
     """
-    output = forces_on_surface(bound.linear, bound.periodic, bound.packed, place, phi, slope, forces)
-    if output[0] == code.OK and bound.settings[0].fixtures.paths != 0:
-        output = _add_paths(bound, place, phi, slope, forces, output)
+    of = bound.settings[0].fixtures
+    output = forces_on_surface(
+        bound.linear, bound.periodic, bound.packed, of.apart, of.first_linear, place, phi, slope, forces
+    )
+    if output[0] == code.OK and of.others != 0:
+        output = _add_others(bound, place, phi, slope, forces, output)
     return output
 
 
@@ -212,7 +252,7 @@ def cross_to_walls(
     """Mix what `fixtures_force` gave, at OK, or nothing, at NO_PHASE, with the other case.
 
     Not inlined: it runs where the phase is not known, or has just become known, alone. At NO_PHASE `sample`
-    gets distance, gradient, rate by the pose and σ of the first wall.
+    gets distance, gradient, rate by the pose and σ of the first wall within reach.
 
     Args:
         bound, scratch, inputs, t_s, xyz: of `fixtures_force`; status: its answer.
@@ -237,10 +277,10 @@ def cross_to_walls(
     of_warp = pose_phase.warped != 0.0
     if status == code.NO_PHASE and share < 1.0:
         if of_warp:
-            held = _warped_forces(bound, inputs, scratch.warps, t_s, place, m.last_phase, forces)[0][0]
+            last = _warped_forces(bound, inputs, scratch.warps, t_s, place, m.last_phase, forces)[0][0]
         else:
-            held = _forces(bound, place, m.last_phase, None, forces)[0]
-        if held == code.OK:
+            last = _forces(bound, place, m.last_phase, None, forces)[0]
+        if last == code.OK:
             _turn_forces(pose, forces)
             _compose(bound, scratch, composed)
     if status == code.OK and share <= 0.0:
@@ -251,6 +291,8 @@ def cross_to_walls(
         if of.forbidden[i] == 0.0:
             continue
         of_model = bound.periodic if int(bound.packed[i, BLEND]) == BLEND_PERIODIC else bound.linear
+        if of.apart[i] != 0:
+            of_model = _structure(bound, i)
         variance, by_warp = 0.0, 0.0
         if of_warp:
             worst, variance, by_warp = _warped_wall(
@@ -258,6 +300,8 @@ def cross_to_walls(
             )
         else:
             worst = worst_phase_force(of_model, bound.packed[i], place, None)
+        if worst[0] == code.OUT_OF_VOLUME and of.far_outside[i] != 0:
+            continue
         if worst[0] != code.OK:
             _forget_force(m, sample, composed)
             return worst[0]

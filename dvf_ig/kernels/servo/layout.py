@@ -37,7 +37,13 @@ warps follow in the same memory (`Published`); they are copied where `warps_numb
 FIXTURES = np.dtype(
     [
         ("walls", _I),
-        ("paths", _I),
+        ("others", _I),
+        ("apart", _I, (MAX_FIXTURES,)),
+        ("first", _I),
+        ("first_linear", _I),
+        ("structure_begin", _I, (MAX_FIXTURES,)),
+        ("structure_shape", _I, (MAX_FIXTURES, 4)),
+        ("far_outside", _I, (MAX_FIXTURES,)),
         ("cap_n", _F, (MAX_FIXTURES,)),
         ("forbidden", _F, (MAX_FIXTURES,)),
         ("base_width", _F, (MAX_FIXTURES,)),
@@ -52,8 +58,11 @@ FIXTURES = np.dtype(
 )
 """The fixtures' constants. A law's width grows by `widen_width` of the margin (1 of guidance, which it
 softens), its depth by `widen_depth` (−1 of a forbidden region, +1 of a confinement, in the kernel's sign of
-depth: both widen the region). A path has `path_points` points in each of its phases; a fixture on the surface
-has none."""
+depth: both widen the region). `first` is the first fixture on the heart's surface, `first_linear` the first
+that is linear in phase; `others` counts those `apart` from it. A path has `path_points` points in each of its
+phases; any other fixture apart is on a structure, whose coefficients have `structure_shape` and begin at
+`structure_begin`. A wall that is `far_outside` has no force outside the structure's box, which contains its
+whole reach."""
 
 LIMITS = np.dtype(
     [
@@ -254,6 +263,7 @@ class Bound(NamedTuple):
     Attributes:
         linear, periodic: (n, cx, cy, cz) coefficients of the two kinds of blend; (0, …) of one not used.
         packed: (k, p) fixtures (`packed_fixture`); their margins are written to.
+        structures: (m,) coefficients of the further structures, one after the other.
         path_points: (m, 3) mm of all paths, phase after phase; path_times: their phases' times.
         settings: (1,) SETTINGS.
     """
@@ -261,6 +271,7 @@ class Bound(NamedTuple):
     linear: Any
     periodic: Any
     packed: FloatArray
+    structures: Any
     path_points: FloatArray
     path_times: FloatArray
     settings: Any

@@ -155,8 +155,9 @@ def _ticks(replay: Replay, true_phase: FloatArray | None) -> TickTrace:
     if true_phase is not None:
         distance, true_force = true_contact(replay)
         force = None if true_force is None else np.linalg.norm(true_force, axis=1)
-        if replay.setup.fixtures.fixtures[0].path is not None:
-            distance = None  # the fixture's distance is that to the path
+        first = replay.setup.fixtures.fixtures[0]
+        if first.path is not None or first.structure is not None:
+            distance = None  # the fixture's distance is that to the path or the structure
         error = 100 * ((track.phi - true_phase + 0.5) % 1.0 - 0.5)
     return TickTrace(
         t_s=track.t_s,

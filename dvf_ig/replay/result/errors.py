@@ -141,8 +141,8 @@ def margin_fields(replay: Replay) -> dict[str, Any]:
         "p95_mm": float(np.percentile(width, 95)) if len(width) else None,
         "violation_mm": None,
     }
-    law = fixtures.fixtures[0].law
-    if replay.scenario.truth is not None and not isinstance(law, Gaussian):
+    first, law = fixtures.fixtures[0], fixtures.fixtures[0].law
+    if replay.scenario.truth is not None and first.structure is None and not isinstance(law, Gaussian):
         outward = -1.0 if isinstance(law, Confinement) else 1.0
         true_mm = outward * true_contact(replay)[0]
         seen = ticks.valid & (np.abs(true_mm - law.depth_mm) <= NEAR_WALL_MM)
@@ -161,7 +161,10 @@ def true_phases(replay: Replay) -> tuple[FloatArray, FloatArray]:
 
 
 def true_contact(replay: Replay) -> tuple[FloatArray, FloatArray | None]:
-    """Look up (n,) true distance and (n, 3) true force (tracker frame) at each tick; None for a path."""
+    """Look up (n,) true distance and (n, 3) true force (tracker frame) at each tick.
+
+    The force is None for a path or a structure, whose distance this is not.
+    """
     truth = replay.scenario.truth
     if truth is None:
         raise InvalidInputError("the scenario carries no truth")

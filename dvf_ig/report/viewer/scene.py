@@ -34,7 +34,7 @@ from .surfaces import (
 )
 
 SCHEMA = "dvf_ig.view/1"
-ORGAN_PITCH_MM, BLOOD_PITCH_MM = 4.0, 3.5
+ORGAN_PITCH_MM, BLOOD_PITCH_MM, STRUCTURE_PITCH_MM = 4.0, 3.5, 3.0
 VERTEX_STEP_MM, SHIFT_STEP_MM = 0.02, 0.01
 DISTANCE_PITCH_MM, DISTANCE_STEP_MM, FARTHEST_MM = 3.0, 0.1, 12.6
 FIELD_MARGIN_MM = 9.0
@@ -207,16 +207,30 @@ def _fixture_surfaces(
     model: DvfModel, fixtures: FixtureSet, organ: CycleSurface, warp: Warp | None
 ) -> list[dict[str, Any]]:
     out = []
+    surfaces: dict[DvfModel, CycleSurface] = {model: organ}
     for number, one in enumerate(fixtures.fixtures):
+        of = one.structure or model
+        if of not in surfaces:
+            surfaces[of] = cycle_surface(of.reference, STRUCTURE_PITCH_MM)
+            out.append(_surface(of.surface_name, "organ", _through_cycle(surfaces[of], of, model)))
         if one.path is not None:
             continue
         level = shown_level_mm(one.law)
         aim = isinstance(one.law, Gaussian)
         label = "aim" if aim else f"from {SHARE_OF_CAP * one.law.cap_n:.2g} N"
-        surface = _now(fixture_surface(organ, Evaluator(model, one.law, withhold_unseen=False), level), warp)
+        evaluator = Evaluator(of, one.law, withhold_unseen=False)
+        surface = _through_cycle(fixture_surface(surfaces[of], evaluator, level), of, model)
+        surface = _now(surface, warp)
         name = one.name or ("guidance" if aim else "forbidden region")
         out.append(_surface(name, "fixture", surface, level_mm=round(level, 3), label=label, fixture=number))
     return out
+
+
+def _through_cycle(surface: CycleSurface, structure: DvfModel, model: DvfModel) -> CycleSurface:
+    """Give the surface of a structure that does not beat as many phases as the model has."""
+    if structure is model or not structure.still:
+        return surface
+    return CycleSurface(np.repeat(surface.vertices_mm[:1], model.phases, axis=0), surface.triangles)
 
 
 def _fixture(one: FixtureOptions) -> dict[str, Any]:

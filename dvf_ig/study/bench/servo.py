@@ -14,7 +14,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -30,6 +30,7 @@ from dvf_ig.guidance import (
     FixtureSet,
     Gaussian,
     Hazard,
+    PathTarget,
     PoseAndPhase,
     Sigmoid,
     Status,
@@ -268,6 +269,7 @@ def _row(name: str, what: str, deadlines: Deadlines) -> Row:
     return Row(name, what, median, p99, p999, deadlines.worst_us, None, 1, note)
 
 
+PATH_POINTS = 20
 POINTS = 10_000
 CALLS = 1000
 """Points between two readings of the clock."""
@@ -302,6 +304,7 @@ def bench_tick(model: DvfModel, seed: int) -> TickCost:
         "one guided force, warped": _guided(model, path, _warp(model)),
         "servo tick": _ticks(model, path, None),
         "servo tick, warped": _ticks(model, path, _warp(model)),
+        "servo tick, two structures and a path": _ticks(model, path, None, _two_structures(model)),
     }
     floor = compiled_floor(model, POSE, law)
     if floor is not None:
@@ -317,6 +320,8 @@ def bench_tick(model: DvfModel, seed: int) -> TickCost:
     ratios = {
         "one guided force, warped / plain": median["one guided force, warped"] / median["one guided force"],
         "servo tick, warped / plain": median["servo tick, warped"] / median["servo tick"],
+        "servo tick, two structures and a path / plain": median["servo tick, two structures and a path"]
+        / median["servo tick"],
     }
     if floor is not None:
         ratios |= {
@@ -372,16 +377,31 @@ def _guided(model: DvfModel, tip: FloatArray, warp: WarpMotion | None) -> Pass:
     return run
 
 
-def _ticks(model: DvfModel, tip: FloatArray, warp: WarpMotion | None) -> Pass:
-    """Pose, phase, two fixtures, composition, passivity, saturation, supervision; without device and clock.
+def _two_structures(model: DvfModel) -> FixtureSet:
+    """A wall on the heart, one on a second beating structure, and a path that beats with it."""
+    other = replace(model, surface_name="second")
+    path = PathTarget.beating(other, model.reference[model.ed_phase].vertices_mm[:PATH_POINTS])
+    return FixtureSet(
+        (
+            FixtureOptions(Sigmoid(depth_mm=1.0), name="wall"),
+            FixtureOptions(Sigmoid(depth_mm=5.0), name="second wall", structure=other),
+            FixtureOptions(Gaussian(6.0, 1.0, cap_n=0.4), path=path, name="path", structure=other),
+        )
+    )
+
+
+def _ticks(
+    model: DvfModel, tip: FloatArray, warp: WarpMotion | None, fixtures: FixtureSet = TWO_FIXTURES
+) -> Pass:
+    """Pose, phase, fixtures, composition, passivity, saturation, supervision; without device and clock.
 
     The hand goes to and fro on the first 2 s of its path: a jump to another place would latch the force.
     """
     stay = tip[: round(2.0 * RATE_HZ)]
     tip = np.ascontiguousarray(np.tile(np.concatenate([stay, stay[::-1]]), (3, 1))[: len(tip)])
     numbers = np.zeros(1)
-    bound = bind_fixtures(Fixtures(model, TWO_FIXTURES), COMMON_DEVICE, ServoOptions(), 0.0)
-    scratch = new_scratch(len(TWO_FIXTURES.fixtures))
+    bound = bind_fixtures(Fixtures(model, fixtures), COMMON_DEVICE, ServoOptions(), 0.0)
+    scratch = new_scratch(len(fixtures.fixtures))
     inputs = ServoInputs(
         PoseAndPhase(*steady(POSE), warp=warp), 0.0, Rigid.identity("tracker", "device"), valid_for_s=1e9
     )

@@ -93,6 +93,7 @@ TASKS = {
         *_three(f"{STEREO}, ", Condition("", beating=False)),
     ),
     "tracking": _three("manual, ", Condition("")),
+    "lesion": _three(f"{BEATING}, ", Condition("", noise=MONO_NOISE))[::2],
 }
 """Conditions of each task."""
 
@@ -218,6 +219,10 @@ class MovingLine:
         """(3,) motion of a place with the beat, mm a cycle."""
         return _between(self.rates_mm, along_mm, phase)
 
+    def points(self, phase: float) -> FloatArray:
+        """(n, 3) all places."""
+        return np.array([self.at(STEP_MM * k, phase) for k in range(self.places_mm.shape[1])])
+
     def tangent(self, along_mm: float) -> FloatArray:
         """(3,) mm along the line a mm, at phase 0."""
         here = min(max(along_mm, 0.0), self.length_mm - STEP_MM)
@@ -289,6 +294,7 @@ class Loop:
         sight: (3,) unit line of sight.
         target_depth_mm: where the task wants the tip, positive inside.
         fulcrum: of the instrument, if any.
+        fixtures: in place of the law on the heart's surface.
     """
 
     heart: OperatingHeart
@@ -299,6 +305,7 @@ class Loop:
     sight: FloatArray
     target_depth_mm: float
     fulcrum: Fulcrum | None = None
+    fixtures: tuple[FixtureOptions, ...] = ()
 
 
 @read_only_arrays
@@ -414,7 +421,8 @@ def learnt_force(law: Law, target_depth_mm: float) -> LearntForce:
 
 def _servo(loop: Loop, instrument: HapticDevice, longest_s: float) -> tuple[SimulatedServo, ServoInputs]:
     model = loop.heart.fixture_model(loop.condition)
-    fixtures = Fixtures(model, FixtureSet((FixtureOptions(loop.law, "force"),), device=LIMITS))
+    options = loop.fixtures or (FixtureOptions(loop.law, "force"),)
+    fixtures = Fixtures(model, FixtureSet(options, device=LIMITS))
     servo = SimulatedServo(fixtures, instrument, limits=LIMITS, options=ServoOptions())
     inputs = ServoInputs(
         loop.heart.transform(loop.condition, loop.seed),

@@ -15,11 +15,8 @@ from dvf_ig.study.driver import Line
 from dvf_ig.study.operators import paper
 from dvf_ig.study.operators.closed_loop import (
     ABLATIONS,
-    HAPTICS,
     HEART_SEED,
-    NO_HAPTICS,
     TASKS,
-    UNATTENDED,
     Condition,
     moving_line,
     operating_heart,
@@ -29,6 +26,8 @@ from dvf_ig.study.operators.summary import OperatorsSummary, difference
 from dvf_ig.study.operators.tasks import (
     CUT,
     DEPTH_MM,
+    MARGIN_MM,
+    ablate,
     cut,
     dissect,
     track,
@@ -219,27 +218,33 @@ def _draw_ablations(axis: Axes, ablations: Sequence[Interval], label: str) -> No
     open_frame(axis)
 
 
-KINDS = (NO_HAPTICS, HAPTICS, UNATTENDED)
 TITLES = {
     "cutting": "depth-controlled cutting, forbidden surface 5 mm under the epicardium",
     "dissection": "dissection of ten pellets through a fulcrum",
     "tracking": "manual tracking of the beating surface over 30 cycles",
+    "lesion": "a lesion along a beating line, the oesophagus behind it forbidden",
 }
 PANELS = {
     "cutting": (("depth_rms_mm", "depth RMS, mm"), ("largest_excess_mm", "largest excess, mm")),
     "dissection": (("errors", "touches of the forbidden organ"), ("violation_mm", "deepest touch, mm")),
     "tracking": (("mean_mm", "mean distance to the surface, mm"), ("max_mm", "largest distance, mm")),
+    "lesion": (
+        ("line_mm", "mean distance to the line, mm"),
+        ("tube_mm", "least distance to the oesophagus, mm"),
+    ),
 }
 DEPTH_LIMITS_MM = {"cutting": (2.5, 8.0), "dissection": (-6.0, 4.0)}
 """Tracking takes what its curves need."""
-FORBIDDEN_MM = {"cutting": DEPTH_MM, "dissection": 0.0}
+FORBIDDEN_MM = {"cutting": DEPTH_MM, "dissection": 0.0, "lesion": -MARGIN_MM}
 ORDINATES = {
     "cutting": "depth below the true epicardium, mm",
     "dissection": "depth below the true organ, mm",
     "tracking": "along the inward normal, mm\n(thick: true surface)",
+    "lesion": "towards the oesophagus (0: its surface), mm",
 }
 BELOW = (
-    "Below each group: mean paired difference of visual + haptic to visual only, with its 95 % interval; "
+    "Below each group: mean paired difference of the second condition to visual only, with its 95 % "
+    "interval; "
     "thin lines join one operator's values, bars are means."
 )
 TRACKED_S = 3.6
@@ -266,7 +271,7 @@ def operators_shown(
         ordinate=ORDINATES[task],
         depth_limits_mm=DEPTH_LIMITS_MM.get(task, (float(drawn.min()) - 0.3, float(drawn.max()) + 0.3)),
         forbidden_mm=FORBIDDEN_MM.get(task),
-        kinds=KINDS,
+        kinds=tuple(c.name.split(", ", 1)[1] for c in next(iter(_groups(task).values()))),
         panels=[_panel(task, measure, label, completed) for measure, label in PANELS[task]],
         ablations=[
             Interval(_with_withheld(c.name, completed), *_triple(ablated[c.name]))
@@ -324,7 +329,7 @@ def _people(measure: str) -> tuple[tuple[float, str], ...]:
 
 def _courses(task: str, seed: int) -> list[tuple[str, list[Curve]]]:
     """Without force and with it, by what these share."""
-    draw = {"cutting": _cut, "dissection": _dissected, "tracking": _tracked}[task]
+    draw = {"cutting": _cut, "dissection": _dissected, "tracking": _tracked, "lesion": _ablated}[task]
     return [(f"one operator, {group}", draw(of[:2], seed)) for group, of in _groups(task).items()]
 
 
@@ -341,6 +346,11 @@ def _cut(conditions: Sequence[Condition], seed: int) -> list[Curve]:
 def _dissected(conditions: Sequence[Condition], seed: int) -> list[Curve]:
     traces = [dissect(operating_heart(), condition, seed).trace for condition in conditions]
     return [Curve(k, trace.t_s, trace.depth_mm) for k, trace in enumerate(traces)]
+
+
+def _ablated(conditions: Sequence[Condition], seed: int) -> list[Curve]:
+    lesions = [ablate(operating_heart(), condition, seed) for condition in conditions]
+    return [Curve(k, one.trace.t_s, -one.tube_mm) for k, one in enumerate(lesions)]
 
 
 def _tracked(conditions: Sequence[Condition], seed: int) -> list[Curve]:

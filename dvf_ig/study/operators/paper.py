@@ -56,6 +56,8 @@ def depth_rms_mm() -> tuple[float, float]:
 def figures_of(task: str) -> dict[str, str]:
     """What people did, by this study's condition; "–" where the paper has no such condition."""
     names = [condition.name for condition in TASKS[task]]
+    if task == "lesion":
+        return dict.fromkeys(names, "–")
     if task == "tracking":
         shown = dict.fromkeys(names, f"manual {MANUAL_MM:g} mm mean, condition not stated")
         return {**shown, "automatic": f"{AUTOMATIC_MM:g} mm mean"}

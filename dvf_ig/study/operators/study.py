@@ -56,6 +56,7 @@ from dvf_ig.study.operators.figure import operators_figure, operators_shown
 from dvf_ig.study.operators.paper import figures_of
 from dvf_ig.study.operators.summary import MEASURES, Difference, OperatorsSummary, Row, summarise_operators
 from dvf_ig.study.operators.tasks import (
+    ablate,
     automatic,
     cut,
     cutting_law,
@@ -63,6 +64,7 @@ from dvf_ig.study.operators.tasks import (
     dissect,
     dissection_law,
     dissection_measures,
+    lesion_measures,
     track,
     tracked_place,
     tracking_law,
@@ -77,6 +79,7 @@ class TaskName(StrEnum):
     cutting = "cutting"
     dissection = "dissection"
     tracking = "tracking"
+    lesion = "lesion"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -115,6 +118,8 @@ def measured(heart: OperatingHeart, task: str, condition: Condition, seed: int) 
         return cutting_measures(cut(heart, condition, seed))
     if task == "dissection":
         return dissection_measures(dissect(heart, condition, seed))
+    if task == "lesion":
+        return lesion_measures(ablate(heart, condition, seed))
     place = tracked_place(heart, surface_of(HEART_SEED), seed)
     return tracking_measures(track(heart, place, condition, seed))
 
@@ -173,6 +178,16 @@ def _of_task(task: str) -> list[str]:
             f"{MONO_NOISE:g}.",
         ]
     law = tracking_law()
+    if task == "lesion":
+        t = tasks
+        return [
+            f"Lesion: {t.LESION_MM:g} mm of the beating surface at up to {t.CUT_SPEED_MM_S:g} mm/s; guidance "
+            "to the line as drawn at end-diastole, beating with the model, "
+            f"δ {law.delta_mm:.2f} mm, m {law.m:g}, {law.cap_n:g} N; behind it a still oesophagus of radius "
+            f"{t.TUBE_MM:g} mm, {t.GAP_MM:g} mm from the line at its closest, forbidden from "
+            f"{t.MARGIN_MM:g} mm before its surface on; the heart's outer surface represents an atrium's "
+            "wall, which the phantom lacks."
+        ]
     return [
         f"Tracking: {tasks.CYCLES} cycles at one of the automatic kind's places, drawn by the operator's "
         f"seed; guidance δ {law.delta_mm:.2f} mm, m {law.m:g}, {law.cap_n:g} N. Automatic: the stylus in "

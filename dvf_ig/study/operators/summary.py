@@ -21,8 +21,10 @@ MEASURES = {
     "cutting": ("depth_rms_mm", "largest_excess_mm", "perforations", "time_s"),
     "dissection": ("removed", "errors", "violation_mm", "time_s"),
     "tracking": ("mean_mm", "p95_mm", "max_mm"),
+    "lesion": ("line_mm", "within_share", "tube_mm", "within_margin_s", "time_s"),
 }
 """Measures of each task that tables show."""
+MORE_IS_BETTER = ("removed", "within_share", "tube_mm")
 LEAST = 3
 """Fewer operators have no effect size."""
 NORMAL_975 = 1.959964
@@ -40,7 +42,7 @@ class Difference:
         mean: mean of condition − reference, with its 95 % interval.
         relative: mean difference over the reference's mean; None if that is 0.
         effect_size: d_z, with its 95 % interval; None if the differences do not vary.
-        better: operators with less (of removed pellets: more) under the condition; of: all.
+        better: operators with less under the condition, or more of what is MORE_IS_BETTER; of: all.
     """
 
     measure: str
@@ -110,7 +112,7 @@ def difference(
     """A paired difference over operators, one of `lines` each: measures by condition."""
     with_it, without = (np.array([line[name][measure] for line in lines]) for name in (condition, reference))
     change = with_it - without
-    improvement = change if measure == "removed" else -change
+    improvement = change if measure in MORE_IS_BETTER else -change
     mean = float(without.mean())
     return Difference(
         measure,

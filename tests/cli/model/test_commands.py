@@ -13,8 +13,8 @@ from typer.testing import CliRunner
 
 from dvf_ig.cli import force
 from dvf_ig.cli.model import commands as model
-from dvf_ig.core import CycleTiming, Grid, VolumeSeries
-from dvf_ig.io import write_surface_series, write_timing, write_volume_series
+from dvf_ig.core import CycleTiming, Grid, Mesh, VolumeSeries
+from dvf_ig.io import read_model, write_mesh, write_surface_series, write_timing, write_volume_series
 
 app = typer.Typer()
 app.add_typer(model.app, name="model")
@@ -183,3 +183,26 @@ def test_usage_errors_exit_2_and_unwritable_places_4(built, tmp_path):
     nowhere = run("model", "build", "--surfaces", built[0].parent, "-o", tmp_path / "no" / "m.npz")
     assert nowhere.exit_code == 4
     assert not (tmp_path / "no").exists()
+
+
+def test_one_mesh_file_makes_a_structure_that_does_not_beat(sphere_of, tmp_path):
+    write_mesh(Mesh("mr", *sphere_of(14.0, 3)), tmp_path / "oesophagus.stl")
+    out = tmp_path / "oesophagus.npz"
+    result = run(
+        *(
+            "model",
+            "build",
+            "--surfaces",
+            tmp_path / "oesophagus.stl",
+            "--patient",
+            "ball",
+            "-o",
+            out,
+            "--json",
+        )
+    )
+    assert result.exit_code == 0, result.output
+    assert "assumed" not in result.stderr
+    assert json.loads(result.stdout)["surface_error_mm"]["mean"] < 0.05
+    model = read_model(out)
+    assert (model.patient_id, model.surface_name, model.still) == ("ball", "oesophagus", True)

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from readable_tick import ReadableTick
+from toy_ball import structure
 
 from dvf_ig.core import CycleTiming, InvalidInputError, PhaseState, Rigid
 from dvf_ig.guidance import (
@@ -236,12 +237,41 @@ PATH_SETS = {
 }
 
 
+ATRIUM = structure("atrium", [20.0, 6.0, 1.0], 6.0)
+OESOPHAGUS = structure("oesophagus", [20.0, 2.0, 1.0], 5.0, still=True, margin_mm=1.0)
+FAR_AWAY = structure("nerve", [0.0, 60.0, 0.0], 4.0, still=True, margin_mm=8.0)
+BY_ATRIUM = PathTarget.beating(ATRIUM, [[14.0, 5.0, 1.0], [15.0, 8.0, 3.0]])
+STEEP, SOFT = Sigmoid(6.0, 0.08, 0.0), Sigmoid(1.0, 0.2)
+PATH_SETS |= {
+    "a wall whose box the tool leaves, guidance on a structure, the heart": FixtureSet(
+        (
+            FixtureOptions(STEEP, name="oesophagus", structure=OESOPHAGUS),
+            FixtureOptions(Gaussian(5.0, 1.0, 0.3), "periodic", structure=ATRIUM),
+            FixtureOptions(Sigmoid(1.2, 0.3), "distance", name="wall"),
+        ),
+        0.6,
+    ),
+    "no fixture on the heart": FixtureSet(
+        (
+            FixtureOptions(SOFT, structure=FAR_AWAY),
+            FixtureOptions(PULL, path=BY_ATRIUM, structure=ATRIUM),
+            FixtureOptions(SOFT, "periodic", structure=ATRIUM),
+            FixtureOptions(STEEP, structure=OESOPHAGUS),
+        ),
+        0.6,
+    ),
+    "a structure out of reach alone": FixtureSet((FixtureOptions(SOFT, structure=FAR_AWAY),)),
+}
+
+
 @pytest.mark.parametrize("which", PATH_SETS)
-def test_paths_in_the_kernel_s_tick_are_those_of_the_readable_one(ball, moving, path_mm, which):
+def test_paths_and_structures_in_the_kernel_s_tick_are_those_of_the_readable_one(
+    ball, moving, path_mm, which
+):
     """Static and beating, alone and with walls, through a loss of the phase."""
     fixtures, device = Fixtures(ball, PATH_SETS[which]), RecordedDevice(path_mm, RATE_HZ)
     servo = SimulatedServo(fixtures, device, limits=LIMITS, options=OPTIONS)
-    twin, tick, most_n = ReadableTick(fixtures, LIMITS, OPTIONS, 0.0), 0, 0.0
+    twin, tick, most_n, primaries = ReadableTick(fixtures, LIMITS, OPTIONS, 0.0), 0, 0.0, set()
     for inputs, count in losing_phase(moving, 700):
         record = servo.run(inputs, count)
         for k in range(count):
@@ -252,7 +282,11 @@ def test_paths_in_the_kernel_s_tick_are_those_of_the_readable_one(ball, moving, 
             most_n = max(most_n, float(np.linalg.norm(record.sent_n[k])))
             tick += 1
         np.testing.assert_allclose(record.by_surface_mj[-1], twin.observer.by_surface_mj, atol=1e-9)
-    assert most_n > 0.1
+        if fixtures.options.fixtures[0].structure is OESOPHAGUS:
+            primaries |= set((record.distance_mm > -1.5).tolist())
+    assert most_n > 0.1 or which == "a structure out of reach alone"
+    if fixtures.options.fixtures[0].structure is OESOPHAGUS:
+        assert primaries == {True, False}
 
 
 def test_too_many_fixtures_are_refused(ball):

@@ -15,7 +15,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
-from toy_ball import CENTERS, RADII
+from toy_ball import CENTERS, RADII, structure
 from toy_session import TIP, compare_known, register_known, run, ticks, toy_setup, toy_streams
 from toy_sphere import sphere
 
@@ -146,6 +146,23 @@ def test_every_field_stands_in_the_description(scene: dict[str, Any]) -> None:
     names -= {name for name in STEPS if "_y_" in name or "_z_" in name or name.endswith(("_y", "_z"))}
     assert not [name for name in names if name not in text]
     json.dumps(scene, allow_nan=False)
+
+
+def test_further_structures_are_shown_with_their_walls(round_ball: DvfModel) -> None:
+    """Once each, in as many phases as the heart; a wall at its distance from its own structure."""
+    atrium = structure("atrium", [30.0, 4.0, 0.0], 8.0)
+    still = structure("oesophagus", [45.0, 4.0, 0.0], 5.0, still=True)
+    walls = tuple(FixtureOptions(Sigmoid(cap_n=0.2), structure=one) for one in (atrium, still, still))
+    shown = heart_payload(round_ball, FixtureSet((FixtureOptions(), *walls)))["surfaces"]
+    assert [one["name"] for one in shown if one["role"] == "organ"] == ["EPICARDIAL", "atrium", "oesophagus"]
+    fixtures = {one["fixture"]: unpacked(one["vertices"]) for one in shown if one["role"] == "fixture"}
+    assert list(fixtures) == [0, 1, 2, 3]
+    level_mm = shown_level_mm(Sigmoid())
+    for phase, (radius, center) in enumerate(zip(RADII * 0.5, CENTERS, strict=True)):
+        away_mm = np.linalg.norm(fixtures[1][phase] - center - [30.0, 4.0, 0.0], axis=1)
+        np.testing.assert_allclose(away_mm, radius - level_mm, atol=0.1)
+        away_mm = np.linalg.norm(fixtures[3][phase] - [45.0, 4.0, 0.0], axis=1)
+        np.testing.assert_allclose(away_mm, 5.0 - level_mm, atol=0.1)
 
 
 def test_a_changed_heart_is_shown_as_the_patient_has_it(round_ball: DvfModel) -> None:
