@@ -212,13 +212,15 @@ class BreathingTracker:
         """Begin to learn with the clock of now."""
         self._motion = LearntMotion(self._center_mm, self._clock)
 
-    def watch(self, middle_s: float, decided_s: float, measurement: BeatMeasurement) -> None:
-        """Look for breathing in the poses of beats if nothing follows the breath."""
+    def watch(
+        self, middle_s: float, decided_s: float, measurement: BeatMeasurement, view_mm: FloatArray
+    ) -> None:
+        """Look for breathing in the poses of beats if nothing follows the breath; see `OscillationWatch`."""
         if self.follows:
             return
         watch = self._watch
         before = (watch.found is None, watch.excluded, watch.compared > 0)
-        watch.add(middle_s, measurement)
+        watch.add(middle_s, measurement, view_mm)
         found = watch.found
         if before == (found is None, watch.excluded, True):
             return
@@ -230,8 +232,9 @@ class BreathingTracker:
         """Watch for breathing from then on at another place of the heart."""
         self._watch.shifted(from_s)
 
-    def advance(self, now_s: float) -> None:
-        """Follow the breath until now."""
+    def advance(self, now_s: float) -> bool:
+        """Follow the breath until now; whether forces begin to follow the motion."""
+        before = self.model
         self.order.advance(now_s)
         if self._qrs is not None:
             self._qrs.forget(now_s)
@@ -249,6 +252,7 @@ class BreathingTracker:
         if self._motion.astray:
             self._begin()
             self._changed = True
+        return before is None and self.model is not None
 
     def _give_up(self, clock: BeatClock, now_s: float) -> None:
         """Watch again once the ECG shows no breath for UNFOLLOWED_S, or the heart does not follow it."""

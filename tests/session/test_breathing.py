@@ -56,7 +56,7 @@ def test_frames_moved_to_rest_see_there_what_they_saw_in_the_breath() -> None:
 
 def watch_beat(tracker: BreathingTracker, begin_s: float, xi_mm: FloatArray) -> None:
     """Compare a beat with RESTING, which is `xi_mm` from where it shows the heart."""
-    tracker.watch(begin_s + 0.4, begin_s + 1.1, measured(xi_mm))
+    tracker.watch(begin_s + 0.4, begin_s + 1.1, measured(xi_mm), np.zeros((3, 3)))
 
 
 def test_without_samples_there_is_no_force_until_beats_exclude_breathing() -> None:
