@@ -116,6 +116,21 @@ def test_the_gate_serves_end_expiration_until_the_motion_is_learnt() -> None:
     assert rates.end_s - rates.start_s == pytest.approx(0.1)
 
 
+def test_forces_begin_to_follow_the_motion_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """That is when the heart is registered again."""
+    begun_s, advance = [], BreathingTracker.advance
+
+    def advanced(tracker: BreathingTracker, now_s: float) -> bool:
+        begins = advance(tracker, now_s)
+        begun_s.extend([now_s] * begins)
+        return begins
+
+    monkeypatch.setattr(BreathingTracker, "advance", advanced)
+    tracker = follow(until_s=LEARNT_S).tracker
+    assert tracker.model is not None
+    assert len(begun_s) == 1 and 45.0 < begun_s[0] < LEARNT_S
+
+
 @pytest.mark.parametrize("event", ["sigh", "disconnection", "cough"])
 def test_a_pose_beyond_what_was_learnt_is_withheld_and_comes_back(event: str) -> None:
     """The event is a second one: beats in the first must not have taught that it is ordinary."""
