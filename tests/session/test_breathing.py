@@ -128,7 +128,8 @@ def test_forces_begin_to_follow_the_motion_once(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(BreathingTracker, "advance", advanced)
     tracker = follow(until_s=LEARNT_S).tracker
     assert tracker.model is not None
-    assert len(begun_s) == 1 and 45.0 < begun_s[0] < LEARNT_S
+    assert len(begun_s) == 1
+    assert 45.0 < begun_s[0] < LEARNT_S
 
 
 @pytest.mark.parametrize("event", ["sigh", "disconnection", "cough"])
