@@ -1,17 +1,21 @@
 """Evidence that a heart moves with the breath, from the poses of single beats alone.
 
-The poses of the last beats are fitted by a constant (another one after each shift), a linear drift and one
-oscillation of all six coordinates, each beat with its own information,
+The poses of the last beats are fitted by a constant (another one after each shift), a linear drift, an error
+that depends on the view v of the probe, and one oscillation of all six coordinates, each beat with its own
+information,
 
-    ξ(t) = a + b t + c cos 2πft + d sin 2πft,
+    ξ = a + b t + e(v) + c cos 2πft + d sin 2πft,
 
-for the frequencies of breathing. How much the oscillation lowers χ² is the evidence.
+for the frequencies of breathing. How much the oscillation lowers χ² is the evidence. A hand that sweeps the
+probe to and fro makes an oscillation too, of e: what the view explains at its usual size is no evidence. e is
+a Gaussian process: views that differ little share their error.
 """
 
 from collections import deque
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import solve_triangular
 
 from dvf_ig.core import FloatArray, read_only_arrays
 
@@ -27,15 +31,17 @@ BEATS_A_BREATH = 2.2
 """Fewest beats a breath in which it is still seen."""
 OSCILLATION_MM = 5.0
 """Prior SD of drift and oscillation."""
-FOUND, GONE = 90.0, 45.0
-"""Fall of χ² from which an oscillation is breathing, and below which it no longer is: between the 65 at most
-that biases make which change with a sweeping view, and the 131 at least of 4 mm of breathing
-(docs/theory/respiration.md)."""
+VIEW_MM, VIEW_REACH_MM = 0.5, 30.0
+"""SD of each coordinate's error by the view, and how far points of its plane move until it is another one: by
+the likelihood of beats of still hearts (docs/theory/respiration.md)."""
+VIEW_SHARE = 0.01
+"""Least variance, relative to the largest, of a component of the errors of all views that is fitted."""
+FOUND, GONE = 55.0, 28.0
+"""Fall of χ² from which an oscillation is breathing, and below which it no longer is."""
 LEAST_MM, GONE_MM = 1.0, 0.7
 """The same limits of the amplitude of the translation."""
-SUSPECT, SUSPECT_A_BEAT = 32.0, 1.65
-"""Fall of χ² from which LEAST_BEATS do not exclude breathing, and its growth with each further beat: between
-the 28 at most (65 of all beats) that views make, and the 38 at least of 4 mm."""
+SUSPECT = 20.0
+"""Fall of χ² from which the first beats do not exclude breathing."""
 SUSPECT_CYCLES = 1.8
 """Fewest breaths in these beats: a slower oscillation is not told from the drift of views."""
 
@@ -49,6 +55,7 @@ class BeatPose:
         t_s: half-way through it.
         information: (6, 6) J, 1/mm²; offset_information: (6,) J ξ, in one `PoseChart` for all beats.
         square: ξᵀ J ξ.
+        view_mm: (9,) three points of the plane that it shows, frame "tracker".
         place: number of the place where the heart lay, which a shift counts up.
     """
 
@@ -56,6 +63,7 @@ class BeatPose:
     information: FloatArray
     offset_information: FloatArray
     square: float
+    view_mm: FloatArray
     place: int
 
 
@@ -72,10 +80,10 @@ class Oscillation:
     fall: float
     amplitude_mm: float
 
-    def is_suspect(self, beats: int) -> bool:
-        """Whether the first `beats` do not exclude breathing."""
-        least = SUSPECT + SUSPECT_A_BEAT * (beats - LEAST_BEATS)
-        return self.fall >= least and self.amplitude_mm >= GONE_MM
+    @property
+    def is_suspect(self) -> bool:
+        """Whether the first beats do not exclude breathing."""
+        return self.fall >= SUSPECT and self.amplitude_mm >= GONE_MM
 
     def is_breathing(self, *, before: bool) -> bool:
         """Whether it is taken for breathing, `before`: also by the beats until the last."""
@@ -102,10 +110,15 @@ class OscillationWatch:
         self._place = 0
         self._beats: deque[BeatPose] = deque(maxlen=MOST_BEATS)
 
-    def add(self, middle_s: float, measurement: BeatMeasurement) -> None:
-        """Add a beat that was compared with a pose, with the time half-way through it."""
+    def add(self, middle_s: float, measurement: BeatMeasurement, view_mm: FloatArray) -> None:
+        """Add a beat that was compared with a pose.
+
+        Args:
+            middle_s: half-way through it.
+            view_mm: (3, 3) three points of the plane that it shows, frame "tracker".
+        """
         self.compared += 1
-        self._add(middle_s, measurement)
+        self._add(middle_s, measurement, view_mm)
         before, oscillation = self.found is not None, strongest_oscillation(tuple(self._beats))
         breathes = oscillation is not None and oscillation.is_breathing(before=before)
         self.found = oscillation if breathes else None
@@ -113,10 +126,10 @@ class OscillationWatch:
             self.excluded = not breathes
         elif self.compared >= LEAST_BEATS and not self.excluded:
             first = strongest_oscillation(tuple(self._beats), SUSPECT_CYCLES)
-            suspect = first is not None and first.is_suspect(len(self._beats))
+            suspect = first is not None and first.is_suspect
             self.excluded = not suspect or self.compared >= MOST_BEATS
 
-    def _add(self, middle_s: float, measurement: BeatMeasurement) -> None:
+    def _add(self, middle_s: float, measurement: BeatMeasurement, view_mm: FloatArray) -> None:
         """Remember a beat that tells where the heart is."""
         if not measurement.informative or (self._beats and middle_s <= self._beats[-1].t_s):
             return
@@ -126,7 +139,7 @@ class OscillationWatch:
         from_base_mm = self._chart.coordinates(measurement.pose)
         offset = measurement.offset_information_mm + information @ from_base_mm
         square = float(offset @ np.linalg.pinv(information, rcond=1e-9, hermitian=True) @ offset)
-        self._beats.append(BeatPose(middle_s, information, offset, square, self._place))
+        self._beats.append(BeatPose(middle_s, information, offset, square, view_mm.ravel(), self._place))
 
     def shifted(self, from_s: float) -> None:
         """Count beats from then on as those of another place: the heart has moved in another way."""
@@ -140,37 +153,60 @@ def strongest_oscillation(beats: tuple[BeatPose, ...], cycles: float = 0.0) -> O
     if len(beats) < LEAST_BEATS:
         return None
     t_s = np.array([beat.t_s for beat in beats])
+    t_s = t_s - t_s.mean()
+    slowest_hz = cycles / float(np.ptp(t_s))
+    fastest_hz = 1.0 / (BEATS_A_BREATH * float(np.median(np.diff(t_s))))
+    hz = FREQUENCIES_HZ[(slowest_hz <= FREQUENCIES_HZ) & (fastest_hz >= FREQUENCIES_HZ)]
+    if not len(hz):
+        return Oscillation(0.0, 0.0, 0.0)
+    angles = 2.0 * np.pi * np.outer(t_s, hz)
+    waves = np.stack([np.cos(angles), np.sin(angles)], axis=2)
+    lowered, left, waves_mm = _fits(beats, *_steady(beats, t_s), waves)
+    places = len({beat.place for beat in beats})
+    falls = lowered / np.maximum(1.0, left / (6 * (len(beats) - places - 3)))
+    best = int(falls.argmax())
+    amplitude_mm = float(np.linalg.norm(waves_mm[best, :, 3:]))
+    return Oscillation(60.0 * float(hz[best]), float(falls[best]), amplitude_mm)
+
+
+def _steady(beats: tuple[BeatPose, ...], t_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return (n, p) features of all that is no oscillation, and the (p,) prior SD of their coefficients."""
+    places = np.array([beat.place for beat in beats])
+    constants = places[:, None] == np.unique(places)
+    views_mm = np.array([beat.view_mm for beat in beats])
+    apart_mm2 = np.square(views_mm[:, None] - views_mm).sum(axis=2) / 3.0
+    variances, components = np.linalg.eigh(np.exp(-0.5 * apart_mm2 / VIEW_REACH_MM**2))
+    chosen = variances > VIEW_SHARE * variances[-1]
+    views = components[:, chosen] * np.sqrt(variances[chosen])
+    sizes = (constants.shape[1], 1, views.shape[1])
+    return np.column_stack([constants, t_s / t_s.std(), views]), np.repeat(
+        [CONSTANT_MM, OSCILLATION_MM, VIEW_MM], sizes
+    )
+
+
+def _fits(
+    beats: tuple[BeatPose, ...], steady: FloatArray, steady_mm: FloatArray, waves: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Fit (n, p) steady features with each of (n, f, 2) waves by ridge.
+
+    Returns:
+        (f,) by how much the waves lower χ²; (f,) what is left of it; (f, 2, 6) their coefficients, mm.
+    """
     information = np.array([beat.information for beat in beats])
     offsets = np.array([beat.offset_information for beat in beats])
-    t_s = t_s - t_s.mean()
-    places = np.array([beat.place for beat in beats])
-    steady = np.column_stack([places[:, None] == np.unique(places), t_s / t_s.std()]).astype(np.float64)
-    constants = steady.shape[1] - 1
-    without, _ = _fit(steady, constants, information, offsets)
-    fastest_hz = 1.0 / (BEATS_A_BREATH * float(np.median(np.diff(t_s))))
-    total = float(np.sum([beat.square for beat in beats]))
-    best = Oscillation(0.0, 0.0, 0.0)
-    slowest_hz = cycles / float(np.ptp(t_s))
-    seen = (slowest_hz <= FREQUENCIES_HZ) & (fastest_hz >= FREQUENCIES_HZ)
-    for frequency_hz in FREQUENCIES_HZ[seen].tolist():
-        angle = 2.0 * np.pi * frequency_hz * t_s
-        waves = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-        explained, b_mm = _fit(np.hstack([steady, waves]), constants, information, offsets)
-        free = 6 * len(beats) - b_mm.size
-        fall = (explained - without) / max(1.0, (total - explained) / free)
-        if fall > best.fall:
-            amplitude_mm = float(np.linalg.norm(b_mm[-2:, 3:]))
-            best = Oscillation(60.0 * frequency_hz, fall, amplitude_mm)
-    return best
-
-
-def _fit(
-    features: FloatArray, constants: int, information: FloatArray, offsets: FloatArray
-) -> tuple[float, FloatArray]:
-    """Fit B (p, 6) of ξ = Bᵀ f by ridge, the first features `constants`; also return the χ² it explains."""
-    count = features.shape[1]
-    prior = np.repeat([*[CONSTANT_MM**-2.0] * constants, *[OSCILLATION_MM**-2.0] * (count - constants)], 6)
-    matrix = normal_matrix(features, information) + np.diag(prior)
+    features = np.hstack([steady, waves.reshape(len(beats), -1)])
+    count, alternatives = 6 * steady.shape[1], waves.shape[1]
+    prior_mm = np.append(steady_mm, np.full(2 * alternatives, OSCILLATION_MM))
+    matrix = normal_matrix(features, information) + np.diag(np.repeat(prior_mm**-2.0, 6))
     right = (features.T @ offsets).ravel()
-    solved = np.linalg.solve(matrix, right)
-    return float(right @ solved), np.asarray(solved.reshape(count, 6), dtype=np.float64)
+    root = np.linalg.cholesky(matrix[:count, :count])
+    shared = solve_triangular(root, matrix[:count, count:], lower=True).reshape(count, alternatives, 12)
+    explained = solve_triangular(root, right[:count], lower=True)
+    each = np.arange(alternatives)
+    own = matrix[count:, count:].reshape(alternatives, 12, alternatives, 12)[each, :, each]
+    own -= np.einsum("cfi,cfj->fij", shared, shared, optimize=True)
+    pull = right[count:].reshape(alternatives, 12) - np.einsum("cfi,c->fi", shared, explained)
+    waves_mm = np.linalg.solve(own, pull[:, :, None])[:, :, 0]
+    lowered = np.einsum("fi,fi->f", waves_mm, pull)
+    total = float(np.sum([beat.square for beat in beats]))
+    return lowered, total - float(explained @ explained) - lowered, waves_mm.reshape(-1, 2, 6)

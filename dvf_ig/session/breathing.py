@@ -189,49 +189,52 @@ class BreathingTracker:
         if self._from_ecg is not None:
             self._from_ecg.add(peak.t_s, values)
             return False
-        found = None if self.follows else self._watch.found
-        return found is not None and self._follow_ecg(found, peak.detected_at_s)
+        motion = None if self.follows else self._watch.found
+        return motion is not None and self._follow_ecg(motion, peak.detected_at_s)
 
-    def _follow_ecg(self, found: Oscillation, now_s: float) -> bool:
+    def _follow_ecg(self, motion: Oscillation, now_s: float) -> bool:
         """Let the ECG follow the breath if it shows that rate; whether it does."""
         known = [beat for beat in self._beats if np.isfinite(beat[1]).all()]
         t_s, values = np.array([t_s for t_s, _ in known]), np.array([values for _, values in known])
         shown = breathing_in_beats(t_s, values) if known else None
-        if shown is None or abs(60.0 / shown.fitted.period_s - found.per_minute) > SAME_RATE_PER_MIN:
+        if shown is None or abs(60.0 / shown.fitted.period_s - motion.per_minute) > SAME_RATE_PER_MIN:
             return False
         self._from_ecg, self._locked_s = BeatClock(t_s, values, shown), now_s
         self._begin()
-        self._log_found(now_s, found, by_ecg=True)
+        self._log_unfollowed(now_s, motion, by_ecg=True)
         return True
 
-    def _log_found(self, from_s: float, found: Oscillation, *, by_ecg: bool = False) -> None:
-        moved_mm = 2.0 * found.amplitude_mm
-        self._log(BreathingRecord(from_s, unfollowed_mm=moved_mm, per_minute=found.per_minute, by_ecg=by_ecg))
+    def _log_unfollowed(self, from_s: float, motion: Oscillation, *, by_ecg: bool = False) -> None:
+        moved_mm, rate = 2.0 * motion.amplitude_mm, motion.per_minute
+        self._log(BreathingRecord(from_s, unfollowed_mm=moved_mm, per_minute=rate, by_ecg=by_ecg))
 
     def _begin(self) -> None:
         """Begin to learn with the clock of now."""
         self._motion = LearntMotion(self._center_mm, self._clock)
 
-    def watch(self, middle_s: float, decided_s: float, measurement: BeatMeasurement) -> None:
-        """Look for breathing in the poses of beats if nothing follows the breath."""
+    def watch(
+        self, middle_s: float, decided_s: float, measurement: BeatMeasurement, view_mm: FloatArray
+    ) -> None:
+        """Look for breathing in the poses of beats if nothing follows the breath; see `OscillationWatch`."""
         if self.follows:
             return
         watch = self._watch
         before = (watch.found is None, watch.excluded, watch.compared > 0)
-        watch.add(middle_s, measurement)
-        found = watch.found
-        if before == (found is None, watch.excluded, True):
+        watch.add(middle_s, measurement, view_mm)
+        motion = watch.found
+        if before == (motion is None, watch.excluded, True):
             return
         self._watch_changed_s = decided_s
-        if found is not None and before[0]:
-            self._log_found(decided_s, found)
+        if motion is not None and before[0]:
+            self._log_unfollowed(decided_s, motion)
 
     def shifted(self, from_s: float) -> None:
         """Watch for breathing from then on at another place of the heart."""
         self._watch.shifted(from_s)
 
-    def advance(self, now_s: float) -> None:
-        """Follow the breath until now."""
+    def advance(self, now_s: float) -> bool:
+        """Follow the breath until now; whether forces begin to follow the motion."""
+        before = self.model
         self.order.advance(now_s)
         if self._qrs is not None:
             self._qrs.forget(now_s)
@@ -249,6 +252,7 @@ class BreathingTracker:
         if self._motion.astray:
             self._begin()
             self._changed = True
+        return before is None and self.model is not None
 
     def _give_up(self, clock: BeatClock, now_s: float) -> None:
         """Watch again once the ECG shows no breath for UNFOLLOWED_S, or the heart does not follow it."""
@@ -374,10 +378,10 @@ class BreathingTracker:
         return BreathingReason.CHANGED if self._changed else BreathingReason.LEARNING
 
     def _unfollowed(self, changed_s: float, _: float) -> "_Moment":
-        found, reason = self._watch.found, None
-        if found is not None:
+        motion, reason = self._watch.found, None
+        if motion is not None:
             template = BreathingReason.NOT_FOLLOWED.value
-            reason = template.format(mm=2.0 * found.amplitude_mm, per_minute=found.per_minute)
+            reason = template.format(mm=2.0 * motion.amplitude_mm, per_minute=motion.per_minute)
         elif not self._watch.excluded and self._watch.compared:
             reason = BreathingReason.NOT_EXCLUDED.value
         return _Moment(changed_s, not self._watch.excluded, np.zeros((6, 6)), 0.0, reason)

@@ -136,6 +136,11 @@ class PoseTracker:
         self._recent.clear()
         self._apply(BreathFollowed(now_s))
 
+    def renew(self, now_s: float) -> None:
+        """Register again, now that frames of the whole breath can be moved to rest."""
+        if self.in_use is not None:
+            self._plan.change(RegisterNext(now_s))
+
     def step(self) -> None:
         """Do what is to be done at `next_s`."""
         self._stepped_s = now_s = self.next_s
@@ -197,7 +202,7 @@ class PoseTracker:
     def _watch_breathing(self, evaluation: BeatEvaluation, now_s: float) -> None:
         if self._breathing is not None:
             middle_s = 0.5 * (evaluation.begin_s + evaluation.end_s)
-            self._breathing.watch(middle_s, now_s, evaluation.measurement)
+            self._breathing.watch(middle_s, now_s, evaluation.measurement, evaluation.view_mm)
 
     def _compare_recent(self, candidate: PoseEstimate, asked_s: float, now_s: float) -> None:
         """Compare a new candidate with the beats that ended after its frames, until one contradicts it."""

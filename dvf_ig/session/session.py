@@ -211,15 +211,19 @@ class Session:
             action_s = self._actions[0].t_s if self._actions else inf
             input_s, pose_s = min(self._clock.next_s, action_s), self._pose.next_s
             if input_s > now_s and pose_s > now_s:
-                self._breathing.advance(now_s)
+                self._follow_breath(now_s)
                 return
-            self._breathing.advance(min(input_s, pose_s))
+            self._follow_breath(min(input_s, pose_s))
             if input_s > pose_s:
                 self._pose.step()
             elif action_s == input_s:
                 self._act(self._actions.pop(0), stepped_s)
             else:
                 self._take_peak(stepped_s)
+
+    def _follow_breath(self, now_s: float) -> None:
+        if self._breathing.advance(now_s):
+            self._pose.renew(now_s)
 
     def _act(self, action: Landmark | Rearm, stepped_s: float) -> None:
         if isinstance(action, Landmark):

@@ -55,6 +55,7 @@ RESTING = PoseMotion.still(Rigid.from_rotation_vector([0.4, 0.1, -0.3], [20.0, 5
 VENTILATED, SPONTANEOUS = (PRESETS[name].respiration for name in ("ventilated", "breathing"))
 STILL = BreathSpec()
 SINUS = RhythmSpec()
+STILL_VIEW_MM = np.zeros((3, 3))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -207,7 +208,7 @@ def add_beat(
     shown = shown + NOISE_MM * rng.standard_normal(6)
     frames = tracker.frames(t_s)
     if frames is None:
-        tracker.watch(float(t_s[0]) + 0.4, float(t_s[0]) + 1.1, measured(shown))
+        tracker.watch(float(t_s[0]) + 0.4, float(t_s[0]) + 1.1, measured(shown), STILL_VIEW_MM)
     else:
         tracker.add_beat(measured(shown - frames.xi_mm.mean(axis=0)), frames)
 

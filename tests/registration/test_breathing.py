@@ -146,7 +146,10 @@ def test_a_real_heart_follows_the_dome_of_the_liver(name: str, data_dir: Path) -
 def watched(
     move: Callable[[float], FloatArray], beats: int, *, irregular: float = 0.03, seed: int = 3
 ) -> tuple[list[float], list[Oscillation | None]]:
-    """Watch beats of a heart with 0.6 mm of noise a coordinate; times, and what was found after each."""
+    """Watch beats of a heart with 0.6 mm of noise a coordinate; times, and what was found after each.
+
+    The probe sweeps to and fro in 9 s.
+    """
     rng, t_s, watch = np.random.default_rng(seed), 0.0, OscillationWatch(np.zeros(3))
     times, found = [], []
     for _ in range(beats):
@@ -156,7 +159,9 @@ def watched(
         measured = SimpleNamespace(
             pose=HOME, informative=True, information=information, offset_information_mm=information @ offset
         )
-        watch.add(t_s, cast("BeatMeasurement", measured))
+        swept = 2.0 * np.pi * t_s / 9.0
+        view_mm = np.eye(3) * 20.0 + [30.0 * np.sin(swept), 20.0 * np.cos(swept), 0.0]
+        watch.add(t_s, cast("BeatMeasurement", measured), view_mm)
         times.append(t_s)
         found.append(watch.found)
     return times, found
@@ -189,7 +194,7 @@ def test_beats_show_a_heart_that_moves_with_the_breath(irregular: float) -> None
     [
         lambda t: shifted(0.0),
         lambda t: shifted(0.15 * t),
-        lambda t: shifted(0.75 * np.sin(2 * np.pi * 0.22 * t)),
+        lambda t: shifted(0.75 * np.sin(4 * np.pi * t / 9.0)),
     ],
     ids=["still", "creeps 9 mm/min", "biased by the sweep"],
 )
@@ -214,7 +219,7 @@ def test_a_shift_of_the_patient_is_no_breath_and_breathing_is_found_across_it() 
                 information=np.eye(6) / 0.36,
                 offset_information_mm=offset / 0.36,
             )
-            watch.add(t_s, cast("BeatMeasurement", measured))
+            watch.add(t_s, cast("BeatMeasurement", measured), np.zeros((3, 3)))
             if k == 38:
                 watch.shifted(30.0)
             found.append(watch.found)

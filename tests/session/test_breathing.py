@@ -56,7 +56,7 @@ def test_frames_moved_to_rest_see_there_what_they_saw_in_the_breath() -> None:
 
 def watch_beat(tracker: BreathingTracker, begin_s: float, xi_mm: FloatArray) -> None:
     """Compare a beat with RESTING, which is `xi_mm` from where it shows the heart."""
-    tracker.watch(begin_s + 0.4, begin_s + 1.1, measured(xi_mm))
+    tracker.watch(begin_s + 0.4, begin_s + 1.1, measured(xi_mm), np.zeros((3, 3)))
 
 
 def test_without_samples_there_is_no_force_until_beats_exclude_breathing() -> None:
@@ -114,6 +114,22 @@ def test_the_gate_serves_end_expiration_until_the_motion_is_learnt() -> None:
     assert np.percentile(errors[after & ~withheld], 95) < 2.0
     rates = tracker.motion(RESTING, STOP_S - 1.0)
     assert rates.end_s - rates.start_s == pytest.approx(0.1)
+
+
+def test_forces_begin_to_follow_the_motion_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """That is when the heart is registered again."""
+    begun_s, advance = [], BreathingTracker.advance
+
+    def advanced(tracker: BreathingTracker, now_s: float) -> bool:
+        begins = advance(tracker, now_s)
+        begun_s.extend([now_s] * begins)
+        return begins
+
+    monkeypatch.setattr(BreathingTracker, "advance", advanced)
+    tracker = follow(until_s=LEARNT_S).tracker
+    assert tracker.model is not None
+    assert len(begun_s) == 1
+    assert 45.0 < begun_s[0] < LEARNT_S
 
 
 @pytest.mark.parametrize("event", ["sigh", "disconnection", "cough"])

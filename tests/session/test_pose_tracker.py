@@ -305,6 +305,21 @@ def test_a_failure_leaves_the_pose_in_use_alone() -> None:
     assert all(update.pose is not None for update in history.updates)
 
 
+def step_until(tracker: PoseTracker, until_s: float) -> None:
+    while tracker.next_s < until_s:
+        tracker.step()
+
+
+def test_a_pose_in_use_is_registered_again_at_once_where_frames_are_understood_better() -> None:
+    ultrasound = Ultrasound()
+    tracker = tracked(ultrasound, 40.0)
+    step_until(tracker, 41.0)
+    assert tracker.next_s > 42.0
+    tracker.renew(42.0)
+    step_until(tracker, 43.0)
+    assert ultrasound.requests[-1].until_s == 42.0
+
+
 def test_slow_beats_are_compared_in_order_of_time_or_not_at_all() -> None:
     """On a machine that falls behind, a beat that is long past is no evidence of the pose now."""
     ultrasound = Ultrasound(beat_seconds=0.7)
