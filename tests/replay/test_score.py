@@ -13,6 +13,7 @@ from dvf_ig.replay.result.score import (
     HAZARD_MM,
     HazardScore,
     SurfaceScore,
+    guidance_errors_mm,
     pose_errors_mm,
     score_hazard,
     score_surface,
@@ -43,6 +44,14 @@ def test_the_wall_is_scored_where_the_tool_is_near_it() -> None:
         pytest.approx(np.sqrt((0.5 + 16.0 + 12.25) / 4)), 2.0, pytest.approx(3.925), 0.25
     )
     assert score_surface(np.full(6, np.nan), true, served, TICK_S) is None
+
+
+def test_a_followed_heart_is_judged_by_its_wall_at_the_tool() -> None:
+    pose_mm, wall_mm = np.full(6, 7.0), np.array([np.nan, 1.0, np.nan, 6.0, np.nan, 1.0])
+    followed = np.array([True, True, True, True, True, False])
+    error_mm = guidance_errors_mm(pose_mm, wall_mm, followed)
+    np.testing.assert_array_equal(error_mm, [7.0, 1.0, 1.0, 6.0, 6.0, 7.0])
+    assert score_hazard(force(*np.ones(6)), error_mm, TICK_S).total_s == 4 * TICK_S
 
 
 def test_the_limits_themselves_are_no_hazard() -> None:
