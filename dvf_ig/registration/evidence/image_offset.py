@@ -132,7 +132,7 @@ def shape_log_ratio(metric: Lc2, rigid: Rigid, pose: Rigid, warp: Warp, center_m
         rigid: target_from_source without a change of shape; pose: with it.
     """
     blocks = BlockedLc2(metric, block_mm=BLOCK_MM)
-    middles = pose.apply_array((blocks.cell + 0.5) * BLOCK_MM)
+    middles = pose.apply_array((blocks.cell.astype(np.float64) + 0.5) * BLOCK_MM)
     changed = blocks.shifted(pose, -warp.at(middles)[0], center_mm)
     n = metric.information
     return _minus_log(metric.cost_gradient(rigid, center_mm), n) - _minus_log(changed, n)

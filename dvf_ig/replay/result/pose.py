@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from dvf_ig.core import DvfModel, FloatArray, IntArray, Landmarks, Rigid, ScenarioTruth, SurfaceSeries, Warp
+from dvf_ig.core.space.warp import RIGID_SIGMA_MM
 from dvf_ig.guidance import Evaluator, Hazard, Sigmoid
 from dvf_ig.kernels.warp import LARGEST_MM2
 from dvf_ig.registration import PoseChart, target_errors_mm
@@ -279,9 +280,25 @@ def guarded_wall_rms_mm(model: DvfModel, surface: SurfaceSeries, moved: Rigid, w
     """
     vertices = surface.vertices_mm[:, ::VERTICES_APART]
     phases = np.repeat(surface.timing.fractions, vertices.shape[1])
-    places = moved.apply_array(vertices.reshape(-1, 3))
-    m_mm, variance_mm2 = warp.at(places)
-    wall = Evaluator(model, Sigmoid()).force(places - m_mm, phases)
-    off_mm = wall.distance_mm / np.linalg.norm(wall.gradient, axis=1)
+    off_mm, variance_mm2 = wall_errors_mm(model, moved.apply_array(vertices.reshape(-1, 3)), phases, warp)
     served = np.isfinite(off_mm) & (variance_mm2 <= LARGEST_MM2)
     return float(np.sqrt(np.nanmean(off_mm[served if served.any() else ...] ** 2)))
+
+
+def wall_errors_mm(
+    model: DvfModel, places_mm: FloatArray, phases: FloatArray, warp: Warp | None
+) -> tuple[FloatArray, FloatArray]:
+    """Compute (n,) distances of the guarded walls from places that truly lie on them, and (n,) variances.
+
+    NaN where the model does not know its walls.
+
+    Args:
+        places_mm: (n, 3) where the registered pose puts them, model frame; phases: (n,).
+        warp: change of shape that is followed; None: the heart is guarded as rigid.
+    """
+    variance_mm2 = np.full(len(places_mm), RIGID_SIGMA_MM**2)
+    if warp is not None:
+        m_mm, variance_mm2 = warp.at(places_mm)
+        places_mm = places_mm - m_mm
+    wall = Evaluator(model, Sigmoid()).force(places_mm, phases)
+    return wall.distance_mm / np.linalg.norm(wall.gradient, axis=1), variance_mm2
