@@ -22,7 +22,7 @@ from dvf_ig.registration.evidence.checks import (
     part_disagreements,
     wrong_pose_z_score,
 )
-from dvf_ig.registration.evidence.image_offset import ImageOffset, fit_image_offset
+from dvf_ig.registration.evidence.image_offset import ImageOffset, fit_image_offset, shape_log_ratio
 from dvf_ig.registration.evidence.phase_offset import phase_offset
 from dvf_ig.registration.lc2.lc2 import Lc2, SliceThreads
 from dvf_ig.registration.shape.change import PLAINLY_RIGID_MM, ShapeChange, change_of_shape
@@ -96,7 +96,7 @@ def register(
         if covered is not None:  # the evidence is of the part of the heart that its images cover
             shown = fused.covered.subset(np.flatnonzero(fused.covered.masks.any(axis=(1, 2))))
             coarse = problem.coarse_lc2(shown)
-        evidence = _evidence(problem, coarse, refined, fused, rng)  # trust.md: every check
+        evidence = _evidence(problem, coarse, refined, fused, shape, rng)  # trust.md: every check
         inside = refined.inside.score(fused.pose)
         similarity = inside.similarity
         coverage = None if covered is None else covered.imaged_by(shown, fused.pose)
@@ -155,7 +155,12 @@ def register(
 
 
 def _evidence(
-    problem: Problem, coarse: Lc2, refined: Refined, fused: Fused, rng: np.random.Generator
+    problem: Problem,
+    coarse: Lc2,
+    refined: Refined,
+    fused: Fused,
+    shape: ShapeChange | None,
+    rng: np.random.Generator,
 ) -> Evidence:
     """Test the pose by subsets of the slices, wrong poses, the boundary and shifts of the phase."""
     best, center_mm, rr_s = refined.best.pose, problem.center_mm, problem.images.rr_s
@@ -167,7 +172,7 @@ def _evidence(
         half_volume_mm=parts.half_volume_mm,
         boundary_mm=_boundary_distance_mm(problem, best, fused),
         phase_offset=None if rr_s is None else phase_offset(coarse, fused.pose, rr_s),
-        image_offset=_image_offset(problem, best),
+        image_offset=_image_offset(problem, best, fused, shape),
     )
 
 
@@ -176,13 +181,23 @@ def _other_calibration(evidence: Evidence) -> bool:
     return evidence.image_offset is not None and evidence.image_offset.suspicious
 
 
-def _image_offset(problem: Problem, pose: Rigid) -> ImageOffset | None:
-    """How the image lies to its probe by the views; None if the probe is not to be checked."""
+def _image_offset(
+    problem: Problem, pose: Rigid, fused: Fused, shape: ShapeChange | None
+) -> ImageOffset | None:
+    """How the image lies to its probe by the views; None if the probe is not to be checked.
+
+    Args:
+        pose: of the best match; fused, shape: the pose with a change of shape.
+    """
     probe = problem.images.probe
     if probe is None:
         return None
     metric = problem.coarse_lc2(problem.compared(problem.images.coarse, pose))
-    return fit_image_offset(probe, metric, pose, problem.center_mm)
+    offset = fit_image_offset(probe, metric, pose, problem.center_mm)
+    if shape is None or not shape.needed:
+        return offset
+    explained = shape_log_ratio(metric, pose, fused.pose, shape.warp, problem.center_mm)
+    return replace(offset, shape_log_ratio=explained)
 
 
 def _boundary_distance_mm(problem: Problem, pose: Rigid, fused: Fused) -> float | None:

@@ -221,5 +221,5 @@ def _supervisor_row(result: dict[str, Any]) -> tuple[str, str, str]:
     return (
         "supervisor",
         text,
-        f"{hazard_s:.1f} s of force on a pose over 5 mm off, {longest_s:.1f} at a time",
+        f"{hazard_s:.1f} s of force over 5 mm off, {longest_s:.1f} at a time",
     )

@@ -2,7 +2,7 @@
 
 A way is named if the check of the files (`config validate`) or the search for the cause of a refused
 registration (`register`) says what is wrong. A session whose files are refused is replayed all the same:
-the last line of defence is that no force is given on a wrong pose (hazard_s, more than 5 mm off). `valid_s`
+the last line of defence is that no force is given while guidance is more than 5 mm off (hazard_s). `valid_s`
 is the time with a valid pose and phase, `force_s` that in which a force was given.
 
     dvf-ig study preparation --seeds 1 --seed 8101 -o study

@@ -1,12 +1,13 @@
 """Make interventions, replay each from raw streams to force, and score it: TRE, force, and hazard_s.
 
-hazard_s is the time in which a force was given on a pose more than 5 mm off; the table shows the largest over
-the seeds. The unit is the seed: it draws patient and noise, and with `--heart varied` the heart too; the
-share of pose updates within their bound has an interval over resampled seeds. What holds from SETTLED_S on,
-when the motion in breathing has been learnt, has columns of its own in sessions that last longer, and so has
-what is served before that, at end-expiration; with calm among the presets, also the settled TRE relative to
-that of the same seed without breathing. With `--cines` the pre-operative images are real short-axis cines,
-and the hearts those of the experts' labels.
+hazard_s is the time in which a force was given while guidance was more than 5 mm off: the pose, or where a
+change of shape is followed, the wall at the tool. The table shows the largest over the seeds. The unit is the
+seed: it draws patient and noise, and with `--heart varied` the heart too; the share of pose updates within
+their bound has an interval over resampled seeds. What holds from SETTLED_S on, when the motion in breathing
+has been learnt, has columns of its own in sessions that last longer, and so has what is served before that,
+at end-expiration; with calm among the presets, also the settled TRE relative to that of the same seed without
+breathing. With `--cines` the pre-operative images are real short-axis cines, and the hearts those of the
+experts' labels.
 
     dvf-ig study replay --preset lost-ultrasound --seeds 10 -o study
     dvf-ig study replay --preset calm --heart varied --seconds 40 --seeds 20 --seed 7101 -o study
@@ -30,6 +31,7 @@ from dvf_ig.core import BoolArray, InvalidInputError, Scenario, VolumeSeries
 from dvf_ig.intake.model_cache import cached_model
 from dvf_ig.replay import Replay, result_of, run_replay
 from dvf_ig.replay.result.errors import true_contact
+from dvf_ig.replay.result.pose import bounded_rms_mm
 from dvf_ig.replay.result.score import CONTACT_MM, pose_errors_mm
 from dvf_ig.session.pose_states import ELSEWHERE_BEATS
 from dvf_ig.study.cines import VOXEL_HELP, labelled_cines, read_labelled_cine
@@ -88,7 +90,8 @@ class PartScore:
     Attributes:
         tre_median_mm, tre_p95_mm: over targets and ticks.
         served_share: of the ticks in contact.
-        bound_coverage: share of ticks at which the stated bound covers the RMS error over the targets.
+        bound_coverage: share of ticks at which the stated bound covers the RMS error that it refers to
+            (`bounded_rms_mm`).
         error_per_sigma: RMS of that error over half of the bound.
     """
 
@@ -113,7 +116,7 @@ class PresetSummary:
             force on one more than 3 mm off.
         valid_share: of the ticks.
         served_share: of the ticks in contact; served_known_share: of those where the model knows the heart.
-        hazard_s: largest time with a force on a pose more than 5 mm off; hazard_longest_s: at a stretch.
+        hazard_s: largest time with a force more than 5 mm off; hazard_longest_s: at a stretch.
         withheld_s: time in which the pose was suspended or unconfirmed.
         latched_s: time in which the operator had to re-arm.
         tip_seen: replays in which images showed the tool's tip; tip_elsewhere: of them
@@ -258,7 +261,7 @@ def _part(replay: Replay, chosen: BoolArray) -> PartScore | None:
     if truth is None or not len(used):
         return None
     errors_mm = pose_errors_mm(ticks.mr_from_tracker[used], ticks.t_s[used], truth)
-    rms_mm, bound_mm = np.sqrt((errors_mm**2).mean(axis=1)), ticks.pose_bound_mm[used]
+    rms_mm, bound_mm = bounded_rms_mm(replay, truth, used), ticks.pose_bound_mm[used]
     served = ticks.guided & ticks.force_n.any(axis=1)
     return PartScore(
         tre_median_mm=float(np.median(errors_mm)),

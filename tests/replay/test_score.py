@@ -5,18 +5,23 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from jsonschema import Draft202012Validator
+from toy_ball import CENTERS, FRACTIONS, RADII, ball_model
 
-from dvf_ig.core import BreathingTruth, FloatArray, Rigid, Scenario
+from dvf_ig.core import BreathingTruth, FloatArray, Rigid, Scenario, Warp
+from dvf_ig.core.space.warp import RIGID_SIGMA_MM, knots
 from dvf_ig.replay import schema
+from dvf_ig.replay.result.pose import updates_in_force, wall_errors_mm
 from dvf_ig.replay.result.score import (
     HAZARD_FORCE_N,
     HAZARD_MM,
     HazardScore,
     SurfaceScore,
+    guidance_errors_mm,
     pose_errors_mm,
     score_hazard,
     score_surface,
 )
+from dvf_ig.session import PoseUpdate
 
 TICK_S = 0.25
 
@@ -43,6 +48,37 @@ def test_the_wall_is_scored_where_the_tool_is_near_it() -> None:
         pytest.approx(np.sqrt((0.5 + 16.0 + 12.25) / 4)), 2.0, pytest.approx(3.925), 0.25
     )
     assert score_surface(np.full(6, np.nan), true, served, TICK_S) is None
+
+
+def test_a_followed_heart_is_judged_by_its_wall_at_the_tool() -> None:
+    pose_mm, wall_mm = np.full(6, 7.0), np.array([np.nan, 1.0, np.nan, 6.0, np.nan, 1.0])
+    followed = np.array([True, True, True, True, True, False])
+    error_mm = guidance_errors_mm(pose_mm, wall_mm, followed)
+    np.testing.assert_array_equal(error_mm, [7.0, 1.0, 1.0, 6.0, 6.0, 7.0])
+    assert score_hazard(force(*np.ones(6)), error_mm, TICK_S).total_s == 4 * TICK_S
+
+
+def test_the_last_update_with_a_pose_is_in_force_until_the_next() -> None:
+    pose = Rigid("mr", "tracker", np.eye(3), np.zeros(3))
+    updates = [PoseUpdate(1.0, pose), PoseUpdate(2.0, None), PoseUpdate(3.0, pose)]
+    in_force = updates_in_force(updates, np.array([0.5, 1.0, 2.5, 3.0, 9.0]))
+    np.testing.assert_array_equal(in_force, [-1, 0, 0, 2, 2])
+    np.testing.assert_array_equal(updates_in_force([], np.zeros(2)), [-1, -1])
+
+
+def test_walls_are_off_by_what_no_warp_takes_back() -> None:
+    directions = np.array([[1.0, 0, 0], [0, -1.0, 0], [0, 0.6, 0.8]])
+    shift_mm = np.array([2.0, 0.0, 0.0])
+    places, phases = CENTERS[0] + RADII[0] * directions + shift_mm, np.full(3, FRACTIONS[0])
+    off_mm, variance_mm2 = wall_errors_mm(ball_model(), places, phases, None)
+    assert off_mm[0] == pytest.approx(-2.0, abs=0.05)
+    np.testing.assert_array_equal(variance_mm2, RIGID_SIGMA_MM**2)
+    low_mm, knot_mm = np.full(3, -60.0), 10.0
+    count = len(knots(low_mm, knot_mm))
+    warp = Warp.through("mr", low_mm, knot_mm, np.tile(shift_mm, (count, 1)), np.full(count, 0.25))
+    off_mm, variance_mm2 = wall_errors_mm(ball_model(), places, phases, warp)
+    np.testing.assert_allclose(off_mm, 0.0, atol=0.05)
+    np.testing.assert_allclose(variance_mm2, 0.25, atol=1e-6)
 
 
 def test_the_limits_themselves_are_no_hazard() -> None:

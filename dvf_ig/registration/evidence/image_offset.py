@@ -4,7 +4,8 @@ A wrong probe calibration moves every image by the same step in the probe's fram
 the tracker's for each position of the probe: no one pose of the heart undoes it. Pose ξ and step η are found
 together, from the pose of a registration on, by the gradient of LC2 over each slice (`Lc2.cost_gradient`): a
 step η about the image's middle m moves slice i as ξ = A_i η does. A Gaussian prior keeps to the calibration
-what the views say nothing of.
+what the views say nothing of. A heart that has changed its shape is another explanation of the same views:
+where the boundary shows one, the likelier of the two counts.
 """
 
 import math
@@ -13,18 +14,25 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize
 
-from dvf_ig.core import HEART_RADIUS_MM, FloatArray, Rigid, read_only_arrays
+from dvf_ig.core import HEART_RADIUS_MM, FloatArray, Rigid, Warp, read_only_arrays
 from dvf_ig.registration.lc2.lc2 import CostGradient, Lc2
 from dvf_ig.registration.lc2.slices import SliceSet
 from dvf_ig.registration.pose_chart import PoseChart
+from dvf_ig.registration.shape.blocks import BlockedLc2
 
 PRIOR_SIGMA_MM = 8.0
 """Standard deviation of each coordinate of the step: of a marker put on the probe again."""
 SUSPICIOUS_LOG_RATIO = 8.4
 """Half the 99 % quantile of χ² of 6 degrees of freedom: a right calibration exceeds it once in a hundred
 registrations. Those of ten threshold hearts reach 5.3, calibrations that are 6 mm and 4° off 6.2 to 18."""
+CHANCE_LOG_RATIO = 5.3
+"""Half the 90 % quantile: by this a calibration must explain the views better than a change of shape does. Of
+threshold hearts 2104 to 2127 calibrations that are 6 mm and 4° off exceed a change by 6.1 or more, right ones
+of hearts 5 mm different are at least 0.7 below it."""
 STEPS = 30
 """Most steps of the search."""
+BLOCK_MM = 20.0
+"""Edge of the blocks of slices that a change of shape moves."""
 
 
 @read_only_arrays
@@ -54,6 +62,8 @@ class ImageOffset:
         pose: target_from_source.
         moved_mm, turned_deg: by which the image's middle was moved, and the image turned.
         log_likelihood_ratio: of that calibration against the given one.
+        shape_log_ratio: of a change of the heart's shape that the boundary shows, against the given
+            calibration and a rigid heart; None if it shows none.
     """
 
     probe_from_image: Rigid
@@ -61,11 +71,19 @@ class ImageOffset:
     moved_mm: float
     turned_deg: float
     log_likelihood_ratio: float
+    shape_log_ratio: float | None = None
+
+    @property
+    def limit(self) -> float:
+        """The log-likelihood ratio above which the views contradict the calibration."""
+        if self.shape_log_ratio is None:
+            return SUSPICIOUS_LOG_RATIO
+        return max(self.shape_log_ratio, 0.0) + CHANCE_LOG_RATIO
 
     @property
     def suspicious(self) -> bool:
         """Whether the views contradict the calibration."""
-        return self.log_likelihood_ratio > SUSPICIOUS_LOG_RATIO
+        return self.log_likelihood_ratio > self.limit
 
     @property
     def sentence(self) -> str:
@@ -105,6 +123,27 @@ def fit_image_offset(probe: ProbePoses, metric: Lc2, pose: Rigid, center_mm: Flo
     )
 
 
+def shape_log_ratio(metric: Lc2, rigid: Rigid, pose: Rigid, warp: Warp, center_mm: FloatArray) -> float:
+    """Compute the log-likelihood ratio of a change of shape at one pose against a rigid heart at another.
+
+    Each block of a slice is moved as its middle is.
+
+    Args:
+        rigid: target_from_source without a change of shape; pose: with it.
+    """
+    blocks = BlockedLc2(metric, block_mm=BLOCK_MM)
+    middles = pose.apply_array((blocks.cell.astype(np.float64) + 0.5) * BLOCK_MM)
+    changed = blocks.shifted(pose, -warp.at(middles)[0], center_mm)
+    n = metric.information
+    return _minus_log(metric.cost_gradient(rigid, center_mm), n) - _minus_log(changed, n)
+
+
+def _minus_log(each: CostGradient, n: float) -> float:
+    """−log likelihood of slices or their parts."""
+    unexplained = float(each.cost.sum()) / max(float(each.weight.sum()), 1e-300)
+    return 0.5 * n * math.log(max(unexplained, 1e-12))
+
+
 def _cost(each: CostGradient, n: float, motion: FloatArray, step: FloatArray) -> tuple[float, FloatArray]:
     """−log posterior, and its gradient (12,) over pose and step.
 
@@ -114,8 +153,7 @@ def _cost(each: CostGradient, n: float, motion: FloatArray, step: FloatArray) ->
     """
     total = float(each.cost.sum())
     share = 0.5 * n / max(total, 1e-12)
-    unexplained = total / max(float(each.weight.sum()), 1e-300)
-    cost = 0.5 * n * math.log(max(unexplained, 1e-12)) + 0.5 * float(step @ step) / PRIOR_SIGMA_MM**2
+    cost = _minus_log(each, n) + 0.5 * float(step @ step) / PRIOR_SIGMA_MM**2
     along = share * np.einsum("si,sij->j", each.gradient, motion) + step / PRIOR_SIGMA_MM**2
     return cost, np.concatenate([share * each.gradient.sum(axis=0), along])
 

@@ -12,7 +12,7 @@ import numpy as np
 from dvf_ig.core import HEART_RADIUS_MM, FloatArray, IntArray, Rigid, read_only_arrays
 from dvf_ig.kernels.boundary import RIGHT, SQUARES, SUMS, UNKNOWNS, OrientedPoints, boundary_step_sums
 from dvf_ig.registration.boundary.fit import Boundary, BoundaryFitOptions, BoundaryProblem, normal_matrices
-from dvf_ig.registration.lc2.lc2 import Lc2
+from dvf_ig.registration.lc2.lc2 import CostGradient, Lc2
 from dvf_ig.registration.lc2.patches import patch_centers_mm
 from dvf_ig.registration.pose_chart import PoseChart
 
@@ -84,9 +84,9 @@ class BlockedLc2:
         gradients = self._metric.part_gradients(self._parts, poses, center_mm)
         return tuple(BlockGradients(at.cost, at.gradient) for at in gradients)
 
-    def shifted_gradient(self, pose: Rigid, shift_mm: FloatArray, center_mm: FloatArray) -> FloatArray:
-        """(b, 6) as `gradients` at a pose relative to which each block is moved by (b, 3), target frame."""
-        return self._metric.shifted_part_gradient(self._parts, pose, shift_mm, center_mm).gradient
+    def shifted(self, pose: Rigid, shift_mm: FloatArray, center_mm: FloatArray) -> CostGradient:
+        """Of every block, at a pose relative to which each is moved by (b, 3), target frame."""
+        return self._metric.shifted_part_gradient(self._parts, pose, shift_mm, center_mm)
 
 
 class BlockedBoundary:
@@ -222,7 +222,7 @@ class BlockedMatch:
             shift_mm: (n, 3) of the blocks, target frame.
             offset_mm: of the boundary's surface, relative to that of its fit.
         """
-        of_lc2 = self._scale * self._lc2.shifted_gradient(pose, shift_mm[self._of_lc2], self._center_mm)
+        of_lc2 = self._scale * self._lc2.shifted(pose, shift_mm[self._of_lc2], self._center_mm).gradient
         gradient = np.hstack([of_lc2, np.zeros((len(of_lc2), 1))])
         curvature = np.zeros((len(self), UNKNOWNS, UNKNOWNS))
         curvature[:, POSE, POSE] = self._lc2_curvature

@@ -188,7 +188,7 @@ def change_of_shape(
         organ: outer surface of the organ, which says where its walls are thin.
         least_mm: RMS shift of the seen walls by the first fit below which nothing further is computed.
     """
-    modes = _modes_of(boundary.target, tuple(center_mm.tolist()))
+    modes = modes_of(boundary.target, tuple(center_mm.tolist()))
     seen = SeenBoundary(boundary, offset_mm, pose, organ)
     problem = ShapeProblem(seen, modes, MODES)
     if len(problem) < LEAST_POINTS:
@@ -364,7 +364,7 @@ def _side(direction: FloatArray) -> str:
 
 
 @lru_cache(maxsize=2)
-def _modes_of(target: BoundaryTarget, center_mm: tuple[float, ...]) -> ShapeModes:
+def modes_of(target: BoundaryTarget, center_mm: tuple[float, ...]) -> ShapeModes:
     """Modes over the walls of a heart, which all its registrations share."""
     return shape_modes(_walls_mm(target), np.array(center_mm))
 

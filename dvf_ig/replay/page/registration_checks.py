@@ -7,7 +7,6 @@ import numpy as np
 from dvf_ig.core import HEART_RADIUS_MM, Stop
 from dvf_ig.registration import LANDMARKS_MM, PairEvidence, RegistrationResult
 from dvf_ig.registration.evidence.checks import WRONG_MM
-from dvf_ig.registration.evidence.image_offset import SUSPICIOUS_LOG_RATIO as CALIBRATION_LOG_RATIO
 from dvf_ig.registration.evidence.phase_offset import SUSPICIOUS_LOG_RATIO, SUSPICIOUS_S
 from dvf_ig.registration.shape.change import LARGEST_APART_MM, LARGEST_SHARED, LARGEST_SLOPE, Halves
 from dvf_ig.report.registration import Check, Outcome
@@ -130,7 +129,7 @@ def _image_offset(result: RegistrationResult) -> Check:
         measures,
         f"{offset.moved_mm:.1f} mm and {offset.turned_deg:.1f}° elsewhere (log-likelihood ratio "
         f"{offset.log_likelihood_ratio:.1f})",
-        f"a ratio of at most {CALIBRATION_LOG_RATIO:g}",
+        f"a ratio of at most {offset.limit:.1f}",
         _outcome(not offset.suspicious),
     )
 

@@ -5,17 +5,26 @@ from typing import Any
 
 import numpy as np
 
-from dvf_ig.core import BoolArray, FloatArray, InvalidInputError, Rigid, ScenarioTruth, summarise_errors
+from dvf_ig.core import (
+    BoolArray,
+    FloatArray,
+    InvalidInputError,
+    Rigid,
+    ScenarioTruth,
+    summarise_errors,
+)
 from dvf_ig.guidance import Confinement, Fixtures, Gaussian, Status, force_at_distance
 from dvf_ig.registration import target_errors_mm
 from dvf_ig.replay.engine import Replay
 from dvf_ig.replay.preconditions import RATE_HZ
-from dvf_ig.replay.ticks import Ticks
 
+from .pose import updates_in_force
 from .score import (
     CONTACT_MM,
     NEAR_WALL_MM,
     far_corner_error_mm,
+    guidance_errors_mm,
+    last_of,
     pose_errors_mm,
     score_force,
     score_hazard,
@@ -61,7 +70,7 @@ def error_fields(replay: Replay) -> dict[str, Any]:
     errors_mm = pose_errors_mm(ticks.mr_from_tracker, ticks.t_s, truth)
     if valid.any():
         out["tre_mm"] = summarise_errors(errors_mm[valid].ravel()).tre_fields()
-    out |= _hazard(ticks, truth)
+    out |= _hazard(replay, truth)
     phi, model_phase = true_phases(replay)
     locked = track.valid
     if locked.any():
@@ -117,12 +126,18 @@ def _modelled_at_tip(replay: Replay, chosen: BoolArray) -> BoolArray:
     return out
 
 
-def _hazard(ticks: Ticks, truth: ScenarioTruth) -> dict[str, float]:
-    """Sum the seconds of force on a pose that is far off; a fading force counts for the last pose."""
-    posed = np.isfinite(ticks.mr_from_tracker[:, 0, 0])
-    last = np.maximum.accumulate(np.where(posed, np.arange(len(ticks)), -1))
+def _hazard(replay: Replay, truth: ScenarioTruth) -> dict[str, float]:
+    """Sum the seconds of force where guidance is far off; a fading force counts for the last pose."""
+    ticks, updates = replay.ticks, tuple(replay.history.updates)
+    last = last_of(np.isfinite(ticks.mr_from_tracker[:, 0, 0]))
     poses = np.where((last >= 0)[:, None, None], ticks.mr_from_tracker[last], np.nan)
     error_mm = pose_errors_mm(poses, ticks.t_s, truth).mean(axis=1)
+    distance, true_force = true_contact(replay)
+    if true_force is not None:
+        wall_mm = np.where(ticks.valid, np.abs(ticks.distance_mm - distance), np.nan)
+        warped = np.array([*(update.warp is not None for update in updates), False])
+        followed = warped[updates_in_force(updates, ticks.t_s)]
+        error_mm = guidance_errors_mm(error_mm, wall_mm, followed)
     score = score_hazard(ticks.force_n, error_mm, 1.0 / RATE_HZ)
     return {"hazard_s": score.total_s, "hazard_longest_s": score.longest_s}
 

@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from dvf_ig.core import DvfModel, FloatArray, Landmarks, Rigid, ScenarioTruth, SurfaceSeries, Warp
+from dvf_ig.core import DvfModel, FloatArray, IntArray, Landmarks, Rigid, ScenarioTruth, SurfaceSeries, Warp
+from dvf_ig.core.space.warp import RIGID_SIGMA_MM
 from dvf_ig.guidance import Evaluator, Hazard, Sigmoid
 from dvf_ig.kernels.warp import LARGEST_MM2
 from dvf_ig.registration import PoseChart, target_errors_mm
@@ -225,29 +226,48 @@ def bound_fields(replay: Replay) -> dict[str, float | None] | None:
 def pose_bound_fields(replay: Replay) -> dict[str, float | None] | None:
     """Compute the median bound of the pose in use, and the share of pose updates at which it held.
 
-    The bound is that on the RMS error over the heart or its covered surface, which the pose states at each of
-    its updates, or of the guarded walls of a heart whose shape is followed; a registration's is on the
-    largest error (`bound_fields`). None without a pose; without a truth no share.
+    The bound is stated at each update of the pose, a registration's on the largest error (`bound_fields`).
+    None without a pose; without a truth no share.
     """
-    ticks, truth = replay.ticks, replay.scenario.truth
-    updates = [update for update in replay.history.updates if update.pose is not None]
-    at = np.searchsorted(ticks.t_s, [update.from_s for update in updates])
-    updates = [update for update, k in zip(updates, at, strict=True) if k < len(ticks) and _posed(ticks)[k]]
-    at = np.searchsorted(ticks.t_s, [update.from_s for update in updates])
+    ticks = replay.ticks
+    at = np.searchsorted(ticks.t_s, [u.from_s for u in replay.history.updates if u.pose is not None])
+    at = at[at < len(ticks)]
+    at = at[_posed(ticks)[at]]
     if not len(at):
         return None
     bounds, coverage = ticks.pose_bound_mm[at], None
-    if truth is not None:
-        model, stated = replay.setup.heart.model, truth
-        if truth.breathing is None:
-            stated = replace(truth, targets=_stated_targets(replay, truth))
-        rms_mm = np.sqrt((pose_errors_mm(ticks.mr_from_tracker[at], ticks.t_s[at], stated) ** 2).mean(axis=1))
-        for k, update in enumerate(updates):
-            if update.pose is not None and update.warp is not None:
-                moved = update.pose @ truth.mr_from_tracker_at(update.from_s).inverse()
-                rms_mm[k] = guarded_wall_rms_mm(model, truth.surface, moved, update.warp)
-        coverage = float(np.mean(rms_mm <= bounds))
+    if replay.scenario.truth is not None:
+        coverage = float(np.mean(bounded_rms_mm(replay, replay.scenario.truth, at) <= bounds))
     return {"median": float(np.median(bounds)), "coverage": coverage, "updates": len(at)}
+
+
+def bounded_rms_mm(replay: Replay, truth: ScenarioTruth, at: IntArray) -> FloatArray:
+    """Compute (k,) RMS errors at some ticks, each of what the pose's bound refers to.
+
+    That is the heart or its covered surface, or the guarded walls of a heart whose shape is followed.
+
+    Args:
+        at: (k,) indices of ticks with a pose.
+    """
+    ticks, updates, model = replay.ticks, tuple(replay.history.updates), replay.setup.heart.model
+    stated = truth
+    if truth.breathing is None:
+        stated = replace(truth, targets=_stated_targets(replay, truth))
+    rms_mm = np.sqrt((pose_errors_mm(ticks.mr_from_tracker[at], ticks.t_s[at], stated) ** 2).mean(axis=1))
+    in_force = updates_in_force(updates, ticks.t_s[at])
+    for number in np.unique(in_force[in_force >= 0]).tolist():
+        update = updates[number]
+        if update.pose is not None and update.warp is not None:
+            moved = update.pose @ truth.mr_from_tracker_at(update.from_s).inverse()
+            rms_mm[in_force == number] = guarded_wall_rms_mm(model, truth.surface, moved, update.warp)
+    return np.asarray(rms_mm)
+
+
+def updates_in_force(updates: Sequence[PoseUpdate], t_s: FloatArray) -> IntArray:
+    """Find (n,) which update gave the last pose at each time, -1 before the first."""
+    posed = np.array([k for k, update in enumerate(updates) if update.pose is not None] or [-1])
+    begins_s = [updates[k].from_s for k in posed.tolist() if k >= 0]
+    return np.append(posed, -1)[np.searchsorted(begins_s, t_s, side="right") - 1]
 
 
 def guarded_wall_rms_mm(model: DvfModel, surface: SurfaceSeries, moved: Rigid, warp: Warp) -> float:
@@ -260,9 +280,25 @@ def guarded_wall_rms_mm(model: DvfModel, surface: SurfaceSeries, moved: Rigid, w
     """
     vertices = surface.vertices_mm[:, ::VERTICES_APART]
     phases = np.repeat(surface.timing.fractions, vertices.shape[1])
-    places = moved.apply_array(vertices.reshape(-1, 3))
-    m_mm, variance_mm2 = warp.at(places)
-    wall = Evaluator(model, Sigmoid()).force(places - m_mm, phases)
-    off_mm = wall.distance_mm / np.linalg.norm(wall.gradient, axis=1)
+    off_mm, variance_mm2 = wall_errors_mm(model, moved.apply_array(vertices.reshape(-1, 3)), phases, warp)
     served = np.isfinite(off_mm) & (variance_mm2 <= LARGEST_MM2)
     return float(np.sqrt(np.nanmean(off_mm[served if served.any() else ...] ** 2)))
+
+
+def wall_errors_mm(
+    model: DvfModel, places_mm: FloatArray, phases: FloatArray, warp: Warp | None
+) -> tuple[FloatArray, FloatArray]:
+    """Compute (n,) distances of the guarded walls from places that truly lie on them, and (n,) variances.
+
+    NaN where the model does not know its walls.
+
+    Args:
+        places_mm: (n, 3) where the registered pose puts them, model frame; phases: (n,).
+        warp: change of shape that is followed; None: the heart is guarded as rigid.
+    """
+    variance_mm2 = np.full(len(places_mm), RIGID_SIGMA_MM**2)
+    if warp is not None:
+        m_mm, variance_mm2 = warp.at(places_mm)
+        places_mm = places_mm - m_mm
+    wall = Evaluator(model, Sigmoid()).force(places_mm, phases)
+    return wall.distance_mm / np.linalg.norm(wall.gradient, axis=1), variance_mm2

@@ -25,7 +25,9 @@ FAR_OFF_MM = 3.0
 """Error of the wall's place at the tool from which a force counts as far off."""
 HAZARD_FORCE_N = 0.001
 HAZARD_MM = 5.0
-"""A tick is hazardous if it gives more than HAZARD_FORCE_N on a pose with a mean error above HAZARD_MM."""
+"""A tick is hazardous if it gives more than HAZARD_FORCE_N while guidance is more than HAZARD_MM off: the
+pose, by its mean error over the targets; where a change of shape is followed, the wall's place at the tool,
+since the pose then says little without the warp."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,16 +196,32 @@ def score_surface(
     )
 
 
-def score_hazard(force_n: FloatArray, pose_error_mm: FloatArray, tick_s: float) -> HazardScore:
-    """Measure the time with a force on a pose that was far off; see HAZARD_FORCE_N and HAZARD_MM.
+def guidance_errors_mm(pose_mm: FloatArray, wall_mm: FloatArray, followed: BoolArray) -> FloatArray:
+    """Compute (n,) errors by which a force is judged: of the pose, or of the wall it guards.
+
+    Args:
+        pose_mm: (n,) mean error of the pose over the targets; NaN without a pose.
+        wall_mm: (n,) error of the wall's place at the tool; where it is NaN the last one counts.
+        followed: (n,) ticks in which a change of shape is followed, so that the wall's error counts.
+    """
+    last = last_of(np.isfinite(wall_mm))
+    return np.where(followed & (last >= 0), wall_mm[last], pose_mm)
+
+
+def last_of(chosen: BoolArray) -> IntArray:
+    """Find (n,) the last chosen index up to each, -1 before the first."""
+    return np.asarray(np.maximum.accumulate(np.where(chosen, np.arange(len(chosen)), -1)))
+
+
+def score_hazard(force_n: FloatArray, error_mm: FloatArray, tick_s: float) -> HazardScore:
+    """Measure the time with a force while guidance was far off; see HAZARD_FORCE_N and HAZARD_MM.
 
     Args:
         force_n: (n, 3) force given at each tick; ticks are equally spaced.
-        pose_error_mm: (n,) mean error over the true targets of the pose that the tick used, against the
-            true pose at that time; NaN if it used none, which does not count.
+        error_mm: (n,) how far guidance is off at each tick; NaN without any, which does not count.
         tick_s: time from one tick to the next.
     """
-    hazard = (np.linalg.norm(force_n, axis=1) > HAZARD_FORCE_N) & (pose_error_mm > HAZARD_MM)
+    hazard = (np.linalg.norm(force_n, axis=1) > HAZARD_FORCE_N) & (error_mm > HAZARD_MM)
     edges = np.flatnonzero(np.diff(hazard, prepend=False, append=False))
     lengths = edges[1::2] - edges[::2]
     return HazardScore(float(hazard.sum() * tick_s), float(lengths.max(initial=0) * tick_s))

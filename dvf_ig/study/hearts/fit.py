@@ -60,11 +60,11 @@ def fit_tables(lines: Sequence[Line]) -> dict[str, Any]:
     Args:
         lines: each with `heart`, `world`, `images`, `quality`, `disturbed`, `stop`, `tre_mm`, `tre_max_mm`,
             (`covered_mm`, `covered_max_mm`,) `features` and `statistics` (by name); lines of
-            trials that ended in an error are left out.
+            trials that ended in an error, and of hearts changed on purpose, are left out.
     Raises:
         InvalidInputError: no kind has enough hearts, or a line lacks a field.
     """
-    completed = [line for line in lines if "refused" not in line]
+    completed = [line for line in lines if "refused" not in line and line.get("change") is None]
     kinds = sorted({str(line["images"]) for line in completed})
     tables = {}
     for kind in kinds:

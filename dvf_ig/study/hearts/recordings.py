@@ -32,6 +32,7 @@ from data_synth import (
     second_world_pair,
     second_world_recording,
 )
+from data_synth.heart.mismatch import UNTOUCHED, SurgicalChange
 from data_synth.heart.motion import MotionPreset
 from data_synth.mr.examination import ExamName
 from dvf_ig.core import (
@@ -56,10 +57,13 @@ from dvf_ig.registration import (
     target_errors_mm,
     target_from_labels,
 )
-from dvf_ig.replay import register_scenario
+from dvf_ig.replay.registration import PreparedRegistration, prepare_registration
 from dvf_ig.session import Heart, build_heart, register_gated_volumes
 from dvf_ig.session.heart import label_map
+from dvf_ig.session.ultrasound_registration import images_of_frames
 from dvf_ig.study.driver import Settings, option
+
+from .walls import WallErrors, measure_walls
 
 
 class ListName(StrEnum):
@@ -92,12 +96,14 @@ class HeartList:
         name: as the command line names it.
         first_world: seeds of hearts of the first synthetic world.
         second_world: seeds of hearts of the second; it is never tuned on.
+        changed: seeds of hearts of the first that have changed since the MR.
         patients: of `acdc-cine`, whose real cines are the MR.
     """
 
     name: str
     first_world: range
     second_world: range
+    changed: range
     patients: tuple[str, ...]
 
     def of_world(self, world: str) -> range:
@@ -115,9 +121,11 @@ class HeartList:
         return seeds
 
 
-TUNING = HeartList("tuning", range(1001, 1061), range(0), ("002", "003"))
-THRESHOLD = HeartList("threshold", range(2001, 2201), range(0), ("008", "009"))
-REPORTED = HeartList("reported", range(3181, 3301), range(4081, 4161), ("012", "016", "018"))
+TUNING = HeartList("tuning", range(1001, 1061), range(0), range(1001, 1061), ("002", "003"))
+THRESHOLD = HeartList("threshold", range(2001, 2201), range(0), range(2101, 2201), ("008", "009"))
+REPORTED = HeartList(
+    "reported", range(3181, 3301), range(4081, 4161), range(9401, 9461), ("012", "016", "018")
+)
 """Hearts looked at before a table was fitted, or a rule chosen, are left behind: 3001 to 3060 until decision
 0019, 3061 to 3120 until 0039 of sweeps, 3121 to 3180 until 0039 of gated volumes; of the second world 4001 to
 4040 until 0019, 4041 to 4080 until 0039."""
@@ -146,10 +154,12 @@ class Condition:
     Attributes:
         quality: preset of the scenario.
         draw: 0: the plain preset; from 1 on: with drawn errors of calibration, clock, anatomy and start.
+        change: key of CHANGES; None: the preset's own difference between MR and patient.
     """
 
     quality: str
     draw: int
+    change: str | None = None
 
     @property
     def disturbed(self) -> bool:
@@ -160,10 +170,16 @@ def conditions_of(settings: Settings) -> list[Condition]:
     """Every condition of a study.
 
     Args:
-        settings: `qualities`, and `disturbed`, how many disturbed recordings of each quality.
+        settings: `qualities`; `disturbed`, how many disturbed recordings of each; `changes`, keys of CHANGES,
+            none for the preset's own.
     """
-    draws = range(settings["disturbed"] + 1)
-    return [Condition(quality, draw) for quality in settings["qualities"] for draw in draws]
+    draws, changes = range(settings["disturbed"] + 1), settings["changes"] or [None]
+    return [
+        Condition(quality, draw, change)
+        for quality in settings["qualities"]
+        for draw in draws
+        for change in changes
+    ]
 
 
 def trial_numbers(hearts: range, settings: Settings) -> list[int]:
@@ -178,6 +194,28 @@ def of_trial(number: int, settings: Settings) -> tuple[int, Condition]:
     return heart, conditions_of(settings)[place]
 
 
+@dataclass(frozen=True, slots=True)
+class Change:
+    """Difference between the heart in the MR and the patient's.
+
+    Attributes:
+        mismatch_mm: RMS of a smooth change of shape; surgery: added to it.
+        contraction: factors on the heart's contraction, of hearts with even and with odd numbers.
+    """
+
+    mismatch_mm: float = 0.0
+    surgery: SurgicalChange = UNTOUCHED
+    contraction: tuple[float, float] = (1.0, 1.0)
+
+
+CHANGES = {
+    "unchanged": Change(),
+    "1.2mm": Change(1.2),
+    "5mm": Change(5.0),
+    "retraction": Change(surgery=SurgicalChange(retraction_mm=8.0)),
+    "other-motion": Change(contraction=(0.6, 1.3)),
+}
+"""Kinds of hearts that are not the ones in the MR."""
 GATED = (0.0, 0.35, 0.75)
 """Gated phases: end-diastole, end-systole, diastasis, where the heart moves least."""
 VARIED = HeartSpec("varied")
@@ -268,6 +306,7 @@ class RegisteredHeart:
             its own place in the MR: what no rigid registration removes. None in the first world, which does
             not state it.
         covered: points of the surface of the covered part of a heart that its MR covers in part; else None.
+        walls: errors of the walls, of a heart of CHANGES.
     """
 
     result: RegistrationResult
@@ -276,6 +315,7 @@ class RegisteredHeart:
     drawn: dict[str, float]
     floor_mm: float | None = None
     covered: Points | None = None
+    walls: WallErrors | None = None
 
 
 def registered_heart(settings: Settings, number: int) -> RegisteredHeart:
@@ -303,6 +343,8 @@ def registered_heart(settings: Settings, number: int) -> RegisteredHeart:
     if images == "volumes":
         return _volumes(seed, drawing, condition, rng)
     exam = EXAMS[images][seed // 2 % len(EXAMS[images])] if images in EXAMS else None
+    if condition.change is not None:
+        return _changed_sweep(seed, condition, CHANGES[condition.change], rng)
     return _sweep(seed, drawing, condition, rng, exam)
 
 
@@ -334,6 +376,29 @@ def _sweep(
     return _registered_sweep(scenario, heart, seed, START_OF[condition.disturbed], rng, drawn)
 
 
+def _changed_sweep(
+    seed: int, condition: Condition, change: Change, rng: np.random.Generator
+) -> RegisteredHeart:
+    """Register a sweep of the patient's heart, which is not the one in the MR, and measure its walls."""
+    imaged, heart = _prepared(seed, None)
+    factor = change.contraction[seed % 2]
+    resting = imaged.anatomy.resting or imaged.anatomy
+    if factor != 1.0:
+        resting = replace(resting, scale=factor * resting.scale)
+    preset = replace(PRESETS[condition.quality], mismatch_mm=change.mismatch_mm, surgery=change.surgery)
+    same = replace(VARIED, anatomy_seed=seed, motion_seed=seed)
+    spec = ScenarioSpec(condition.quality, _motion(seed), SWEEP_S, seed, changed=preset, heart=same)
+    patient = replace(imaged, anatomy=resting)
+    scenario = phantom_scenario(spec, imaged=patient)
+    prepared, known, start = _prepared_sweep(scenario, heart, seed, START_MM, rng)
+    result = prepared.register(seed=seed)
+    boundary = images_of_frames(prepared.recording, prepared.frames, perf_counter, warm=False).boundary
+    if boundary is None or scenario.truth is None:
+        raise TypeError("a phantom has the boundary of blood, and its truth")
+    walls = measure_walls(heart, result, boundary, scenario.truth, (imaged.anatomy, patient.of(spec)))
+    return RegisteredHeart(result, start, known, {"sweep_s": SWEEP_S}, walls=walls)
+
+
 def _second_sweep(spec: SecondWorldSpec, rng: np.random.Generator) -> RegisteredHeart:
     recording = second_world_recording(spec)
     heart = build_heart(recording.scenario.preop)
@@ -351,18 +416,24 @@ def _registered_sweep(
     rng: np.random.Generator,
     drawn: dict[str, float],
 ) -> RegisteredHeart:
-    """Without landmarks: what is judged is what the images say."""
+    prepared, known, start = _prepared_sweep(touched, heart, seed, start_mm, rng)
+    covered = None if heart.covered is None else heart.covered.surface
+    return RegisteredHeart(prepared.register(seed=seed), start, known, drawn, covered=covered)
+
+
+def _prepared_sweep(
+    touched: Scenario, heart: Heart, seed: int, start_mm: tuple[float, float], rng: np.random.Generator
+) -> tuple[PreparedRegistration, Truth, Rigid]:
+    """Prepare a registration with its truth and its start, without landmarks: images alone are judged."""
     scenario = replace(touched, landmarks_mr=None, landmarks_tracker=None)
     truth = scenario.truth
     if truth is None:
         raise TypeError("a synthetic scenario has its truth")
     box = truth.surface.vertices_mm[0]
     center = (box.min(axis=0) + box.max(axis=0)) / 2
-    reference = Truth(truth.mr_from_tracker_at(0.0), truth.targets.points, center)
-    start = start_with_error(reference, float(rng.uniform(*start_mm)), rng)
-    result = register_scenario(scenario, start, heart=heart, seed=seed)
-    covered = None if heart.covered is None else heart.covered.surface
-    return RegisteredHeart(result, start, reference, drawn, covered=covered)
+    known = Truth(truth.mr_from_tracker_at(0.0), truth.targets.points, center)
+    start = start_with_error(known, float(rng.uniform(*start_mm)), rng)
+    return prepare_registration(replace(scenario, start=start), heart=heart, seed=seed), known, start
 
 
 def _disturbed(preset: Preset, rng: np.random.Generator) -> tuple[Preset, dict[str, float]]:

@@ -7,17 +7,18 @@ of the list `threshold`.
 
     dvf-ig study hearts --hearts 60 -o study
     dvf-ig study hearts --list threshold --hearts 8 --quality calm -o study
+    dvf-ig study hearts --change 5mm --change retraction --quality calm --hearts 20 -o study
 """
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass, fields
 from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from dvf_ig.core import DvfIgError, FloatArray, Rigid
+from dvf_ig.core import DvfIgError, FloatArray, InvalidInputError, Rigid
 from dvf_ig.registration import (
     PoseChart,
     RegistrationResult,
@@ -56,6 +57,16 @@ class Quality(StrEnum):
     poor = "poor-image"
 
 
+class ChangeName(StrEnum):
+    """Keys of `recordings.CHANGES`."""
+
+    unchanged = "unchanged"
+    slight = "1.2mm"
+    smooth = "5mm"
+    retraction = "retraction"
+    other_motion = "other-motion"
+
+
 class Images(StrEnum):
     """Kinds of registered images."""
 
@@ -84,6 +95,11 @@ class HeartsSettings:
         least=0,
         most=20,
     )
+    change: tuple[ChangeName, ...] = option(
+        "How the patient's heart differs from that in the MR (repeatable; default: as the quality has it); "
+        "errors of its walls are measured too.",
+        (),
+    )
     hearts: int | None = hearts_option()
     fit: tuple[Path, ...] = option(
         "Register nothing: fit probability and bound on the trials of this folder (repeatable).", ()
@@ -95,7 +111,7 @@ def heart_trial(settings: Settings, number: int) -> Line:
 
     Args:
         settings: `world` ("first", "second"), `images` (see `Images`), `qualities` (presets of scenarios),
-            `disturbed` (see `conditions_of`).
+            `disturbed`, `changes` (see `conditions_of`).
         number: of the trial.
     """
     heart, condition = of_trial(number, settings)
@@ -105,6 +121,7 @@ def heart_trial(settings: Settings, number: int) -> Line:
         "quality": condition.quality,
         "disturbed": condition.disturbed,
         "heart": heart,
+        "change": condition.change,
     }
     try:
         registered = registered_heart(settings, number)
@@ -149,6 +166,7 @@ def _measured(registered: RegisteredHeart) -> Line:
         "overlap": result.overlap,
         "sigma_mm": _sigma_mm(result.covariance),
         "seconds": result.seconds,
+        "walls": None if registered.walls is None else asdict(registered.walls),
         **_numbers_of(result.evidence),
     }
 
@@ -190,13 +208,18 @@ def run(settings: HeartsSettings, driver: Driver) -> Result:
     """Register every heart of the list, or fit tables on trials."""
     if settings.fit:
         return _fitted(settings.fit)
+    plain = settings.world is World.first and settings.images is Images.sweep and not settings.disturbed
+    if settings.change and not plain:
+        raise InvalidInputError("--change belongs to undisturbed sweeps of the first world")
     conditions: Settings = {
         "world": settings.world.value,
         "images": settings.images.value,
         "qualities": [chosen.value for chosen in settings.quality or Quality],
         "disturbed": settings.disturbed,
+        "changes": [chosen.value for chosen in settings.change],
     }
-    hearts = heart_list(settings.list.value).of_world(settings.world.value)[: settings.hearts]
+    chosen = heart_list(settings.list.value)
+    hearts = (chosen.changed if settings.change else chosen.of_world(settings.world.value))[: settings.hearts]
     lines = driver.trials(
         Trials("hearts", conditions, heart_trial),
         trial_numbers(hearts, conditions),

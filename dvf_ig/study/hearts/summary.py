@@ -9,6 +9,7 @@ success, and has no other figure.
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -34,6 +35,20 @@ from dvf_ig.study.statistics import (
 )
 
 COVERAGE = 0.95
+WALLS = {
+    "seen_rigid_mm": "seen wall, rigid, mm",
+    "seen_mm": "seen wall, as guided, mm",
+    "seen_systole_mm": "at end-systole, mm",
+    "oracle_rigid_mm": "seen wall, true matches, rigid, mm",
+    "oracle_mm": "seen wall, true matches, modes, mm",
+    "unseen_rigid_mm": "unseen wall, rigid, mm",
+    "unseen_mm": "unseen wall, as guided, mm",
+    "known_mm": "where a force may be given, mm",
+    "seen_known_share": "its share of the seen wall",
+    "seen_per_sigma": "error over σ, seen",
+    "unseen_per_sigma": "error over σ, unseen",
+}
+"""Fields of `WallErrors` with their rows in the table."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,6 +77,9 @@ class HeartGroup:
         auc: chance that a success has a higher stated probability than a failure.
         outside: hearts for which no probability was stated.
         seconds_median: of one registration.
+        change: key of `recordings.CHANGES`, or None; used: of all trials.
+        walls: fields of `WallErrors`, each with its median over hearts; those of σ over followed ones.
+        followed: of all trials.
     """
 
     world: str
@@ -91,19 +109,23 @@ class HeartGroup:
     auc: float | None
     outside: int
     seconds_median: float | None
+    change: str | None
+    used: Share
+    followed: Share
+    walls: dict[str, Estimate]
 
 
 def summarise_hearts(lines: Sequence[Line]) -> list[HeartGroup]:
-    """A group for every world, kind of images, quality, and whether disturbed, as they appear."""
+    """A group for every world, kind of images, quality, whether disturbed, and change, as they appear."""
     groups: dict[tuple[Any, ...], list[Line]] = {}
     for line in lines:
-        key = tuple(line.get(name) for name in ("world", "images", "quality", "disturbed"))
+        key = tuple(line.get(name) for name in ("world", "images", "quality", "disturbed", "change"))
         groups.setdefault(key, []).append(line)
     return [_group(key, of) for key, of in groups.items()]
 
 
 def _group(key: tuple[Any, ...], lines: Sequence[Line]) -> HeartGroup:
-    world, images, quality, disturbed = key
+    world, images, quality, disturbed, change = key
     completed = [line for line in lines if "refused" not in line]
     stated = [line for line in completed if line["success_probability"] is not None]
     bounded = [line for line in completed if line.get("tre_bound_mm") is not None]
@@ -112,6 +134,7 @@ def _group(key: tuple[Any, ...], lines: Sequence[Line]) -> HeartGroup:
     floored = [line for line in completed if line.get("floor_mm") is not None]
     bad = [line for line in completed if line["tre_mm"] > FAILURE_MM]
     good = [line for line in completed if line["tre_mm"] < SUCCESS_MM]
+    measured = [line for line in completed if line.get("walls") is not None]
     region = float(chi2.ppf(COVERAGE, 6))
     return HeartGroup(
         world=str(world),
@@ -144,7 +167,16 @@ def _group(key: tuple[Any, ...], lines: Sequence[Line]) -> HeartGroup:
         auc=auc_of(_probabilities(bad), _probabilities(good)),
         outside=len(completed) - len(stated),
         seconds_median=median_of([line["seconds"] for line in completed]),
+        change=change,
+        used=_share(lines, lambda line: "refused" not in line and line["usable"]),
+        followed=_share(measured, lambda line: line["walls"]["followed"]),
+        walls={name: _wall_median(measured, name) for name in WALLS},
     )
+
+
+def _wall_median(lines: Sequence[Line], name: str) -> Estimate:
+    known = [line for line in lines if line["walls"][name] is not None]
+    return bootstrap([line["walls"][name] for line in known], np.median, [line["heart"] for line in known])
 
 
 def _over_hearts(lines: Sequence[Line], name: str, statistic: Callable[..., Any]) -> Estimate:
@@ -194,9 +226,17 @@ def hearts_table(groups: Sequence[HeartGroup]) -> Rows:
         "outside calibration": lambda g: str(g.outside),
         "seconds": lambda g: number_text(g.seconds_median),
     }
+    if any(group.change for group in groups):
+        figures |= {"used": lambda g: share_text(g.used), "followed": lambda g: share_text(g.followed)}
+        figures |= {label: partial(_wall_text, name) for name, label in WALLS.items()}
     rows = [(label, *(figure(g) for g in groups)) for label, figure in figures.items()]
     return [("", *(_heading(g) for g in groups)), *rows]
 
 
+def _wall_text(name: str, group: HeartGroup) -> str:
+    return estimate_text(group.walls[name])
+
+
 def _heading(group: HeartGroup) -> str:
-    return f"{group.images}, {group.quality}" + (", disturbed" if group.disturbed else "")
+    more = [", disturbed"] if group.disturbed else []
+    return f"{group.images}, {group.quality}" + "".join([*more, f", {group.change}" if group.change else ""])

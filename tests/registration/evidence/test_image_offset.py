@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from toy_heart import CENTER_MM, toy_mr, toy_pose, toy_slices
 
-from dvf_ig.core import FloatArray, Points, Rigid
+from dvf_ig.core import FloatArray, Points, Rigid, Warp
+from dvf_ig.core.space.warp import knots
 from dvf_ig.registration import (
     Lc2,
     PoseChart,
@@ -17,7 +18,7 @@ from dvf_ig.registration import (
     fit_image_offset,
     target_errors_mm,
 )
-from dvf_ig.registration.evidence.image_offset import ImageOffset
+from dvf_ig.registration.evidence.image_offset import ImageOffset, shape_log_ratio
 from dvf_ig.registration.lc2.optimise import OptimiserOptions, optimise
 
 PITCH_MM = 3.0
@@ -63,6 +64,24 @@ def test_a_right_calibration_stays() -> None:
     assert found.turned_deg < 0.6
     assert error_mm < 0.5
     assert 0.0 <= found.log_likelihood_ratio < 0.1
+
+
+def test_a_change_of_shape_explains_views_as_the_motion_that_it_is() -> None:
+    """A pull-back by one step everywhere is another pose."""
+    slices, _ = seen_with(np.zeros(6))
+    metric = Lc2(slices, channels_from_mr(toy_mr(), smoothing_mm=1.0), patch_mm=21.0, pitch_mm=PITCH_MM)
+    step_mm = np.array([3.0, -2.0, 2.5])
+    moved = Rigid("mr", "tracker", toy_pose().rotation, toy_pose().translation_mm + step_mm)
+    low_mm, knot_mm = CENTER_MM - 120.0, 20.0
+    places = knots(low_mm, knot_mm)
+    warp = Warp.through("mr", low_mm, knot_mm, np.tile(step_mm, (len(places), 1)), np.ones(len(places)))
+    assert shape_log_ratio(metric, toy_pose(), moved, warp, CENTER_MM) == pytest.approx(0.0, abs=1e-3)
+    gain = shape_log_ratio(metric, moved, moved, warp, CENTER_MM)
+    assert gain > 2.0
+    offset = ImageOffset(toy_pose(), toy_pose(), 4.0, 2.0, log_likelihood_ratio=9.0)
+    assert offset.suspicious
+    assert not replace(offset, shape_log_ratio=5.0).suspicious
+    assert replace(offset, log_likelihood_ratio=6.0, shape_log_ratio=-2.0).suspicious
 
 
 def fitted(step_mm: FloatArray) -> tuple[ImageOffset, float]:

@@ -28,7 +28,7 @@ def test_blocks_of_lc2_that_are_all_moved_alike_see_what_a_moved_pose_sees() -> 
     moved = Rigid("mr", "tracker", toy_pose().rotation, toy_pose().translation_mm + shift)
     every = np.repeat(shift[None], len(blocks.slice), axis=0)
     (expected,) = blocks.gradients([moved], CENTER_MM + shift)
-    found = blocks.shifted_gradient(toy_pose(), every, CENTER_MM)
+    found = blocks.shifted(toy_pose(), every, CENTER_MM).gradient
     np.testing.assert_allclose(found[:, 3:], expected.gradient[:, 3:], rtol=1e-6, atol=1e-9)
 
 

@@ -22,7 +22,7 @@ KNOWN = Truth(toy_pose(), TARGETS, CENTER_MM)
 
 def test_no_heart_is_in_two_lists() -> None:
     lists = list(HEART_LISTS.values())
-    for hearts in ("first_world", "second_world", "patients"):
+    for hearts in ("first_world", "second_world", "changed", "patients"):
         named = [heart for one in lists for heart in getattr(one, hearts)]
         assert len(named) == len(set(named))
 
@@ -87,7 +87,7 @@ class ToyPair:
 def test_a_trial_measures_the_registration_of_gated_volumes(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(recordings, "image_pair", ToyPair)
     recordings._preoperative.cache_clear()
-    settings = {"world": "first", "images": "volumes", "qualities": ["calm"], "disturbed": 0}
+    settings = {"world": "first", "images": "volumes", "qualities": ["calm"], "disturbed": 0, "changes": []}
     line = heart_trial(settings, 700)
     recordings._preoperative.cache_clear()
     assert (line["heart"], line["quality"], line["disturbed"]) == (7, "calm", False)
@@ -97,5 +97,11 @@ def test_a_trial_measures_the_registration_of_gated_volumes(monkeypatch: pytest.
 
 
 def test_hearts_of_the_second_world_are_not_covered_in_part() -> None:
-    settings = {"world": "second", "images": "sweep-of-sax", "qualities": ["calm"], "disturbed": 0}
+    settings = {
+        "world": "second",
+        "images": "sweep-of-sax",
+        "qualities": ["calm"],
+        "disturbed": 0,
+        "changes": [],
+    }
     assert "no short-axis slices" in heart_trial(settings, 408100)["refused"]

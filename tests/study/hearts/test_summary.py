@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dvf_ig.study.hearts.summary import summarise_hearts
+from dvf_ig.study.hearts.summary import WALLS, hearts_table, summarise_hearts
 from dvf_ig.study.statistics import bootstrap, calibration_error, calibration_error_by_chance
 
 
@@ -57,6 +57,25 @@ def test_a_pose_outside_what_was_calibrated_has_no_probability_and_is_counted() 
     (group,) = summarise_hearts([line(1, 1.0), line(2, 1.0, success_probability=None, tre_bound_mm=None)])
     assert group.outside == 1
     assert group.bound_covers.of == 1
+
+
+def test_walls_of_changed_hearts_have_groups_of_their_own() -> None:
+    walls = dict.fromkeys(WALLS, 1.0) | {"followed": True}
+    rigid = {**walls, "followed": False, "seen_mm": 2.0, "seen_per_sigma": None, "unseen_per_sigma": None}
+    changed = [
+        line(1, 1.0, change="5mm", walls=walls),
+        line(2, 3.0, change="5mm", walls=rigid),
+        {**line(3, 0.0, change="5mm"), "refused": "too few frames passed the gate"},
+    ]
+    plain, group = summarise_hearts([line(1, 1.0), *changed])
+    assert (plain.change, plain.walls["seen_mm"].value) == (None, None)
+    assert (group.used.count, group.used.of) == (1, 3)
+    assert (group.followed.count, group.followed.of) == (1, 2)
+    assert (group.walls["seen_mm"].value, group.walls["seen_per_sigma"].value) == (1.5, 1.0)
+    rows = hearts_table([plain, group])
+    assert rows[0] == ("", "sweep, calm", "sweep, calm, 5mm")
+    assert "followed" in {row[0] for row in rows}
+    assert "followed" not in {row[0] for row in hearts_table([plain])}
 
 
 def test_what_no_rigid_pose_removes_is_told_where_it_is_known() -> None:
