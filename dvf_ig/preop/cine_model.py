@@ -243,13 +243,15 @@ def _stack_sources(grid: Grid, shifts: SliceShifts | None, base: BaseDescent | N
     """What a stack of slices leaves open, or long-axis views have filled in, for the model's sources."""
     if observable_axes(grid.spacing_mm).all():
         return ()
-    told = []
+    sentences = []
     if shifts is not None:
         largest = float(np.linalg.norm(shifts.sax_mm, axis=1).max())
-        told.append(f"slices were shifted by up to {largest:.1f} mm between breath-holds, and are corrected")
+        sentences.append(
+            f"slices were shifted by up to {largest:.1f} mm between breath-holds, and are corrected"
+        )
     if base is not None:
-        told.append(base.sentence)
-    return tuple(told)
+        sentences.append(base.sentence)
+    return tuple(sentences)
 
 
 def _require_imaged(surface: Mesh, caps: BoolArray, grid: Grid) -> None:

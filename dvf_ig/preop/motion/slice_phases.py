@@ -83,9 +83,9 @@ def slice_phases(motion: CycleMotion, timing: CycleTiming, blood: BoolArray) -> 
     if len(since) < LEAST_PHASES or not LARGEST < middle < 1.0 - LARGEST:
         return phases
     for _ in range(ROUNDS):
-        found = np.array([phases.es_of(curve) for curve in curves[usable]])
+        fitted = np.array([phases.es_of(curve) for curve in curves[usable]])
         es = np.full(len(curves), middle)
-        es[usable] = found + middle - found.mean()
+        es[usable] = fitted + middle - fitted.mean()
         aligned = [
             phases.in_common(curve, own) for curve, own in zip(curves[usable], es[usable], strict=True)
         ]

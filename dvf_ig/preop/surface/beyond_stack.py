@@ -76,9 +76,9 @@ def beyond_stack(
     inner = slice(beyond, beyond + stack.shape[2])
     grid = _lengthened(stack, beyond)
     beside = _beside_outline(labels)
-    wanted = np.repeat(beside[:, :, None], grid.shape[2], axis=2)
-    wanted[:, :, inner] &= ~shown.all(axis=0)
-    places_mm = grid.centers_mm()[wanted]
+    sought = np.repeat(beside[:, :, None], grid.shape[2], axis=2)
+    sought[:, :, inner] &= ~shown.all(axis=0)
+    places_mm = grid.centers_mm()[sought]
     depth_mm = np.zeros((len(labels.timing), len(places_mm)), dtype=np.float32)
     weights = np.zeros(len(places_mm), dtype=np.float32)
     nearest_mm = np.full(len(places_mm), np.inf)
@@ -100,11 +100,11 @@ def beyond_stack(
         return None
     depth_mm = np.where(weights > 0, depth_mm / np.maximum(weights, 1e-12), -np.inf)
     values = np.zeros((len(labels.timing), *grid.shape), dtype=np.uint8)
-    values[:, wanted] = np.where(depth_mm > 0.0, BLOOD, np.where(depth_mm > -WALL_MM, WALL, 0))
+    values[:, sought] = np.where(depth_mm > 0.0, BLOOD, np.where(depth_mm > -WALL_MM, WALL, 0))
     values[:, :, :, inner] = np.where(shown, labels.values, values[:, :, :, inner])
     known = np.zeros(grid.shape, dtype=np.bool_)
     known[:, :, inner] = shown.all(axis=0)
-    known[wanted] = nearest_mm <= KNOWN_MM
+    known[sought] = nearest_mm <= KNOWN_MM
     return ExtendedLabels(VolumeSeries(grid, values, labels.timing), known)
 
 
@@ -132,17 +132,17 @@ def _depths_in_view(
     in_stack = labels.grid.holds(index, margin=0.5) & shown[:, *at]
     looked_at = beside[at[:2]]
     looked_at &= ((index[..., :2] > -0.5) & (index[..., :2] < np.array(beside.shape) - 0.5)).all(axis=-1)
-    known = labels.values[:, *at] * in_stack
+    codes = labels.values[:, *at] * in_stack
     numbers = nearest_phase(view.timing.fractions, labels.timing.fractions)
     levels = _smooth(view, int(numbers[0]))
-    if not (known[0] == BLOOD).any() or not (known[0] == WALL).any():
+    if not (codes[0] == BLOOD).any() or not (codes[0] == WALL).any():
         return None
-    blood, wall = (float(np.median(levels[known[0] == code])) for code in (BLOOD, WALL))
+    blood, wall = (float(np.median(levels[codes[0] == code])) for code in (BLOOD, WALL))
     threshold = wall + LEVEL * (blood - wall)
     depths = []
     for i, number in enumerate(numbers.tolist()):
         bright = (_smooth(view, number) > threshold) & looked_at & ~in_stack[i]
-        depths.append(_depth_mm(known[i] == BLOOD, bright, view.grid.spacing_mm[:2]))
+        depths.append(_depth_mm(codes[i] == BLOOD, bright, view.grid.spacing_mm[:2]))
     return depths
 
 
@@ -158,5 +158,5 @@ def _depth_mm(ventricles: BoolArray, bright: BoolArray, pixel_mm: FloatArray) ->
     numbers, count = ndimage.label(both)
     inside_mm = ndimage.distance_transform_edt(both, sampling=pixel_mm)
     deepest = ndimage.maximum(inside_mm, numbers, np.arange(1, count + 1)) if count else np.zeros(0)
-    kept = np.isin(numbers, 1 + np.flatnonzero(np.asarray(deepest) >= LEAST_DEPTH_MM))
-    return signed_depth_mm(kept, pixel_mm)
+    deep = np.isin(numbers, 1 + np.flatnonzero(np.asarray(deepest) >= LEAST_DEPTH_MM))
+    return signed_depth_mm(deep, pixel_mm)
