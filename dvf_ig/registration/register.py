@@ -28,6 +28,7 @@ from dvf_ig.registration.lc2.lc2 import Lc2, SliceThreads
 from dvf_ig.registration.shape.change import PLAINLY_RIGID_MM, ShapeChange, change_of_shape
 from dvf_ig.registration.surface_points.touched import TouchedSurface
 
+from .coverage import Coverage
 from .fuse import Fused, fuse
 from .images import HeartTarget, Problem, RegistrationOptions, UltrasoundImages
 from .pose_chart import DISTINCT_MM, PoseChart, predicted_error_mm
@@ -38,10 +39,11 @@ from .start import LandmarkPrior, landmarks_disagree
 LARGEST_OF_PART_MM = 5.0
 """Bound on the largest error over the covered part of a heart above which its pose is refused: a force on a
 pose further off is a hazard."""
-PART_EVIDENCE = 145.0
-"""Evidence of a change of shape from which a heart known from a short-axis stack alone is refused. Shifts
-between breath-holds and the rounding between slices look like a change too: calm sweeps of threshold hearts
-stay below 144; of hearts changed by 1 to 5 mm, those that end more than 5 mm off are above 150."""
+PART_EVIDENCE = 255.0
+"""Evidence of a change of shape from which a heart known from a short-axis stack alone is refused, for a sweep
+that images all of the covered part; of one that images a share of it, that share. Shifts between
+breath-holds and the rounding between slices look like a change too: calm sweeps of threshold hearts stay
+below 250; of hearts changed by 1 to 5 mm, those that end more than 5 mm off are above 265."""
 LEAST_OF_STACK = 0.5
 """Least share of a short-axis stack without long-axis views that a sweep must image: a calm threshold heart
 of which 0.42 is imaged is 6.5 mm off with every other check passed."""
@@ -90,16 +92,16 @@ def register(
             problem, candidates, report_progress=lambda x: report(0.6 + 0.2 * x)
         )
         fused = fuse(problem, refined)  # section 5: with the boundary, pose and change of shape together
-        shape = _change_of_shape(problem, fused)  # section 5b: whether the heart is the one in the model
-        report(0.95)
         covered, shown = heart.covered, images.coarse.slices
         if covered is not None:  # the evidence is of the part of the heart that its images cover
             shown = fused.covered.subset(np.flatnonzero(fused.covered.masks.any(axis=(1, 2))))
             coarse = problem.coarse_lc2(shown)
+        coverage = None if covered is None else covered.imaged_by(shown, fused.pose)
+        shape = _change_of_shape(problem, fused, coverage)  # section 5b: is the heart the one in the model?
+        report(0.95)
         evidence = _evidence(problem, coarse, refined, fused, shape, rng)  # trust.md: every check
         inside = refined.inside.score(fused.pose)
         similarity = inside.similarity
-        coverage = None if covered is None else covered.imaged_by(shown, fused.pose)
         overlap = refined.whole.score(fused.pose).overlap if coverage is None else coverage.share
         moved_mm = mean_displacement_mm(start, fused.pose, heart.center_mm)
         statistics = image_statistics(
@@ -209,23 +211,22 @@ def _boundary_distance_mm(problem: Problem, pose: Rigid, fused: Fused) -> float 
     return mean_displacement_mm(pose, fused.boundary.pose, problem.center_mm)
 
 
-def _change_of_shape(problem: Problem, fused: Fused) -> ShapeChange | None:
+def _change_of_shape(problem: Problem, fused: Fused, coverage: Coverage | None) -> ShapeChange | None:
     """The change of shape at the pose; of a stack alone, one that only another heart shows.
 
     With long-axis views it is not looked for.
     """
-    covered = problem.heart.covered
-    boundary = None if covered is not None and covered.views else problem.boundary_at(fused.pose)
+    boundary = None if coverage is not None and coverage.views else problem.boundary_at(fused.pose)
     if boundary is None or fused.boundary is None:
         return None
     model = problem.heart.model
     organ = None if model is None else target_from_model(model)
     offset_mm, center_mm = fused.boundary.offset_mm, problem.center_mm
-    least_mm = PLAINLY_RIGID_MM if covered is None else 0.0  # of a stack the evidence counts, not the shift
+    least_mm = PLAINLY_RIGID_MM if coverage is None else 0.0  # of a stack the evidence counts, not the shift
     change = change_of_shape(boundary, offset_mm, fused.pose, center_mm, organ, least_mm)
-    if covered is None or change is None:
+    if coverage is None or change is None:
         return change
-    return replace(change, partly=True) if change.evidence > PART_EVIDENCE else None
+    return replace(change, partly=True) if change.evidence > PART_EVIDENCE * coverage.share else None
 
 
 def _second_best(problem: Problem, refined: Refined, pose: Rigid) -> float:
