@@ -40,10 +40,10 @@ LARGEST_OF_PART_MM = 5.0
 """Bound on the largest error over the covered part of a heart above which its pose is refused: a force on a
 pose further off is a hazard."""
 PART_EVIDENCE = 255.0
-"""Evidence of a change of shape from which a heart known from a short-axis stack alone is refused, for a sweep
-that images all of the covered part; of one that images a share of it, that share. Shifts between
-breath-holds and the rounding between slices look like a change too: calm sweeps of threshold hearts stay
-below 250; of hearts changed by 1 to 5 mm, those that end more than 5 mm off are above 265."""
+"""Evidence of a change of shape from which a heart known from a short-axis stack alone is refused, where a
+sweep images all of the covered part; where it images a share, that share of it. Shifts between breath-holds
+and the rounding between slices look like a change too: calm sweeps of threshold hearts stay below 250; of
+hearts changed by 1 to 5 mm, those that end more than 5 mm off are above 265."""
 LEAST_OF_STACK = 0.5
 """Least share of a short-axis stack without long-axis views that a sweep must image: a calm threshold heart
 of which 0.42 is imaged is 6.5 mm off with every other check passed."""
