@@ -7,17 +7,28 @@ where parts of the path lie on opposite sides, as a gradient of distance is acro
 """
 
 import math
+from typing import Any
+
+import numpy as np
 
 from dvf_ig.core import FloatArray
 
 from . import status as code
-from .compiled import kernel
+from .compiled import inlined, kernel
 from .fixture_field import Output, force_per_gradient, no_output
 from .phase import phase_bracket
 from .vectors import Vector, dot
 
 CORNER_MM = 0.5
 """Parts of a path whose distances differ by less than about this have their directions blended."""
+
+
+@inlined
+def _point(points: FloatArray, one: Any, two: Any, alpha: float) -> tuple[Vector, Vector]:
+    """Compute a point between two phases, and its motion from the one to the other; unsigned indices."""
+    x, y, z = points[one, 0], points[one, 1], points[one, 2]
+    u, v, w = points[two, 0] - x, points[two, 1] - y, points[two, 2] - z
+    return (x + alpha * u, y + alpha * v, z + alpha * w), (u, v, w)
 
 
 @kernel
@@ -46,16 +57,13 @@ def path_force(
     before, after, alpha, width = 0, 0, 0.0, 1.0
     if phases > 1:
         before, after, alpha, width = phase_bracket(times, first_time, phases, phi)
-    one, two = first_point + count * before, first_point + count * after
+    one, two = np.uintp(first_point + count * before), np.uintp(first_point + count * after)
     nearest, total, rate = math.inf, 0.0, 0.0
     ax = ay = az = 0.0
-    for i in range(count - 1):
-        x0, y0, z0 = points[one + i, 0], points[one + i, 1], points[one + i, 2]
-        x1, y1, z1 = points[one + i + 1, 0], points[one + i + 1, 1], points[one + i + 1, 2]
-        u0, v0, w0 = points[two + i, 0] - x0, points[two + i, 1] - y0, points[two + i, 2] - z0
-        u1, v1, w1 = points[two + i + 1, 0] - x1, points[two + i + 1, 1] - y1, points[two + i + 1, 2] - z1
-        start = (x0 + alpha * u0, y0 + alpha * v0, z0 + alpha * w0)
-        along = (x1 + alpha * u1 - start[0], y1 + alpha * v1 - start[1], z1 + alpha * w1 - start[2])
+    start, moved = _point(points, one, two, alpha)
+    for i in range(1, count):
+        end, moved_end = _point(points, one + np.uintp(i), two + np.uintp(i), alpha)
+        along = (end[0] - start[0], end[1] - start[1], end[2] - start[2])
         off = (q[0] - start[0], q[1] - start[1], q[2] - start[2])
         share = min(max(dot(off, along) / dot(along, along), 0.0), 1.0)
         x, y, z = off[0] - share * along[0], off[1] - share * along[1], off[2] - share * along[2]
@@ -63,7 +71,12 @@ def path_force(
         scale = 1.0 / size if size > 0.0 else 1.0
         x, y, z = scale * x, scale * y, scale * z
         # the nearest point keeps its share of the segment as the path moves
-        drift = (u0 + share * (u1 - u0), v0 + share * (v1 - v0), w0 + share * (w1 - w0))
+        drift = (
+            moved[0] + share * (moved_end[0] - moved[0]),
+            moved[1] + share * (moved_end[1] - moved[1]),
+            moved[2] + share * (moved_end[2] - moved[2]),
+        )
+        start, moved = end, moved_end
         slope = -dot((x, y, z), drift) / width
         scale_down, weight = 1.0, 1.0
         if size < nearest:

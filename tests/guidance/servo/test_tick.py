@@ -272,7 +272,7 @@ def test_paths_and_structures_in_the_kernel_s_tick_are_those_of_the_readable_one
     fixtures, device = Fixtures(ball, PATH_SETS[which]), RecordedDevice(path_mm, RATE_HZ)
     servo = SimulatedServo(fixtures, device, limits=LIMITS, options=OPTIONS)
     twin, tick, most_n, primaries = ReadableTick(fixtures, LIMITS, OPTIONS, 0.0), 0, 0.0, set()
-    for inputs, count in losing_phase(moving, 700):
+    for inputs, count in losing_phase(moving, 330 if which.endswith("alone") else 700):
         record = servo.run(inputs, count)
         for k in range(count):
             expected = twin.step(float(record.t_s[k]), path_mm[tick], inputs)

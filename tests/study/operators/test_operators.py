@@ -7,7 +7,7 @@ from toy_sphere import sphere
 from data_synth.operator.contact import MovingSurface
 from data_synth.operator.contact_sites import Site
 from dvf_ig.core import CycleTiming, FloatArray, SurfaceSeries
-from dvf_ig.guidance import Gaussian, Sigmoid
+from dvf_ig.guidance import Evaluator, Gaussian, Sigmoid
 from dvf_ig.preop import ModelOptions, model_from_surfaces
 from dvf_ig.study.operators import paper, tasks
 from dvf_ig.study.operators.closed_loop import (
@@ -26,11 +26,14 @@ from dvf_ig.study.operators.figure import Compared, Curve, Interval, OperatorsFi
 from dvf_ig.study.operators.study import assumptions
 from dvf_ig.study.operators.summary import difference, summarise_operators
 from dvf_ig.study.operators.tasks import (
+    ablate,
     count_excursions,
     cut,
     cutting_measures,
     dissect,
     dissection_measures,
+    distance_to_line,
+    lesion_measures,
     track,
     tracking_measures,
 )
@@ -93,6 +96,30 @@ def test_guidance_helps_a_hand_to_follow_the_beat(heart: OperatingHeart) -> None
         alone, helped = (tracking_measures(track(heart, place, c, 3)) for c in TASKS["tracking"][:2])
     assert helped["mean_mm"] < 0.5 * alone["mean_mm"]
     assert alone["largest_force_n"] == 0.0
+
+
+def test_a_lesion_stays_near_its_beating_line_and_clear_of_the_oesophagus(heart: OperatingHeart) -> None:
+    """The path is the surface's own motion to 0.1 mm; the model of the oesophagus is the tube to 0.1 mm."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(tasks, "LESION_MM", 8.0)
+        alone, helped = (lesion_measures(ablate(heart, c, 1)) for c in TASKS["lesion"])
+        normal = np.array([0.6, -0.64, 0.48])
+        site = Site(CENTER + RADIUS_MM * normal, normal, np.array([0.0, 0.6, 0.8]))
+        line = moving_line(heart.truth, site, 8.0, 0.0)
+        tube = tasks.tube_behind(line, site)
+        guide, wall = tasks.lesion_fixtures(heart.model, line, tube)
+    assert helped["line_mm"] < 0.7 * alone["line_mm"]
+    assert helped["tube_mm"] >= max(tasks.MARGIN_MM, alone["tube_mm"])
+    assert helped["within_margin_s"] == 0.0
+    assert alone["largest_force_n"] == 0.0
+    assert guide.path is not None
+    for phase in (0.0, 0.3, 0.5):
+        assert distance_to_line(guide.path.at(phase), line.points(phase)).max() < 0.1
+    assert min(tube.distance_mm(places).min() for places in line.places_mm) == pytest.approx(4.0, abs=0.05)
+    assert wall.structure is not None
+    places = site.point_mm - np.array([[5.0], [6.5], [8.0]]) * normal
+    found = Evaluator(wall.structure, wall.law).force(places, 0.2).distance_mm
+    np.testing.assert_allclose(-found, tube.distance_mm(places), atol=0.1)
 
 
 def test_pellets_are_removed_through_the_fulcrum(heart: OperatingHeart) -> None:
