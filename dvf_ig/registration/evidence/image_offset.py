@@ -27,7 +27,7 @@ SUSPICIOUS_LOG_RATIO = 8.4
 registrations. Those of ten threshold hearts reach 5.3, calibrations that are 6 mm and 4° off 6.2 to 18."""
 CHANCE_LOG_RATIO = 5.3
 """Half the 90 % quantile: by this a calibration must explain the views better than a change of shape does. Of
-threshold hearts 2104 to 2127 calibrations that are 6 mm and 4° off exceed a change by 6.1 or more, right ones
+threshold hearts 2104 to 2130 calibrations that are 6 mm and 4° off exceed a change by 6.1 or more, right ones
 of hearts 5 mm different are at least 0.7 below it."""
 STEPS = 30
 """Most steps of the search."""
