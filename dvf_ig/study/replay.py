@@ -227,11 +227,11 @@ def _summary(
 
 
 def _median_score(lines: Sequence[Line], part: str) -> PartScore | None:
-    found = [line[part] for line in lines if line[part] is not None]
-    if not found:
+    scores = [line[part] for line in lines if line[part] is not None]
+    if not scores:
         return None
     return PartScore(
-        **{field.name: float(np.median([x[field.name] for x in found])) for field in fields(PartScore)}
+        **{field.name: float(np.median([x[field.name] for x in scores])) for field in fields(PartScore)}
     )
 
 

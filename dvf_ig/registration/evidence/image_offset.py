@@ -27,7 +27,7 @@ SUSPICIOUS_LOG_RATIO = 8.4
 registrations. Those of ten threshold hearts reach 5.3, calibrations that are 6 mm and 4° off 6.2 to 18."""
 CHANCE_LOG_RATIO = 5.3
 """Half the 90 % quantile: by this a calibration must explain the views better than a change of shape does. Of
-threshold hearts 2104 to 2127 calibrations that are 6 mm and 4° off exceed a change by 6.1 or more, right ones
+threshold hearts 2104 to 2130 calibrations that are 6 mm and 4° off exceed a change by 6.1 or more, right ones
 of hearts 5 mm different are at least 0.7 below it."""
 STEPS = 30
 """Most steps of the search."""
@@ -112,14 +112,14 @@ def fit_image_offset(probe: ProbePoses, metric: Lc2, pose: Rigid, center_mm: Flo
         each = metric.cost_gradient(here, center_mm, _placed(metric.slices, probe, images.pose(step[6:])))
         return _cost(each, metric.information, _motion(probe, here, center_mm), step[6:])
 
-    found = minimize(cost_at, np.zeros(12), jac=True, method="BFGS", options={"maxiter": STEPS})
-    turn, shift = found.x[6:9], found.x[9:]
+    solution = minimize(cost_at, np.zeros(12), jac=True, method="BFGS", options={"maxiter": STEPS})
+    turn, shift = solution.x[6:9], solution.x[9:]
     return ImageOffset(
-        probe_from_image=images.pose(found.x[6:]),
-        pose=poses.pose(found.x[:6]),
+        probe_from_image=images.pose(solution.x[6:]),
+        pose=poses.pose(solution.x[:6]),
         moved_mm=float(np.linalg.norm(shift)),
         turned_deg=float(np.degrees(np.linalg.norm(turn)) / HEART_RADIUS_MM),
-        log_likelihood_ratio=cost_at(np.zeros(12))[0] - float(found.fun),
+        log_likelihood_ratio=cost_at(np.zeros(12))[0] - float(solution.fun),
     )
 
 

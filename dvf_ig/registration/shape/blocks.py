@@ -85,7 +85,7 @@ class BlockedLc2:
         return tuple(BlockGradients(at.cost, at.gradient) for at in gradients)
 
     def shifted(self, pose: Rigid, shift_mm: FloatArray, center_mm: FloatArray) -> CostGradient:
-        """Of every block, at a pose relative to which each is moved by (b, 3), target frame."""
+        """Compute LC2 of every block at a pose relative to which each is moved by (b, 3), target frame."""
         return self._metric.shifted_part_gradient(self._parts, pose, shift_mm, center_mm)
 
 

@@ -201,7 +201,7 @@ def guidance_errors_mm(pose_mm: FloatArray, wall_mm: FloatArray, followed: BoolA
 
     Args:
         pose_mm: (n,) mean error of the pose over the targets; NaN without a pose.
-        wall_mm: (n,) error of the wall's place at the tool; where it is NaN the last one counts.
+        wall_mm: (n,) error of the wall's place at the tool; for NaN the last one counts.
         followed: (n,) ticks in which a change of shape is followed, so that the wall's error counts.
     """
     last = last_of(np.isfinite(wall_mm))

@@ -390,13 +390,13 @@ def _changed_sweep(
     spec = ScenarioSpec(condition.quality, _motion(seed), SWEEP_S, seed, changed=preset, heart=same)
     patient = replace(imaged, anatomy=resting)
     scenario = phantom_scenario(spec, imaged=patient)
-    prepared, known, start = _prepared_sweep(scenario, heart, seed, START_MM, rng)
+    prepared, reference, start = _prepared_sweep(scenario, heart, seed, START_MM, rng)
     result = prepared.register(seed=seed)
     boundary = images_of_frames(prepared.recording, prepared.frames, perf_counter, warm=False).boundary
     if boundary is None or scenario.truth is None:
         raise TypeError("a phantom has the boundary of blood, and its truth")
     walls = measure_walls(heart, result, boundary, scenario.truth, (imaged.anatomy, patient.of(spec)))
-    return RegisteredHeart(result, start, known, {"sweep_s": SWEEP_S}, walls=walls)
+    return RegisteredHeart(result, start, reference, {"sweep_s": SWEEP_S}, walls=walls)
 
 
 def _second_sweep(spec: SecondWorldSpec, rng: np.random.Generator) -> RegisteredHeart:
@@ -416,9 +416,9 @@ def _registered_sweep(
     rng: np.random.Generator,
     drawn: dict[str, float],
 ) -> RegisteredHeart:
-    prepared, known, start = _prepared_sweep(touched, heart, seed, start_mm, rng)
+    prepared, reference, start = _prepared_sweep(touched, heart, seed, start_mm, rng)
     covered = None if heart.covered is None else heart.covered.surface
-    return RegisteredHeart(prepared.register(seed=seed), start, known, drawn, covered=covered)
+    return RegisteredHeart(prepared.register(seed=seed), start, reference, drawn, covered=covered)
 
 
 def _prepared_sweep(
@@ -431,9 +431,9 @@ def _prepared_sweep(
         raise TypeError("a synthetic scenario has its truth")
     box = truth.surface.vertices_mm[0]
     center = (box.min(axis=0) + box.max(axis=0)) / 2
-    known = Truth(truth.mr_from_tracker_at(0.0), truth.targets.points, center)
-    start = start_with_error(known, float(rng.uniform(*start_mm)), rng)
-    return prepare_registration(replace(scenario, start=start), heart=heart, seed=seed), known, start
+    reference = Truth(truth.mr_from_tracker_at(0.0), truth.targets.points, center)
+    start = start_with_error(reference, float(rng.uniform(*start_mm)), rng)
+    return prepare_registration(replace(scenario, start=start), heart=heart, seed=seed), reference, start
 
 
 def _disturbed(preset: Preset, rng: np.random.Generator) -> tuple[Preset, dict[str, float]]:

@@ -175,8 +175,8 @@ def _group(key: tuple[Any, ...], lines: Sequence[Line]) -> HeartGroup:
 
 
 def _wall_median(lines: Sequence[Line], name: str) -> Estimate:
-    known = [line for line in lines if line["walls"][name] is not None]
-    return bootstrap([line["walls"][name] for line in known], np.median, [line["heart"] for line in known])
+    stated = [line for line in lines if line["walls"][name] is not None]
+    return bootstrap([line["walls"][name] for line in stated], np.median, [line["heart"] for line in stated])
 
 
 def _over_hearts(lines: Sequence[Line], name: str, statistic: Callable[..., Any]) -> Estimate:

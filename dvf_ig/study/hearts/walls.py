@@ -84,7 +84,7 @@ def measure_walls(
     followed = None if result.shape is None else result.shape.followed
     rigid_mm, _ = wall_errors_mm(heart.model, moved.apply_array(places), phases, None)
     error_mm, variance_mm2 = wall_errors_mm(heart.model, moved.apply_array(places), phases, followed)
-    known = variance_mm2 <= LARGEST_MM2
+    certain = variance_mm2 <= LARGEST_MM2
     per_sigma = error_mm / np.sqrt(variance_mm2)
     oracles = [_oracle_mm(heart, at_mm, matched_mm, places, phases, count) for count in (0, MODES)]
     return WallErrors(
@@ -96,8 +96,8 @@ def measure_walls(
         seen_systole_mm=_rms(error_mm[systole]),
         seen_per_sigma=None if followed is None else _rms(per_sigma[seen]),
         unseen_per_sigma=None if followed is None else _rms(per_sigma[unseen]),
-        known_mm=_rms(error_mm[known]),
-        seen_known_share=float(known[seen].mean()),
+        known_mm=_rms(error_mm[certain]),
+        seen_known_share=float(certain[seen].mean()),
         oracle_rigid_mm=_rms(oracles[0][seen]),
         oracle_mm=_rms(oracles[1][seen]),
     )
