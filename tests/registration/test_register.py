@@ -39,6 +39,7 @@ from dvf_ig.registration import (
     target_from_labels,
 )
 from dvf_ig.registration.boundary.points import BoundaryPoints
+from dvf_ig.registration.coverage import Coverage
 from dvf_ig.registration.shape.change import Halves
 
 QUICK = RegistrationOptions(starts=4)
@@ -258,7 +259,7 @@ def test_a_heart_of_another_shape_is_refused_by_name(
 ) -> None:
     warp = Warp("mr", np.zeros(3), 16.0, np.zeros((15, 15, 15, 4), np.float32))
     change = ShapeChange(warp, 3.0, 90.0, seen_mm, "left", 4.04, 0.3, shared, Halves(0.5, 0.4))
-    monkeypatch.setattr(register_module, "_change_of_shape", lambda problem, fused: change)
+    monkeypatch.setattr(register_module, "_change_of_shape", lambda problem, fused, coverage: change)
     result = _register(_levels(speckle=0.3), toy_pose(), options=RegistrationOptions(starts=0))
     assert result.stop is stop
     assert result.shape is change
@@ -270,21 +271,22 @@ def test_a_heart_of_another_shape_is_refused_by_name(
     assert ("check the probe calibration first" in off) is (stop is Stop.CHANGED_SHAPE)
 
 
-@pytest.mark.parametrize(
-    "evidence", [register_module.PART_EVIDENCE - 1.0, register_module.PART_EVIDENCE + 1.0]
-)
+@pytest.mark.parametrize("imaged", [0.6, 1.0])
+@pytest.mark.parametrize("beyond", [-1.0, 1.0])
 def test_a_part_of_a_heart_that_has_clearly_changed_is_refused_and_never_followed(
-    monkeypatch: pytest.MonkeyPatch, evidence: float
+    monkeypatch: pytest.MonkeyPatch, beyond: float, imaged: float
 ) -> None:
+    evidence = imaged * register_module.PART_EVIDENCE + beyond
     warp = Warp("mr", np.zeros(3), 16.0, np.zeros((15, 15, 15, 4), np.float32))
     found = ShapeChange(warp, 1.5, evidence, 2.4, "left", 4.0, 0.3, 0.2, Halves(0.5, 0.3))
     assert found.followed is not None
     monkeypatch.setattr(register_module, "change_of_shape", lambda *_: found)
-    heart = SimpleNamespace(covered=SimpleNamespace(views=False), model=None)
+    heart = SimpleNamespace(model=None)
     problem: Any = SimpleNamespace(boundary_at=lambda pose: "seen", heart=heart, center_mm=CENTER_MM)
+    coverage = Coverage(imaged, np.full(3, np.nan), np.zeros((1, 3)))
     fused: Any = SimpleNamespace(boundary=SimpleNamespace(offset_mm=0.0), pose=toy_pose())
-    change = register_module._change_of_shape(problem, fused)
-    if evidence < register_module.PART_EVIDENCE:
+    change = register_module._change_of_shape(problem, fused, coverage)
+    if beyond < 0.0:
         assert change is None, "breath-holds shift slices, which looks like a change"
         return
     assert change.followed is None
