@@ -54,6 +54,11 @@ class FixtureOptions:
         """Whether it comes before guidance in a composition."""
         return not isinstance(self.law, Gaussian)
 
+    @property
+    def on_model(self) -> bool:
+        """Whether it is on the surface of the session's model: no path, and on no further structure."""
+        return self.path is None and self.structure is None
+
     def described(self) -> dict[str, str | float | bool]:
         """Its law and numbers under the names of the command line's options; of a path not its points."""
         law = self.law
@@ -110,7 +115,7 @@ class FixtureSet:
     @property
     def on_model_alone(self) -> bool:
         """Whether every fixture is on the session's model: then a distance to it gives all forces."""
-        return all(one.path is None and one.structure is None for one in self.fixtures)
+        return all(one.on_model for one in self.fixtures)
 
     @property
     def composed(self) -> bool:

@@ -106,9 +106,7 @@ class CoveredPart:
     def holds(self, points_mm: FloatArray) -> BoolArray:
         """(n,) whether (n, 3) points in the model's frame lie in the covered part."""
         index = self.grid.to_index(points_mm)
-        last = np.array(self.grid.shape) - 1
-        i, j, k = np.clip(np.rint(index), 0, last).astype(np.int64).T
-        return np.asarray(self.grid.holds(index) & self.compared_voxels[i, j, k])
+        return np.asarray(self.grid.holds(index) & self.compared_voxels[self.grid.nearest(index)])
 
     def extended(self, labels: VolumeSeries, known: BoolArray) -> "CoveredPart":
         """The covered part with what long-axis views show beyond the ends of a stack.

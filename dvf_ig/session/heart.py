@@ -185,8 +185,7 @@ def _view_shifts_mm(
 ) -> FloatArray:
     """(v, 3) displacement of the heart in each long-axis view from where the labels have it."""
     index = labels.grid.to_index(mr.grid.centers_mm())
-    nearest = np.clip(np.rint(index), 0, np.array(labels.grid.shape) - 1).astype(np.int64)
-    heart = labels.values[ed_phase][tuple(np.moveaxis(nearest, -1, 0))] != 0
+    heart = labels.values[ed_phase][labels.grid.nearest(index)] != 0
     organ = heart & labels.grid.holds(index, margin=1.0)
     return slice_shifts(mr, organ, organ, views).views_mm
 

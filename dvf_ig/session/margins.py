@@ -106,7 +106,6 @@ class MarginTracker:
         self._updated_s = now_s
         if tick.status in (Status.OK, Status.NO_PHASE) and transform.pose is not None:
             turn = transform.pose.at(now_s).rotation
-            gradient = turn @ tick.gradient
             tip = tip_tracker_mm[None]
 
             def target_mm(model: DvfModel, distance_mm: float, slope: FloatArray, rate: float) -> float:
@@ -122,7 +121,7 @@ class MarginTracker:
                         distance_mm, rate = float(at.distance_mm[0]), float(at.rate_mm_per_cycle[0])
                         self._target_mm[i] = target_mm(part.model, distance_mm, turn @ at.gradient[0], rate)
             else:
-                rate = tick.rate_mm_per_cycle
+                gradient, rate = turn @ tick.gradient, tick.rate_mm_per_cycle
                 self._target_mm[:] = target_mm(self._model, tick.distance_mm, gradient, rate)
         self.margin_mm = np.array(
             [

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from dvf_ig.core.arrays import AnyArray, BoolArray, FloatArray, frozen_floats, read_only_arrays
+from dvf_ig.core.arrays import AnyArray, BoolArray, FloatArray, IntArray, frozen_floats, read_only_arrays
 from dvf_ig.core.errors import InvalidInputError
 from dvf_ig.core.timing.cycle import CycleTiming
 
@@ -75,6 +75,11 @@ class Grid:
         """
         last = np.array(self.shape) - 1.0
         return np.asarray(((index >= -margin) & (index <= last + margin)).all(axis=-1))
+
+    def nearest(self, index: FloatArray) -> tuple[IntArray, IntArray, IntArray]:
+        """Round voxel indices (..., 3) to the nearest voxels of the grid, one array an axis."""
+        voxels = np.clip(np.rint(index), 0, np.array(self.shape) - 1).astype(np.int64)
+        return voxels[..., 0], voxels[..., 1], voxels[..., 2]
 
     def centers_mm(self) -> FloatArray:
         """Compute (nx, ny, nz, 3) voxel centres in mm."""

@@ -23,7 +23,8 @@ from dvf_ig.core import (
     require_same_frame,
 )
 
-from .slice_blood import BLOOD, WALL, signed_depth_mm
+from .rasterise import BLOOD, WALL
+from .slice_blood import signed_depth_mm
 
 BEYOND_MM = 56.0
 """How far beyond the stack views are looked at: atria reach 40 to 50 mm above the mitral plane."""
@@ -127,8 +128,7 @@ def _depths_in_view(
 ) -> list[FloatArray] | None:
     """Signed depth within the blood of a view at every phase of the labels; None without blood and wall."""
     index = labels.grid.to_index(view.grid.centers_mm()[:, :, 0] - shift_mm)
-    nearest = np.clip(np.rint(index), 0, np.array(labels.grid.shape) - 1).astype(np.int64)
-    at = tuple(np.moveaxis(nearest, -1, 0))
+    at = labels.grid.nearest(index)
     in_stack = labels.grid.holds(index, margin=0.5) & shown[:, *at]
     looked_at = beside[at[:2]]
     looked_at &= ((index[..., :2] > -0.5) & (index[..., :2] < np.array(beside.shape) - 0.5)).all(axis=-1)

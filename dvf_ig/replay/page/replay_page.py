@@ -155,8 +155,7 @@ def _ticks(replay: Replay, true_phase: FloatArray | None) -> TickTrace:
     if true_phase is not None:
         distance, true_force = true_contact(replay)
         force = None if true_force is None else np.linalg.norm(true_force, axis=1)
-        first = replay.setup.fixtures.fixtures[0]
-        if first.path is not None or first.structure is not None:
+        if not replay.setup.fixtures.fixtures[0].on_model:
             distance = None  # the fixture's distance is that to the path or the structure
         error = 100 * ((track.phi - true_phase + 0.5) % 1.0 - 0.5)
     return TickTrace(

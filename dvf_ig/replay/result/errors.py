@@ -5,14 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from dvf_ig.core import (
-    BoolArray,
-    FloatArray,
-    InvalidInputError,
-    Rigid,
-    ScenarioTruth,
-    summarise_errors,
-)
+from dvf_ig.core import BoolArray, FloatArray, InvalidInputError, Rigid, ScenarioTruth, summarise_errors
 from dvf_ig.guidance import Confinement, Fixtures, Gaussian, Status, force_at_distance
 from dvf_ig.registration import target_errors_mm
 from dvf_ig.replay.engine import Replay
@@ -70,7 +63,8 @@ def error_fields(replay: Replay) -> dict[str, Any]:
     errors_mm = pose_errors_mm(ticks.mr_from_tracker, ticks.t_s, truth)
     if valid.any():
         out["tre_mm"] = summarise_errors(errors_mm[valid].ravel()).tre_fields()
-    out |= _hazard(replay, truth)
+    distance, true_force = true_contact(replay)
+    out |= _hazard(replay, truth, None if true_force is None else distance)
     phi, model_phase = true_phases(replay)
     locked = track.valid
     if locked.any():
@@ -79,7 +73,6 @@ def error_fields(replay: Replay) -> dict[str, Any]:
         )
         out["phase_error_percent_rr"] = {"mean": score.percent_mean, "p95": score.percent_p95}
         out["model_phase_error_mm"] = {"mean": score.surface_mm_mean, "p95": score.surface_mm_p95}
-    distance, true_force = true_contact(replay)
     contact = distance >= CONTACT_MM
     with_force = ticks.guided & ticks.force_n.any(axis=1)
     out["contact"] = _contact_fields(replay, contact, with_force)
@@ -126,15 +119,18 @@ def _modelled_at_tip(replay: Replay, chosen: BoolArray) -> BoolArray:
     return out
 
 
-def _hazard(replay: Replay, truth: ScenarioTruth) -> dict[str, float]:
-    """Sum the seconds of force where guidance is far off; a fading force counts for the last pose."""
+def _hazard(replay: Replay, truth: ScenarioTruth, distance_mm: FloatArray | None) -> dict[str, float]:
+    """Sum the seconds of force where guidance is far off; a fading force counts for the last pose.
+
+    Args:
+        distance_mm: (n,) true distance of the guarded wall; None if a fixture is not on it.
+    """
     ticks, updates = replay.ticks, tuple(replay.history.updates)
     last = last_of(np.isfinite(ticks.mr_from_tracker[:, 0, 0]))
     poses = np.where((last >= 0)[:, None, None], ticks.mr_from_tracker[last], np.nan)
     error_mm = pose_errors_mm(poses, ticks.t_s, truth).mean(axis=1)
-    distance, true_force = true_contact(replay)
-    if true_force is not None:
-        wall_mm = np.where(ticks.valid, np.abs(ticks.distance_mm - distance), np.nan)
+    if distance_mm is not None:
+        wall_mm = np.where(ticks.valid, np.abs(ticks.distance_mm - distance_mm), np.nan)
         warped = np.array([*(update.warp is not None for update in updates), False])
         followed = warped[updates_in_force(updates, ticks.t_s)]
         error_mm = guidance_errors_mm(error_mm, wall_mm, followed)
@@ -156,8 +152,9 @@ def margin_fields(replay: Replay) -> dict[str, Any]:
         "p95_mm": float(np.percentile(width, 95)) if len(width) else None,
         "violation_mm": None,
     }
-    first, law = fixtures.fixtures[0], fixtures.fixtures[0].law
-    if replay.scenario.truth is not None and first.structure is None and not isinstance(law, Gaussian):
+    first = fixtures.fixtures[0]
+    law = first.law
+    if replay.scenario.truth is not None and first.on_model and not isinstance(law, Gaussian):
         outward = -1.0 if isinstance(law, Confinement) else 1.0
         true_mm = outward * true_contact(replay)[0]
         seen = ticks.valid & (np.abs(true_mm - law.depth_mm) <= NEAR_WALL_MM)
