@@ -167,8 +167,15 @@ def _patient_surface(model: DvfModel, organ: CycleSurface, warp: Warp) -> dict[s
     moved = _now(organ, warp)
     before = Mesh(model.frame, organ.vertices_mm[model.ed_phase], organ.triangles)
     outward, sigma_mm = normal_shifts(before, moved.vertices_mm[model.ed_phase], warp)
-    outward[sigma_mm > LARGEST_SIGMA_MM] = np.nan
-    return _surface(model.surface_name, "patient", moved, outward_mm=packed(outward, SHIFT_STEP_MM))
+    too_uncertain = sigma_mm > LARGEST_SIGMA_MM
+    outward[too_uncertain] = sigma_mm[too_uncertain] = np.nan
+    return _surface(
+        model.surface_name,
+        "patient",
+        moved,
+        outward_mm=packed(outward, SHIFT_STEP_MM),
+        sigma_mm=packed(sigma_mm, SHIFT_STEP_MM),
+    )
 
 
 def _unseen(model: DvfModel, organ: CycleSurface) -> BoolArray:

@@ -19,6 +19,13 @@ export function shiftColor(shift, largest) {
   return [r, g, b].map((end) => 0.9 + share * (end - 0.9));
 }
 
+/** Red, green and blue of how well a shift is known, dark where it is known least, grey where it is not. */
+export function sigmaColor(sigma, largest) {
+  if (Number.isNaN(sigma)) return [0.35, 0.35, 0.37];
+  const share = Math.min(1, sigma / largest);
+  return [0.32, 0.08, 0.4].map((end) => 0.95 + share * (end - 0.95));
+}
+
 export const STATES = {
   ok: "#009e73",
   degraded: "#e69f00",

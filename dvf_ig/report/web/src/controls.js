@@ -5,7 +5,8 @@ import { legendRows, SPEEDS, VIEWS } from "./layout.js";
 /** A button for each thing that is shown, which hides it. */
 export function legend(viewer) {
   const box = viewer.$("legend");
-  for (const [role, color, text] of legendRows(viewer.scene, viewer.series, viewer.space.heart)) {
+  box.replaceChildren();
+  for (const [role, color, text] of legendRows(viewer.scene, viewer.series, viewer.space.heart, viewer.bySigma)) {
     const button = document.createElement("button");
     button.innerHTML = `<i style="background:${color}"></i>`;
     button.append(text);
@@ -39,6 +40,8 @@ export function connectControls(viewer) {
   $("cut").onclick = () => viewer.cut(!viewer.space.open);
   $("cut").hidden = !viewer.scene.image;
   viewer.cut(Boolean(viewer.scene.image));
+  $("sigma").onclick = () => viewer.colorBySigma(!viewer.bySigma);
+  $("sigma").hidden = !viewer.space.changed;
   drag(viewer, $("overview"), (x) => viewer.overview.timeAt(x));
   drag(viewer, viewer.strips.canvas, (x, from) => viewer.strips.timeAt(x, from));
   if (viewer.series.live) document.body.classList.add("live");
@@ -79,6 +82,7 @@ export function connectKeys(viewer) {
     "-": () => viewer.faster(-1),
     "+": () => viewer.faster(1),
     c: () => viewer.cut(!viewer.space.open),
+    u: () => viewer.space.changed && viewer.$("sigma").click(),
     t: () => viewer.$("theme").click(),
     h: () => viewer.$("keys").showModal(),
     "?": () => viewer.$("keys").showModal(),

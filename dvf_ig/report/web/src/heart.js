@@ -14,6 +14,8 @@ export function bracket(fractions, phi) {
   return [first, second, ((p - fractions[first] + 1) % 1) / width];
 }
 
+const largest = (values, least) => values.reduce((most, one) => (Math.abs(one) > most ? Math.abs(one) : most), least);
+
 /** One surface: `at(phi)` fills `positions` with its vertices. */
 export class Surface {
   constructor(entry, vertices, triangles, fractions) {
@@ -27,7 +29,12 @@ export class Surface {
 
   /** Largest known shift of a surface of the patient, at least 1 mm. */
   get largest_mm() {
-    return this.outward.reduce((most, one) => (Math.abs(one) > most ? Math.abs(one) : most), 1);
+    return largest(this.outward, 1);
+  }
+
+  /** Largest known standard deviation of such a shift. */
+  get largest_sigma_mm() {
+    return largest(this.sigma, 0);
   }
 
   at(phi) {
@@ -52,7 +59,10 @@ export class Heart {
       surfaces.map(async (entry) => {
         const vertices = await unpacked(entry.vertices, Float32Array);
         const surface = new Surface(entry, vertices, await unpackedRaw(entry.triangles), fractions);
-        if (entry.outward_mm) surface.outward = await unpacked(entry.outward_mm, Float32Array);
+        if (entry.outward_mm) {
+          surface.outward = await unpacked(entry.outward_mm, Float32Array);
+          surface.sigma = await unpacked(entry.sigma_mm, Float32Array);
+        }
         return surface;
       }),
     );

@@ -17,6 +17,7 @@ const KEYS = [
   ["− +", "slower, faster"],
   ["1 … 6", "views"],
   ["C", "heart cut open at the ultrasound plane, or whole"],
+  ["U", "a heart that has changed its shape: coloured by its shift, or by how well that is known"],
   ["T", "dark, light"],
   ["? H", "this help"],
 ];
@@ -31,7 +32,7 @@ const PAGE = `
 </header>
 <main>
   <section id="space" aria-label="Scene in space">
-    <div class="over top"><div id="views" role="group" aria-label="Views"></div><button id="cut" title="Cut the heart open at the ultrasound plane (C)">Cut</button></div>
+    <div class="over top"><div id="views" role="group" aria-label="Views"></div><button id="cut" title="Cut the heart open at the ultrasound plane (C)">Cut</button><button id="sigma" title="Colour the patient's surface by how well it is known (U)">±</button></div>
     <p class="over" id="unknown" hidden></p>
     <div class="over" id="scale"><span></span><i></i></div>
     <span class="over" id="newton" hidden></span>
@@ -77,7 +78,7 @@ export function layOut(scene) {
 }
 
 /** What is shown, in its colour, with a switch for each. */
-export function legendRows(scene, series, { surfaces }) {
+export function legendRows(scene, series, { surfaces }, bySigma) {
   const has = (role) => surfaces.find((one) => one.role === role);
   const fixture = has("fixture");
   const cap = scene.fixtures_cap_n;
@@ -85,7 +86,7 @@ export function legendRows(scene, series, { surfaces }) {
   const widened = (series.columns.margin_mm ?? []).some((one) => one > 0);
   return [
     has("organ") && ["organ", COLORS.organ, `${words(has("organ").name)} surface${has("patient") ? " in the MR" : ""}`],
-    has("patient") && ["patient", COLORS.patient, `now: red further out, blue further in, up to ${has("patient").largest_mm.toFixed(1)} mm; grey: not known`],
+    has("patient") && ["patient", COLORS.patient, patientWords(has("patient"), bySigma)],
     has("unseen") && ["unseen", COLORS.unseen, "not seen by any MR slice: closed, no force"],
     has("blood") && ["blood", COLORS.blood, "blood in all chambers (blue for contrast)"],
     scene.image && ["plane", COLORS.plane, "ultrasound plane"],
@@ -95,6 +96,11 @@ export function legendRows(scene, series, { surfaces }) {
     scene.targets.length > 0 && ["targets", COLORS.force, scene.bound_mm ? `targets, error < ${scene.bound_mm.toFixed(1)} mm` : "targets"],
   ].filter(Boolean);
 }
+
+const patientWords = (surface, bySigma) =>
+  bySigma
+    ? `now: the darker, the less certain, up to ± ${(1.96 * surface.largest_sigma_mm).toFixed(1)} mm (95 %); grey: too uncertain for a force`
+    : `now: red further out, blue further in, up to ${surface.largest_mm.toFixed(1)} mm; grey: not known`;
 
 export const words = (name) => name.toLowerCase().replaceAll("_", " ");
 

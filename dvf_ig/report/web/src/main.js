@@ -213,6 +213,14 @@ class Viewer {
     this.$("cut").setAttribute("aria-pressed", open);
   }
 
+  /** The patient's surface coloured by how well it is known, or by its shift. */
+  colorBySigma(on) {
+    this.bySigma = on;
+    this.space.colorBySigma(on);
+    this.$("sigma").setAttribute("aria-pressed", on);
+    legend(this);
+  }
+
   play(on) {
     if (on && this.t >= this.series.end) this.t = this.series.begin;
     this.playing = on;

@@ -6,7 +6,7 @@ import {
   LineBasicMaterial, LineLoop, Mesh, MeshBasicMaterial, MeshLambertMaterial, MeshPhongMaterial, SphereGeometry, Sprite, SpriteMaterial,
   Vector3,
 } from "three";
-import { COLORS, shiftColor } from "./colors.js";
+import { COLORS, shiftColor, sigmaColor } from "./colors.js";
 import { bracket } from "./heart.js";
 
 const UP = new Vector3(0, 1, 0);
@@ -21,10 +21,7 @@ export function surfaceMeshes(surface) {
   geometry.computeVertexNormals();
   const vertexColors = Boolean(surface.outward);
   const color = vertexColors ? 0xffffff : COLORS[surface.role];
-  if (vertexColors) {
-    const rgb = Array.from(surface.outward).flatMap((one) => shiftColor(one, surface.largest_mm));
-    geometry.setAttribute("color", new BufferAttribute(new Float32Array(rgb), 3));
-  }
+  if (vertexColors) colorPatient(geometry, surface, false);
   const fixture = surface.role === "fixture";
   const blood = surface.role === "blood";
   const solid = new Mesh(
@@ -43,6 +40,14 @@ export function surfaceMeshes(surface) {
   const group = new Group();
   group.add(solid, veil);
   return { surface, geometry, solid, veil, group };
+}
+
+/** Colours a surface of the patient by its shift from the MR, or by how well that is known. */
+export function colorPatient(geometry, surface, bySigma) {
+  const rgb = bySigma
+    ? Array.from(surface.sigma).flatMap((one) => sigmaColor(one, surface.largest_sigma_mm))
+    : Array.from(surface.outward).flatMap((one) => shiftColor(one, surface.largest_mm));
+  geometry.setAttribute("color", new BufferAttribute(new Float32Array(rgb), 3));
 }
 
 /** A ball at the tip, the shaft behind it; a pale copy shows through what hides them. */

@@ -5,7 +5,7 @@ import {
 } from "three";
 import { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
 import { themeColor } from "./colors.js";
-import { ForceArrow, planeEdge, surfaceMeshes, TargetPath, targetMark, Tool } from "./shapes.js";
+import { colorPatient, ForceArrow, planeEdge, surfaceMeshes, TargetPath, targetMark, Tool } from "./shapes.js";
 import { UltrasoundSheet } from "./sheet.js";
 
 /** CSS pixels from the top at which a letter is clear of the buttons. */
@@ -90,6 +90,12 @@ export class Space {
     this.ultrasound?.place(plane, this.shown.plane);
     this.tool.place(tip, shaft);
     this.force.place(tip, force);
+    this.dirty = true;
+  }
+
+  /** Colours the patient's surface by how well its shift is known, or by the shift. */
+  colorBySigma(on) {
+    for (const { surface, geometry } of this.surfaces) if (surface.outward) colorPatient(geometry, surface, on);
     this.dirty = true;
   }
 
