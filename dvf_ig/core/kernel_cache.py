@@ -5,6 +5,10 @@ it keeps running the old one. Here every entry holds the digest of its package's
 with another digest compiles and replaces it. Index and entry are separate files, so both hold the digest:
 neither a process that was killed between the two nor one of another version leaves old code under a new name.
 
+A kernel that another kernel calls is a part of that kernel: it is typed and lowered once, and optimised and
+turned into machine code only with each kernel that Python calls. numba does both for every function as well,
+with all that it calls, which is most of the time of a deep tree of small functions.
+
 Entries are where numba keeps them: in NUMBA_CACHE_DIR, else in `__pycache__` next to the source, else in the
 user's cache folder. If none can be written, kernels work and are compiled again in each process.
 """
@@ -18,9 +22,13 @@ from functools import cache, partial
 from typing import Any
 
 import numba
-from numba.core import serialize, sigutils
+from numba.core import compiler, serialize, sigutils
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, NullCache
 from numba.core.ccallback import CFunc
+from numba.core.codegen import JITCodeLibrary
+from numba.core.environment import lookup_environment
+from numba.core.registry import CPUDispatcher
+from numba.core.typing import make_concrete_template
 
 from .kernel_sources import KernelSources
 
@@ -29,19 +37,89 @@ _LOGGER = logging.getLogger(__name__)
 
 def compile_kernel(function: Callable[..., Any], sources: KernelSources, **options: Any) -> Any:
     """Compile a function at its first call, or load it; `options` are those of `numba.njit`."""
-    compiled = numba.njit(**options)(function)
+    compiled = _Kernel(function, targetoptions={"nopython": True, "boundscheck": None, **options})
     compiled._cache = _cache_of(function, sources)
     return compiled
 
 
 def compile_callback(function: Callable[..., Any], sources: KernelSources, signature: Any) -> Any:
-    """Compile a function to a C callback now, or load it; C calls its `address`."""
-    callback: Any = CFunc(
+    """Compile a function to a C callback, or load it, when its `address` is first asked for."""
+    callback: Any = _Callback(
         function, sigutils.normalize_signature(signature), locals={}, options={"nopython": True}
     )
     callback._cache = _cache_of(function, sources)
-    callback.compile()
     return callback
+
+
+class _Callback(CFunc):  # type: ignore[misc]
+    @property
+    def address(self) -> Any:
+        if self._wrapper_address is None:
+            self.compile()
+        return self._wrapper_address
+
+
+class _Part(JITCodeLibrary):  # type: ignore[misc]
+    """Code of a kernel within others, as it was lowered; it has no address."""
+
+    def finalize(self) -> None:
+        self._finalized = True
+
+    def with_its_own(self) -> list[Any]:
+        """Return this library and all that its code calls, to be linked with a caller."""
+        return [self, *self._linking_libraries]
+
+
+class _Kernel(CPUDispatcher):  # type: ignore[misc]
+    """Kernel that is compiled where Python calls it, and a part of the code of each kernel that calls it."""
+
+    def __init__(self, function: Callable[..., Any], **settings: Any) -> None:
+        super().__init__(function, **settings)
+        self._parts: dict[tuple[Any, ...], Any] = {}
+
+    def compile(self, signature: Any) -> Any:
+        entry_point = super().compile(signature)
+        arguments, _ = sigutils.normalize_signature(signature)
+        result = self.overloads[tuple(arguments)]
+        for variable in result.library._final_module.global_variables:
+            environment = lookup_environment(variable.name)
+            if environment is not None:  # also those of its parts, which have no address of their own
+                result.codegen.set_env(variable.name, environment)
+        return entry_point
+
+    def get_call_template(self, args: Any, kws: Any) -> Any:
+        """Return the types of a call by another kernel."""
+        signature, arguments = self._compiler.fold_argument_types(args, kws)
+        with self._compiling_counter:
+            self._part(tuple(arguments))
+        signatures = [part.signature for part in self._parts.values()]
+        template = make_concrete_template(self.__name__, key=self.__name__, signatures=signatures)
+        return template, signature, arguments, {}
+
+    def get_overload(self, sig: Any) -> Any:
+        """Return what stands for the code of a call by another kernel."""
+        arguments, _ = sigutils.normalize_signature(sig)
+        return self._parts[tuple(arguments)].library
+
+    def _part(self, arguments: tuple[Any, ...]) -> None:
+        if arguments in self._parts:
+            return
+        flags = compiler.Flags()
+        self.targetdescr.options.parse_as_flags(flags, self.targetoptions)
+        flags.no_compile = flags.no_cpython_wrapper = flags.no_cfunc_wrapper = True
+        library = _Part(self.targetctx.codegen(), self.__qualname__)
+        part = compiler.compile_extra(
+            self.typingctx,
+            self.targetctx,
+            self.py_func,
+            args=arguments,
+            return_type=None,
+            flags=flags,
+            locals={},
+            library=library,
+        )
+        self.targetctx.insert_user_function(library, part.fndesc, library.with_its_own())
+        self._parts[arguments] = part
 
 
 def _cache_of(function: Callable[..., Any], sources: KernelSources) -> Any:

@@ -1,5 +1,7 @@
 """A small still heart for registration tests: nested ellipsoids as MR, and slices cut from them."""
 
+from functools import cache
+
 import numpy as np
 from scipy import ndimage
 from scipy.spatial.transform import Rotation
@@ -10,6 +12,7 @@ from dvf_ig.registration import SliceSet
 CENTER_MM = np.array([20.0, -10.0, 40.0])
 
 
+@cache
 def toy_mr(blood: float = 300.0, wall: float = 100.0, outside: float = 160.0) -> VolumeSeries:
     """Three blood pools in a wall, 2 mm voxels, two identical phases."""
     shape = (70, 64, 60)

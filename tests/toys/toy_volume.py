@@ -1,5 +1,7 @@
 """Gated 3-D ultrasound of the toy heart, and the surface of its blood."""
 
+from functools import cache
+
 import numpy as np
 from scipy import ndimage
 from scipy.spatial.transform import Rotation
@@ -26,6 +28,7 @@ def toy_volume(turn: tuple[float, float, float], seed: int) -> TrackedVolume:
     return TrackedVolume(Volume(grid, grey), mask, toy_pose().inverse() @ mr_from_probe, 0.0)
 
 
+@cache
 def toy_surface() -> BoundaryTarget:
     mr = toy_mr()
     labels = np.where(mr.values > 200, 2, np.where(mr.values < 130, 1, 0)).astype(np.uint8)

@@ -1,5 +1,7 @@
 """Blocks that are moved are seen where they then lie; turns of the fit end at one place."""
 
+from functools import cache
+
 import numpy as np
 from toy_heart import CENTER_MM, toy_mr, toy_pose, toy_slices
 from toy_volume import toy_surface
@@ -10,8 +12,16 @@ from dvf_ig.registration.shape.blocks import BLOCK_MM, BlockedBoundary, BlockedL
 from dvf_ig.registration.shape.fit import pose_and_shape
 
 SLICES = toy_slices(toy_mr(), toy_pose(), np.random.default_rng(0), pitch_mm=3.0, speckle=0.3)
-METRIC = Lc2(SLICES, channels_from_mr(toy_mr(), smoothing_mm=3.0), patch_mm=13.0, pitch_mm=3.0)
-BOUNDARY = Boundary(boundary_points(SLICES), toy_surface())
+
+
+@cache
+def metric() -> Lc2:
+    return Lc2(SLICES, channels_from_mr(toy_mr(), smoothing_mm=3.0), patch_mm=13.0, pitch_mm=3.0)
+
+
+@cache
+def boundary_at_blood() -> Boundary:
+    return Boundary(boundary_points(SLICES), toy_surface())
 
 
 def displaced(seed: int, away_mm: float) -> Rigid:
@@ -24,7 +34,7 @@ def nothing(_: PoseChart) -> tuple[FloatArray, FloatArray]:
 
 
 def test_blocks_of_lc2_that_are_all_moved_alike_see_what_a_moved_pose_sees() -> None:
-    blocks, shift = BlockedLc2(METRIC, block_mm=BLOCK_MM), np.array([0.8, -1.1, 0.4])
+    blocks, shift = BlockedLc2(metric(), block_mm=BLOCK_MM), np.array([0.8, -1.1, 0.4])
     moved = Rigid("mr", "tracker", toy_pose().rotation, toy_pose().translation_mm + shift)
     every = np.repeat(shift[None], len(blocks.slice), axis=0)
     (expected,) = blocks.gradients([moved], CENTER_MM + shift)
@@ -33,7 +43,10 @@ def test_blocks_of_lc2_that_are_all_moved_alike_see_what_a_moved_pose_sees() -> 
 
 
 def test_blocks_of_the_boundary_that_are_all_moved_alike_pull_as_at_a_moved_pose() -> None:
-    blocks, shift = BlockedBoundary(BOUNDARY, 0.2, CENTER_MM, block_mm=BLOCK_MM), np.array([0.8, -1.1, 0.4])
+    blocks, shift = (
+        BlockedBoundary(boundary_at_blood(), 0.2, CENTER_MM, block_mm=BLOCK_MM),
+        np.array([0.8, -1.1, 0.4]),
+    )
     moved = Rigid("mr", "tracker", toy_pose().rotation, toy_pose().translation_mm + shift)
     still, every = np.zeros((len(blocks.cell), 3)), np.repeat(shift[None], len(blocks.cell), axis=0)
     expected, found = blocks.expansion(moved, still, 0.0), blocks.expansion(toy_pose(), every, 0.0)
@@ -45,8 +58,8 @@ def test_descents_from_two_millimetres_around_meet() -> None:
     ends, first = [], []
     for seed in range(4):
         chart = PoseChart(displaced(seed, 2.0), CENTER_MM)
-        boundary = BlockedBoundary(BOUNDARY, 0.0, CENTER_MM, block_mm=BLOCK_MM)
-        match = BlockedMatch(BlockedLc2(METRIC, block_mm=BLOCK_MM), METRIC.information, boundary, chart)
+        boundary = BlockedBoundary(boundary_at_blood(), 0.0, CENTER_MM, block_mm=BLOCK_MM)
+        match = BlockedMatch(BlockedLc2(metric(), block_mm=BLOCK_MM), metric().information, boundary, chart)
         found = pose_and_shape(match, chart, nothing)
         ends.append(found.pose)
         first.append(chart.pose(found.first.step_mm))
