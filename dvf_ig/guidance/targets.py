@@ -114,8 +114,8 @@ class PathTarget:
         """Distance (mm) of a point (3,) to the path, and the direction (3,) away from it.
 
         The direction is the mean over segments of the unit vector from each one's nearest point, weighted by
-        exp(−(dᵢ − d)/CORNER_MM). Its length is 1 beside a straight part, and falls where parts of the path
-        lie on opposite sides, as a gradient of distance does across a medial axis. 0 on the path itself.
+        max(0, 1 − (dᵢ − d)/CORNER_MM)². Its length is 1 beside a straight part, and falls where parts of the
+        path lie on opposite sides, as a gradient of distance does across a medial axis. 0 on the path itself.
         """
         nearest, unit, weight, _ = self._segments(xyz_mm, model_phase)
         return nearest, np.asarray(weight @ unit)
@@ -142,7 +142,7 @@ class PathTarget:
         apart = xyz_mm - start - share[:, None] * along
         each = np.linalg.norm(apart, axis=1)
         nearest = float(each.min())
-        weight = np.exp((nearest - each) / CORNER_MM)
+        weight = np.maximum(0.0, 1.0 - (each - nearest) / CORNER_MM) ** 2
         unit = apart / np.where(each > 0.0, each, 1.0)[:, None]
         return nearest, unit, weight / weight.sum(), share
 

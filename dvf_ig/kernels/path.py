@@ -1,37 +1,90 @@
 """Guidance to a path: the distance to a polyline that may beat, its direction and its rate.
 
 With dᵢ the distance to segment i and uᵢ the unit vector from its nearest point, d = min dᵢ and the direction
-away from the path is Σ wᵢuᵢ, wᵢ ∝ exp(−(dᵢ − d)/CORNER_MM): of length 1 beside a straight part, and shorter
-where parts of the path lie on opposite sides, as a gradient of distance is across a medial axis.
+away from the path is Σ wᵢuᵢ, wᵢ ∝ max(0, 1 − (dᵢ − d)/CORNER_MM)²: of length 1 beside a straight part, and
+shorter where parts of the path lie on opposite sides, as a gradient of distance is across a medial axis.
+Segments from CORNER_MM beyond the nearest on count nothing, so most need no more than their squared distance.
 `dvf_ig.guidance.targets.PathTarget` is the readable form.
 """
 
 import math
-from typing import Any
-
-import numpy as np
 
 from dvf_ig.core import FloatArray
 
 from . import status as code
-from .compiled import inlined, kernel
+from .compiled import inlined
 from .fixture_field import Output, force_per_gradient, no_output
 from .phase import phase_bracket
 from .vectors import Vector, dot
 
-CORNER_MM = 0.5
-"""Parts of a path whose distances differ by less than about this have their directions blended."""
+CORNER_MM = 1.0
+"""Parts of a path whose distances differ by less than this have their directions blended."""
+
+Points = tuple[FloatArray, FloatArray, FloatArray]
+"""x, y, z of a path's points, each (count,)."""
 
 
 @inlined
-def _point(points: FloatArray, one: Any, two: Any, alpha: float) -> tuple[Vector, Vector]:
-    """Compute a point between two phases, and its motion from the one to the other; unsigned indices."""
-    x, y, z = points[one, 0], points[one, 1], points[one, 2]
-    u, v, w = points[two, 0] - x, points[two, 1] - y, points[two, 2] - z
-    return (x + alpha * u, y + alpha * v, z + alpha * w), (u, v, w)
+def _phase(points: FloatArray, begin: int, count: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Coordinates of a path in one phase."""
+    end = begin + count
+    return points[0, begin:end], points[1, begin:end], points[2, begin:end]
 
 
-@kernel
+@inlined
+def _point(a: Points, b: Points, alpha: float, i: int) -> Vector:
+    """Compute a point between two phases."""
+    return (
+        a[0][i] + alpha * (b[0][i] - a[0][i]),
+        a[1][i] + alpha * (b[1][i] - a[1][i]),
+        a[2][i] + alpha * (b[2][i] - a[2][i]),
+    )
+
+
+@inlined
+def _moved(a: Points, b: Points, i: int) -> Vector:
+    """Compute a point's motion from one phase to the other."""
+    return b[0][i] - a[0][i], b[1][i] - a[1][i], b[2][i] - a[2][i]
+
+
+@inlined
+def _along(start: Vector, end: Vector) -> Vector:
+    return end[0] - start[0], end[1] - start[1], end[2] - start[2]
+
+
+@inlined
+def _from_line(start: Vector, along: Vector, share: float, q: Vector) -> Vector:
+    """Compute the vector to `q` from the point at a share of a segment."""
+    return (
+        q[0] - start[0] - share * along[0],
+        q[1] - start[1] - share * along[1],
+        q[2] - start[2] - share * along[2],
+    )
+
+
+@inlined
+def _squared_distances(
+    a: Points, b: Points, alpha: float, q: Vector, square: FloatArray, shares: FloatArray
+) -> float:
+    """Write the squared distance to each segment and its nearest point's share; return the least distance.
+
+    The compiler vectorises the first loop, whose coordinates lie side by side.
+    """
+    for i in range(len(square)):
+        start = _point(a, b, alpha, i)
+        along = _along(start, _point(a, b, alpha, i + 1))
+        share = dot(_from_line(start, along, 0.0, q), along) / dot(along, along)
+        share = min(max(share, 0.0), 1.0)
+        away = _from_line(start, along, share, q)
+        square[i], shares[i] = dot(away, away), share
+    # two minima at once: each would wait for the one before
+    least, other = math.inf, math.inf
+    for i in range(0, len(square) - 1, 2):
+        least, other = min(least, square[i]), min(other, square[i + 1])
+    return math.sqrt(min(min(least, other), square[len(square) - 1]))
+
+
+@inlined
 def path_force(
     points: FloatArray,
     times: FloatArray,
@@ -42,49 +95,49 @@ def path_force(
     f: FloatArray,
     q: Vector,
     phi: float,
+    work: FloatArray,
 ) -> Output:
     """Force of a Gaussian on the distance to a path; status OK or FAULT; rate in mm a cycle.
 
     Args:
-        points: (m, 3) mm; those of this path from `first_point` on, `count` in each of its phases.
+        points: (3, m) mm; those of this path from `first_point` on, `count` in each of its phases.
         times: (n,) phase times as fractions of the cycle, those of this path from `first_time` on.
         f: packed fixture with the path's law.
         q: point in the path's frame.
         phi: model phase.
+        work: (2, count) or more, working space.
     """
     if not math.isfinite(q[0] + q[1] + q[2] + phi):
         return no_output(code.FAULT)
     before, after, alpha, width = 0, 0, 0.0, 1.0
     if phases > 1:
         before, after, alpha, width = phase_bracket(times, first_time, phases, phi)
-    one, two = np.uintp(first_point + count * before), np.uintp(first_point + count * after)
-    nearest, total, rate = math.inf, 0.0, 0.0
+    a = _phase(points, first_point + count * before, count)
+    b = _phase(points, first_point + count * after, count)
+    square, shares = work[0, : count - 1], work[1, : count - 1]
+    nearest = _squared_distances(a, b, alpha, q, square, shares)
+    reach = (nearest + CORNER_MM) * (nearest + CORNER_MM)
+    total, rate = 0.0, 0.0
     ax = ay = az = 0.0
-    start, moved = _point(points, one, two, alpha)
-    for i in range(1, count):
-        end, moved_end = _point(points, one + np.uintp(i), two + np.uintp(i), alpha)
-        along = (end[0] - start[0], end[1] - start[1], end[2] - start[2])
-        off = (q[0] - start[0], q[1] - start[1], q[2] - start[2])
-        share = min(max(dot(off, along) / dot(along, along), 0.0), 1.0)
-        x, y, z = off[0] - share * along[0], off[1] - share * along[1], off[2] - share * along[2]
-        size = math.sqrt(x * x + y * y + z * z)
-        scale = 1.0 / size if size > 0.0 else 1.0
-        x, y, z = scale * x, scale * y, scale * z
+    for i in range(count - 1):
+        if not square[i] < reach:
+            continue
+        start, share, size = _point(a, b, alpha, i), shares[i], math.sqrt(square[i])
+        away = _from_line(start, _along(start, _point(a, b, alpha, i + 1)), share, q)
+        rest = 1.0 - (size - nearest) / CORNER_MM
+        weight = rest * rest
+        scale = weight / size if size > 0.0 else weight
+        x, y, z = scale * away[0], scale * away[1], scale * away[2]
         # the nearest point keeps its share of the segment as the path moves
+        first, second = _moved(a, b, i), _moved(a, b, i + 1)
         drift = (
-            moved[0] + share * (moved_end[0] - moved[0]),
-            moved[1] + share * (moved_end[1] - moved[1]),
-            moved[2] + share * (moved_end[2] - moved[2]),
+            first[0] + share * (second[0] - first[0]),
+            first[1] + share * (second[1] - first[1]),
+            first[2] + share * (second[2] - first[2]),
         )
-        start, moved = end, moved_end
-        slope = -dot((x, y, z), drift) / width
-        scale_down, weight = 1.0, 1.0
-        if size < nearest:
-            scale_down, nearest = math.exp((size - nearest) / CORNER_MM), size
-        else:
-            weight = math.exp((nearest - size) / CORNER_MM)
-        ax, ay, az = scale_down * ax + weight * x, scale_down * ay + weight * y, scale_down * az + weight * z
-        rate, total = scale_down * rate + weight * slope, scale_down * total + weight
-    away = (ax / total, ay / total, az / total)
-    ratio = force_per_gradient(f, nearest, math.sqrt(dot(away, away)))
-    return code.OK, (ratio * away[0], ratio * away[1], ratio * away[2]), nearest, away, rate / total
+        ax, ay, az = ax + x, ay + y, az + z
+        rate, total = rate - dot((x, y, z), drift), total + weight
+    direction = (ax / total, ay / total, az / total)
+    ratio = force_per_gradient(f, nearest, math.sqrt(dot(direction, direction)))
+    force = (ratio * direction[0], ratio * direction[1], ratio * direction[2])
+    return code.OK, force, nearest, direction, rate / (total * width)

@@ -7,6 +7,7 @@ from .build import model_from_labels as model_from_labels
 from .build import model_from_surfaces as model_from_surfaces
 from .build import model_of_still as model_of_still
 from .build import potential_at_border as potential_at_border
+from .build import still_series as still_series
 from .check import ModelCheck as ModelCheck
 from .check import check_model as check_model
 from .check import phase_errors as phase_errors

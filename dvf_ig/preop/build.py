@@ -20,6 +20,7 @@ from dvf_ig.core import (
     Preop,
     Progress,
     SurfaceSeries,
+    Volume,
     VolumeSeries,
     untold,
 )
@@ -202,6 +203,15 @@ def model_from_surfaces(
     )
 
 
+STILL_TIMING = CycleTiming(np.array([0.0, 0.5]), 1.0)
+"""Phases of a structure that does not beat: two equal ones."""
+
+
+def still_series(labels: Volume) -> VolumeSeries:
+    """Repeat the labels of a structure that does not beat in both of its phases."""
+    return VolumeSeries(labels.grid, np.stack([labels.values] * 2), STILL_TIMING)
+
+
 def model_of_still(
     mesh: Mesh,
     *,
@@ -217,8 +227,7 @@ def model_of_still(
         InvalidInputError: a surface that cannot be closed, or of no possible size.
     """
     vertices = np.stack([mesh.vertices_mm] * 2)
-    timing = CycleTiming(np.array([0.0, 0.5]), 1.0)
-    series = SurfaceSeries(surface_name, mesh.frame, vertices, mesh.triangles, timing, patient_id)
+    series = SurfaceSeries(surface_name, mesh.frame, vertices, mesh.triangles, STILL_TIMING, patient_id)
     return model_from_surfaces(series, options=options, progress=progress, sources=sources)
 
 

@@ -1,7 +1,8 @@
-"""Push a stylus against walls of three times the passive γ, and against a wall that beats.
+"""Push a stylus against walls of three times the passive γ, a wall that beats, and a wall behind a line.
 
-The motion that is left without and with the passivity controller, and the work that a beating wall does on a
-hand in a cycle. Simulated devices; nothing is random.
+The motion that is left without and with the passivity controller, the work that a beating wall does on a hand
+in a cycle, and what does not repeat from cycle to cycle beside a guided line that beats before a wall that
+does not. Simulated devices; nothing is random.
 
     dvf-ig study passivity
 """
@@ -25,16 +26,21 @@ from dvf_ig.core import (
     read_only_arrays,
 )
 from dvf_ig.guidance import (
+    DEVICES,
     DeviceLimits,
     FixtureOptions,
     Fixtures,
     FixtureSet,
+    Gaussian,
     Law,
+    PathTarget,
     PoseAndPhase,
     Sigmoid,
     SimulatedDevice,
+    SupervisorState,
 )
 from dvf_ig.guidance.devices.simulated import PREMIUM, Hand, SimulatedStylus
+from dvf_ig.guidance.laws import gaussian_steepness
 from dvf_ig.guidance.servo import ServoInputs, ServoOptions, ServoRecord, SimulatedServo
 from dvf_ig.study.driver import Driver, Result, Rows, Study, option
 
@@ -105,10 +111,15 @@ class Pressing:
         """RMS of the true tip about its mean, along the wall's normal, over the last second."""
         return float(np.std(self.last_mm[:, 0]))
 
+    def unrepeated_mm(self, ticks: int) -> float:
+        """RMS change of the true tip from one cycle of so many ticks to the next, in the last second."""
+        change = self.last_mm[ticks:] - self.last_mm[:-ticks]
+        return float(np.sqrt((change**2).sum(axis=1).mean()))
+
 
 def press(
     model: DvfModel,
-    law: Law,
+    fixtures: FixtureSet,
     device: SimulatedDevice,
     hand: Hand,
     *,
@@ -120,14 +131,14 @@ def press(
     """Let a hand push a device's stylus into the wall.
 
     Args:
+        fixtures: on the wall, or beside it; their device's stiffness gives the slew limit.
         hand: on the stylus; +x leads into the wall.
         seconds: more than one.
         start_mm: where the tip starts, at rest, along the normal.
         delay_s: of the device.
     """
     stylus = SimulatedStylus(device, np.array([start_mm, 0.0, 0.0]), delay_s=delay_s, hand=hand)
-    fixtures = Fixtures(model, FixtureSet((FixtureOptions(law),), device=UNLIMITED))
-    servo = SimulatedServo(fixtures, stylus, limits=UNLIMITED, options=options)
+    servo = SimulatedServo(Fixtures(model, fixtures), stylus, limits=fixtures.device, options=options)
     transform, device_at = steady_transform(model), Rigid.identity("tracker", "device")
 
     def run(ticks: int) -> ServoRecord:
@@ -140,6 +151,11 @@ def press(
         rows.append(run(1).rows)
         last[k] = stylus.position_mm
     return Pressing(ServoRecord(np.concatenate(rows)), last)
+
+
+def on_the_wall(law: Law) -> FixtureSet:
+    """One fixture, however stiff."""
+    return FixtureSet((FixtureOptions(law),), device=UNLIMITED)
 
 
 def steady_transform(
@@ -181,6 +197,8 @@ VISCOUS = SimulatedDevice("viscous arm", 0.05, 0.1, 0.0, 0.0, 3.3)
 VISCOUS_WITH_SENSOR = SimulatedDevice("viscous arm, 0.03 mm sensor", 0.05, 0.1, 0.0, 0.03, 3.3)
 CYCLES = 30
 AMPLITUDE_MM, RR_S = 5.0, 0.6
+GAP_MM, MARGIN_MM, LINE_CAP_N = 4.0, 2.0, 0.4
+"""Of the line: its least distance from the wall, that at which half of the wall's force is felt, its cap."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -222,6 +240,37 @@ class BeatingCase:
     largest_by_surface_mj: float
 
 
+@dataclass(frozen=True, slots=True)
+class LineCase:
+    """A hand's constant push off a guided line into a wall behind it, each as stiff as the device allows.
+
+    Attributes:
+        device: what renders them.
+        amplitude_mm: from end to end of the line's motion; 0: it does not beat.
+        without_mm, with_mm: RMS change of the true tip from cycle to cycle, without and with the controller.
+        largest_n: force sent, with the controller.
+        largest_residual_mj: with the controller.
+        state: of the supervisor at the end, with the controller.
+    """
+
+    device: str
+    amplitude_mm: float
+    without_mm: float
+    with_mm: float
+    largest_n: float
+    largest_residual_mj: float
+    state: str
+
+
+def lines_before_walls() -> list[LineCase]:
+    """Both simulated devices, the line at rest and beating."""
+    return [
+        _line_before_wall(device, amplitude_mm)
+        for device in DEVICES.values()
+        for amplitude_mm in (0.0, AMPLITUDE_MM)
+    ]
+
+
 def steep_walls(seconds: float = 20.0) -> list[WallCase]:
     """Devices with and without a sensor step, dry friction and a delay."""
     cases = ((VISCOUS, 0.0), (VISCOUS_WITH_SENSOR, 0.0), (VISCOUS, 0.001), (PREMIUM, 0.001))
@@ -256,7 +305,16 @@ def _steep_wall(device: SimulatedDevice, delay_s: float, seconds: float) -> Wall
     model, law = wall_model(), Sigmoid(STEEP * limit, CAP_N)
     hand = Hand(push_n=np.array([PUSH_N, 0.0, 0.0]))
     runs = [
-        press(model, law, device, hand, seconds=seconds, start_mm=-1.0, options=options, delay_s=delay_s)
+        press(
+            model,
+            on_the_wall(law),
+            device,
+            hand,
+            seconds=seconds,
+            start_mm=-1.0,
+            options=options,
+            delay_s=delay_s,
+        )
         for options in (
             ServoOptions(largest_damping_n_s_per_m=0.0, residual_limit_mj=UNBOUNDED_MJ, predict_tool=False),
             ServoOptions(predict_tool=False),
@@ -275,10 +333,51 @@ def _steep_wall(device: SimulatedDevice, delay_s: float, seconds: float) -> Wall
     )
 
 
+def _line_before_wall(device: SimulatedDevice, amplitude_mm: float) -> LineCase:
+    model, limits = wall_model(rr_s=RR_S), device.limits(fastest_mm_s=FASTEST_MM_S)
+    stiffest = (1.0 - 1e-9) * limits.allowed_stiffness_n_per_mm
+    away_mm = GAP_MM + 0.5 * amplitude_mm * (1.0 + np.cos(2.0 * np.pi * model.timing.fractions))
+    points = np.zeros((len(away_mm), 2, 3))
+    points[:, :, 0], points[:, 1, 2] = -away_mm[:, None], 0.5 * HALF_MM
+    line = Gaussian(gaussian_steepness(1.0) * LINE_CAP_N / stiffest, 1.0, LINE_CAP_N)
+    fixtures = FixtureSet(
+        (
+            FixtureOptions(line, path=PathTarget("mr", points, model.timing)),
+            FixtureOptions(Sigmoid(4.0 * stiffest / CAP_N, CAP_N, -MARGIN_MM)),
+        ),
+        device=limits,
+    )
+    free, controlled = (
+        press(
+            model,
+            fixtures,
+            device,
+            Hand(push_n=np.array([PUSH_N, 0.0, 0.0])),
+            seconds=(CYCLES + 1) * RR_S,
+            start_mm=-GAP_MM - amplitude_mm,
+            options=options,
+        )
+        for options in (
+            ServoOptions(largest_damping_n_s_per_m=0.0, residual_limit_mj=UNBOUNDED_MJ),
+            ServoOptions(),
+        )
+    )
+    ticks, record = round(RR_S * device.rate_hz), controlled.record
+    return LineCase(
+        device.name,
+        amplitude_mm,
+        free.unrepeated_mm(ticks),
+        controlled.unrepeated_mm(ticks),
+        float(np.linalg.norm(record.sent_n, axis=1).max()),
+        float(record.residual_mj.max()),
+        SupervisorState(record.state[-1]).name,
+    )
+
+
 def _beating_wall(name: str, hand: Hand) -> BeatingCase:
     model = wall_model(AMPLITUDE_MM, rr_s=RR_S)
-    law = Sigmoid(passive_gamma(PREMIUM), CAP_N)
-    run = press(model, law, PREMIUM, hand, seconds=(CYCLES + 1) * RR_S, start_mm=0.0, options=ServoOptions())
+    fixtures, seconds = on_the_wall(Sigmoid(passive_gamma(PREMIUM), CAP_N)), (CYCLES + 1) * RR_S
+    run = press(model, fixtures, PREMIUM, hand, seconds=seconds, start_mm=0.0, options=ServoOptions())
     ticks = round(RR_S * PREMIUM.rate_hz)
     by_surface, by_all = (
         np.diff(total[ticks - 1 :: ticks]) for total in (run.record.by_surface_mj, run.record.given_mj)
@@ -288,9 +387,10 @@ def _beating_wall(name: str, hand: Hand) -> BeatingCase:
 
 def run(settings: PassivitySettings, driver: Driver) -> Result:
     """Press against every wall."""
-    walls, beating = steep_walls(settings.seconds), beating_walls()
-    fields = {"steep_walls": walls, "beating_walls": beating}
-    return Result(fields, [*_wall_rows(walls), *_beating_rows(beating)], {"passivity.json": fields})
+    walls, beating, lines = steep_walls(settings.seconds), beating_walls(), lines_before_walls()
+    fields = {"steep_walls": walls, "beating_walls": beating, "lines_before_walls": lines}
+    rows = [*_wall_rows(walls), *_beating_rows(beating), *_line_rows(lines)]
+    return Result(fields, rows, {"passivity.json": fields})
 
 
 def _wall_rows(walls: Sequence[WallCase]) -> Rows:
@@ -314,6 +414,23 @@ def _beating_rows(beating: Sequence[BeatingCase]) -> Rows:
     for case in beating:
         numbers = (case.by_surface_mj, case.largest_by_surface_mj, case.given_mj)
         rows.append((case.hand, *(f"{value:.3f}" for value in numbers), "", ""))
+    return rows
+
+
+def _line_rows(lines: Sequence[LineCase]) -> Rows:
+    rows: Rows = [
+        (
+            "line before a wall",
+            "line beats by mm",
+            "change a cycle, mm RMS",
+            "controlled",
+            "N",
+            "residual mJ",
+        )
+    ]
+    for case in lines:
+        numbers = (case.without_mm, case.with_mm, case.largest_n, case.largest_residual_mj)
+        rows.append((case.device, f"{case.amplitude_mm:g}", *(f"{value:.4f}" for value in numbers)))
     return rows
 
 

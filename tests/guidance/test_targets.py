@@ -57,7 +57,7 @@ def test_the_pull_is_bounded_and_continuous_between_competing_parts(seed):
     along = start + np.linspace(0, 2, 101)[:, None] * direction / np.linalg.norm(direction)
     force = PathFixture(HAIRPIN, LAW).force(along, 0.0).force_n
     assert np.linalg.norm(force, axis=1).max() <= 0.6 * (1 + 1e-12)
-    # 20 µm: softmin over 0.5 mm turns by at most 2/0.5 a mm, the smoothstep adds 1.5/0.2 of that
+    # 20 µm: the weights turn by at most 2 · 2 a mm, the smoothstep adds 1.5/0.2 of that
     assert np.linalg.norm(np.diff(force, axis=0), axis=1).max() <= 0.6 * 0.02 * 40
 
 

@@ -46,7 +46,8 @@ LabelsOption = Annotated[
     Path | None,
     typer.Option(
         "--labels",
-        help="4-D label image; with --image, a 3-D one of end-diastole is enough (also .seg.nrrd).",
+        help="4-D label image; with --image, a 3-D one of end-diastole is enough (also .seg.nrrd). A 3-D one "
+        "alone: of a structure that does not beat.",
     ),
 ]
 ImageOption = Annotated[

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import typer
 
-from dvf_ig.cli.shell import progress
+from dvf_ig.cli.shell import progress, warn
 from dvf_ig.core import DvfModel, Preop
 
 from .from_image import BuiltModel, model_from_image, warn_of_no_blood
@@ -25,7 +25,7 @@ def model_of(request: BuildRequest, *, as_json: bool) -> BuiltModel:
         return BuiltModel(model, {})
     if request.labels is not None:
         model = _from_labels(request, request.labels)
-        if not model.chambers:
+        if not model.chambers and not model.still:
             warn_of_no_blood("give --cavity")
         return BuiltModel(model, {})
     raise typer.BadParameter("give --surfaces DIR, --labels SERIES, or --image and labels or seeds")
@@ -67,21 +67,21 @@ def _from_mesh(request: BuildRequest, file: Path) -> DvfModel:
 
 
 def _from_labels(request: BuildRequest, image: Path) -> DvfModel:
-    from dvf_ig.core import InvalidInputError
-    from dvf_ig.io import image_dimension, read_volume_series
-    from dvf_ig.preop import model_from_labels
+    from dvf_ig.io import image_dimension, read_label_names, read_labels, read_volume_series
+    from dvf_ig.preop import model_from_labels, still_series
 
-    if image_dimension(image) == 3:
-        raise InvalidInputError(
-            f"{image} labels one phase; also give the 4-D image whose motion carries it through the cycle: "
-            "--image CINE"
+    still = image_dimension(image) == 3 or bool(read_label_names(image))
+    if still:
+        warn(
+            f"{image} labels one phase, so {request.output.stem} does not beat; if it does, also give the "
+            "4-D image whose motion carries it through the cycle: --image CINE"
         )
     preop = Preop(
         patient_id=request.patient_id(image),
-        labels=read_volume_series(image, request.timing),
+        labels=still_series(*read_labels(image)) if still else read_volume_series(image, request.timing),
         organ_labels=request.organ,
         cavity_labels=request.cavity,
-        surface=request.surface,
+        surface=request.output.stem if still else request.surface,
     )
     source = f"{image.name}: labels {','.join(map(str, request.organ))}"
     with progress("fitting phases") as report:

@@ -101,8 +101,9 @@ def bind_fixtures(fixtures: Fixtures, device: DeviceLimits, options: ServoOption
         periodic[0] if periodic else nothing,
         packed,
         structures,
-        points,
+        np.ascontiguousarray(points.T),
         times,
+        np.zeros((2, settings["fixtures"]["path_points"].max())),
         settings,
     )
 

@@ -71,7 +71,7 @@ def _structure(bound: Any, i: int) -> Any:
     return bound.structures[begin:end].reshape((shape[0], shape[1], shape[2], shape[3]))
 
 
-@kernel
+@inlined
 def _path_output(bound: Any, i: int, place: Vector, phi: float, slope: Slope) -> Output:
     of = bound.settings[0].fixtures
     output = path_force(
@@ -84,11 +84,12 @@ def _path_output(bound: Any, i: int, place: Vector, phi: float, slope: Slope) ->
         bound.packed[i],
         place,
         phi,
+        bound.path_work,
     )
     return output[0], warped_vector(slope, output[1]), output[2], output[3], output[4]
 
 
-@kernel
+@inlined
 def _structure_output(bound: Any, i: int, place: Vector, phi: float, slope: Slope) -> Output:
     """Output of a fixture on a further structure; OK and NaN where its wall is too far away to be felt."""
     output = force_at(_structure(bound, i), bound.packed[i], place, phi, slope)

@@ -264,7 +264,8 @@ class Bound(NamedTuple):
         linear, periodic: (n, cx, cy, cz) coefficients of the two kinds of blend; (0, …) of one not used.
         packed: (k, p) fixtures (`packed_fixture`); their margins are written to.
         structures: (m,) coefficients of the further structures, one after the other.
-        path_points: (m, 3) mm of all paths, phase after phase; path_times: their phases' times.
+        path_points: (3, m) mm of all paths, phase after phase; path_times: their phases' times.
+        path_work: (2, n) working space of `dvf_ig.kernels.path`, n points of the longest path.
         settings: (1,) SETTINGS.
     """
 
@@ -274,6 +275,7 @@ class Bound(NamedTuple):
     structures: Any
     path_points: FloatArray
     path_times: FloatArray
+    path_work: FloatArray
     settings: Any
 
 

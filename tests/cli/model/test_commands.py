@@ -13,8 +13,15 @@ from typer.testing import CliRunner
 
 from dvf_ig.cli import force
 from dvf_ig.cli.model import commands as model
-from dvf_ig.core import CycleTiming, Grid, Mesh, VolumeSeries
-from dvf_ig.io import read_model, write_mesh, write_surface_series, write_timing, write_volume_series
+from dvf_ig.core import CycleTiming, Grid, Mesh, Volume, VolumeSeries
+from dvf_ig.io import (
+    read_model,
+    write_mesh,
+    write_surface_series,
+    write_timing,
+    write_volume,
+    write_volume_series,
+)
 
 app = typer.Typer()
 app.add_typer(model.app, name="model")
@@ -206,3 +213,17 @@ def test_one_mesh_file_makes_a_structure_that_does_not_beat(sphere_of, tmp_path)
     assert json.loads(result.stdout)["surface_error_mm"]["mean"] < 0.05
     model = read_model(out)
     assert (model.patient_id, model.surface_name, model.still) == ("ball", "oesophagus", True)
+
+
+def test_labels_of_one_phase_make_a_structure_that_does_not_beat(tmp_path):
+    grid = Grid.axis_aligned("mr", (26, 26, 26), [-25.0] * 3, 2.0)
+    radius = np.linalg.norm(grid.centers_mm(), axis=-1)
+    values = np.where(radius < 15, 5, np.where(radius < 20, 1, 0)).astype(np.uint8)
+    write_volume(Volume(grid, values), tmp_path / "labels.nrrd")
+    out = tmp_path / "nerve.npz"
+    result = run("model", "build", "--labels", tmp_path / "labels.nrrd", "--organ", "5", "-o", out, "--json")
+    assert result.exit_code == 0, result.output
+    assert "nerve does not beat" in result.stderr
+    model = read_model(out)
+    assert (model.patient_id, model.surface_name, model.still) == ("labels", "nerve", True)
+    assert np.linalg.norm(model.reference[1].vertices_mm, axis=1).mean() == pytest.approx(15.0, abs=0.2)

@@ -12,6 +12,8 @@ from dvf_ig.study.passivity import (
     UNBOUNDED_MJ,
     VISCOUS,
     beating_walls,
+    lines_before_walls,
+    on_the_wall,
     passive_gamma,
     press,
     steep_walls,
@@ -22,8 +24,8 @@ PUSH = Hand(push_n=np.array([0.3, 0.0, 0.0]))
 
 
 def pushed(steepness, options, device=VISCOUS, seconds=6.0, hand=PUSH, **more):
-    law = Sigmoid(steepness * passive_gamma(device), CAP_N)
-    return press(wall_model(), law, device, hand, seconds=seconds, start_mm=-1.0, options=options, **more)
+    wall = on_the_wall(Sigmoid(steepness * passive_gamma(device), CAP_N))
+    return press(wall_model(), wall, device, hand, seconds=seconds, start_mm=-1.0, options=options, **more)
 
 
 def test_the_passive_gamma_is_the_theory_s():
@@ -37,6 +39,15 @@ def test_a_wall_three_times_too_steep_oscillates_without_the_controller_and_rest
         assert case.with_mm < 0.01
         assert case.limit_reached_s < 10.0
         assert case.largest_residual_mj < 0.5
+
+
+def test_between_a_guided_line_and_a_wall_nothing_oscillates():
+    """Both as stiff as each device allows, in a hand that damps nothing, the line at rest and beating."""
+    for case in lines_before_walls():
+        assert case.with_mm < 0.01
+        assert case.largest_n <= CAP_N
+        assert case.largest_residual_mj < 1.0
+        assert case.state == "OK"
 
 
 def test_energy_beyond_the_limit_withdraws_the_force_and_latches():
@@ -63,7 +74,9 @@ def test_the_residual_of_one_step_is_half_the_stiffness_times_the_step_squared()
     hand = Hand(place_mm=np.array([168.0, 0.0, 0.0]), stiffness_n_per_m=2.0, damping_n_s_per_m=20.0)
     options = ServoOptions(largest_damping_n_s_per_m=0.0, residual_limit_mj=UNBOUNDED_MJ, predict_tool=False)
     law = Sigmoid(gamma, cap)
-    run = press(wall_model(), law, VISCOUS, hand, seconds=2.0, start_mm=-1.0, options=options).record
+    run = press(
+        wall_model(), on_the_wall(law), VISCOUS, hand, seconds=2.0, start_mm=-1.0, options=options
+    ).record
     moved = np.diff(run.xyz_mm[:, 0])
     following = run.state[:-1] == SupervisorState.OK
     expected = np.sum(0.5 * stiffness * moved[following] ** 2)
