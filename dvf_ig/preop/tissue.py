@@ -84,11 +84,8 @@ def _matched(series: VolumeSeries, blood: Sequence[int], phase: int) -> list[Fre
 
 def _coarse(values: AnyArray, step: Sequence[int]) -> FloatArray:
     """Average (nx, ny, nz) values about every few voxels along each axis."""
-    return np.asarray(
-        ndimage.uniform_filter(values.astype(np.float32), [2 * n - 1 for n in step])[
-            :: step[0], :: step[1], :: step[2]
-        ]
-    )
+    mean = ndimage.uniform_filter(values.astype(np.float32), [2 * n - 1 for n in step])
+    return np.asarray(mean[:: step[0], :: step[1], :: step[2]])
 
 
 def _tissue(
@@ -100,19 +97,13 @@ def _tissue(
 ) -> Tissue:
     frame = labels.grid.frame
     low, high = _box(reference)
-    knot_mm = float((high - low).max()) / CELLS
-    places_mm = knots(low, knot_mm)
-    nothing = np.zeros(len(places_mm))
-    motion = [
-        Warp.through(
-            frame,
-            low,
-            knot_mm,
-            np.zeros_like(places_mm) if i == phase else places_mm - back(i, places_mm),
-            nothing,
-        )
-        for i in range(len(reference))
-    ]
+    side_mm = float((high - low).max())
+    knot_mm, origin_mm = side_mm / CELLS, 0.5 * (low + high - side_mm)
+    places_mm = knots(origin_mm, knot_mm)
+    motion = []
+    for i in range(len(reference)):
+        pull_mm = np.zeros_like(places_mm) if i == phase else places_mm - back(i, places_mm)
+        motion.append(Warp.through(frame, origin_mm, knot_mm, pull_mm, np.zeros(len(places_mm))))
     return Tissue(_resampled(labels, *_box(reference[phase : phase + 1])), tuple(names), tuple(motion))
 
 
