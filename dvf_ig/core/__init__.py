@@ -72,3 +72,4 @@ from .timing.phase_forecast import PhaseReading as PhaseReading
 from .timing.retiming_curve import CubicPieces as CubicPieces
 from .timing.retiming_curve import RetimingCurve as RetimingCurve
 from .timing.trigger import TriggerTimes as TriggerTimes
+from .tissue import Tissue as Tissue

@@ -11,6 +11,7 @@ from .seen_part import SeenPart
 from .space.frames import check_frame, require_same_frame
 from .space.mesh import Mesh
 from .timing.cycle import CycleTiming
+from .tissue import Tissue
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,6 +59,7 @@ class DvfModel:
         cine_fingerprint: of the grey levels it was built from (`VolumeSeries.fingerprint`); None without any.
         chambers: the blood within the organ, which ultrasound shows; none if it is not known.
         seen: the part of the surface that a stack of slices shows; None if all of it is known.
+        tissue: labels of end-diastole and the motion that carries them; None if either is not known.
     """
 
     patient_id: str
@@ -75,6 +77,7 @@ class DvfModel:
     chambers: tuple[Chamber, ...] = ()
     cine_fingerprint: str | None = None
     seen: SeenPart | None = None
+    tissue: Tissue | None = None
 
     def __post_init__(self) -> None:
         check_frame(self.frame)
@@ -102,6 +105,10 @@ class DvfModel:
                 require_same_frame(self.frame, mesh.frame, f"chamber {chamber.name}")
         if self.seen is not None and len(self.seen.bounds_mm) != n:
             raise InvalidInputError(f"seen slabs of {len(self.seen.bounds_mm)} phases for {n} phases")
+        if self.tissue is not None:
+            require_same_frame(self.frame, self.tissue.labels.grid.frame, "tissue of the model")
+            if len(self.tissue.motion) != n:
+                raise InvalidInputError(f"motion of {len(self.tissue.motion)} phases for {n} phases")
         coefficients.setflags(write=False)
         object.__setattr__(self, "coefficients", coefficients)
         object.__setattr__(self, "origin_mm", frozen_floats(self.origin_mm, "model origin", (3,)))

@@ -110,6 +110,20 @@ def _blended_force(
 
 
 @inlined
+def field_at(
+    coefficients: NDArray[np.float32], f: FloatArray, q: Vector, phi: float
+) -> tuple[int, float, Vector, float]:
+    """Evaluate status, distance, gradient and distance rate at one point, linear in phase."""
+    status, u, v, w = knot_coordinates(coefficients, f, q, phi)
+    if status != code.OK:
+        nothing = no_output(status)
+        return status, nothing[2], nothing[3], nothing[4]
+    _, _, mixed, _, rate = _two_fields(coefficients, f, (u, v, w), phi)
+    d, gx, gy, gz = unpack(mixed)
+    return code.OK, d, (gx, gy, gz), rate
+
+
+@inlined
 def force_at(coefficients: NDArray[np.float32], f: FloatArray, q: Vector, phi: float, slope: Slope) -> Output:
     """Compute the force at one point of the model's frame; linear in phase, unless the blend is periodic.
 

@@ -43,7 +43,7 @@ def _distance_variance(p: Any, at: Vector, g: Vector) -> float:
 
 
 @inlined
-def _turned(pose: Columns, v: Vector) -> Vector:
+def rotated_by(pose: Columns, v: Vector) -> Vector:
     """Rotation of the pose times a vector."""
     x, y, z = pose[0], pose[1], pose[2]
     return (
@@ -63,7 +63,7 @@ def distance_rate_and_sigma(
         packed: pose and phase; pose, phase: of that, at the time.
         xyz_mm: (3,) tool tip, tracker frame; gradient: of the distance there, tracker frame.
     """
-    turned, in_model = _turned(pose, vector_at(xyz_mm, 0)), _turned(pose, gradient)
+    turned, in_model = rotated_by(pose, vector_at(xyz_mm, 0)), rotated_by(pose, gradient)
     shift = pose[3]
     at = (turned[0] + shift[0], turned[1] + shift[1], turned[2] + shift[2])
     swept, moved = cross(pose[4], at), pose[5]

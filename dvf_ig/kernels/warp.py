@@ -33,8 +33,12 @@ def _coordinate(q_mm: float, origin_mm: float, per_mm: float, cells: int) -> tup
 
 
 @inlined
-def _spline_at(warps: Any, slot: int, p: Any, q: Vector) -> tuple[Float64x4, Float64x4, Float64x4, Float64x4]:
-    """Evaluate (m, variance) of one warp and its three derivatives per mm."""
+def spline_at(warps: Any, slot: int, p: Any, q: Vector) -> tuple[Float64x4, Float64x4, Float64x4, Float64x4]:
+    """Evaluate (m, variance) of one warp and its three derivatives per mm.
+
+    Args:
+        p: record with `warp_origin_mm` and `warp_per_mm`.
+    """
     cells = warps.shape[1] - 3
     u, per_x = _coordinate(q[0], p.warp_origin_mm[0], p.warp_per_mm, cells)
     v, per_y = _coordinate(q[1], p.warp_origin_mm[1], p.warp_per_mm, cells)
@@ -65,7 +69,8 @@ def _spline_at(warps: Any, slot: int, p: Any, q: Vector) -> tuple[Float64x4, Flo
 
 
 @inlined
-def _mixed(weight: float, a: Float64x4, b: Float64x4) -> Float64x4:
+def mixed(weight: float, a: Float64x4, b: Float64x4) -> Float64x4:
+    """Compute (1 − weight) a + weight b."""
     return fma(scale(1.0 - weight, a), weight, b)
 
 
@@ -78,20 +83,20 @@ def warp_at(warps: Any, p: Any, t_s: float, q: Vector) -> tuple[Vector, Slope, f
         p: POSE_AND_PHASE of a heart that has changed its shape.
         q: point at the registered pose, model frame.
     """
-    m, x, y, z = _spline_at(warps, 1, p, q)
+    m, x, y, z = spline_at(warps, 1, p, q)
     rate = pack(0.0, 0.0, 0.0, 0.0)
     if t_s < p.warp_end_s:
-        before, x0, y0, z0 = _spline_at(warps, 0, p, q)
+        before, x0, y0, z0 = spline_at(warps, 0, p, q)
         share = 0.0
         if t_s > p.warp_start_s:
             per_s = 1.0 / (p.warp_end_s - p.warp_start_s)
             share = (t_s - p.warp_start_s) * per_s
             rate = scale(per_s, fma(m, -1.0, before))
         m, x, y, z = (
-            _mixed(share, before, m),
-            _mixed(share, x0, x),
-            _mixed(share, y0, y),
-            _mixed(share, z0, z),
+            mixed(share, before, m),
+            mixed(share, x0, x),
+            mixed(share, y0, y),
+            mixed(share, z0, z),
         )
     mx, my, mz, variance = unpack(m)
     ax, ay, az = unpack(x), unpack(y), unpack(z)

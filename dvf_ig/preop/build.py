@@ -34,6 +34,7 @@ from dvf_ig.preop.surface.from_labels import border_caps, surfaces_from_labels
 from dvf_ig.preop.surface.topology import count_edges
 
 from .knots import choose_knot_spacing
+from .tissue import tissue_of_labels
 
 log = logging.getLogger(__name__)
 
@@ -248,7 +249,7 @@ def model_from_labels(
     reference = surfaces_from_labels(preop.labels, preop.organ_labels, threads=options.threads)
     flags = [border_caps(mesh, preop.labels.grid) for mesh in reference]
     caps = caps_of(reference[0].vertices_mm, reference[0].triangles, flags[0])
-    return build_model(
+    model = build_model(
         reference,
         flags,
         preop.labels.timing,
@@ -263,6 +264,7 @@ def model_from_labels(
             preop.labels, preop.blood_labels, dict(preop.label_names), threads=options.threads
         ),
     )
+    return replace(model, tissue=tissue_of_labels(preop, reference, model.ed_phase))
 
 
 def _marked(name: str, caps: Sequence[Cap]) -> tuple[str, ...]:

@@ -43,6 +43,7 @@ from dvf_ig.preop.surface.from_labels import border_caps, surface_of_mask
 
 from .build import ModelOptions, build_model
 from .check import away_from_caps
+from .tissue import tissue_of_cine
 
 _LOG = logging.getLogger(__name__)
 
@@ -195,7 +196,11 @@ def model_from_cine(
             if (chamber := _chamber(moving, mask, label_name(value, dict(options.label_names))))
         ],
     )
-    model = replace(model, cine_fingerprint=image.fingerprint(), seen=seen)
+    tissue = None
+    if base is None:
+        moves = [deformation.move for deformation in motion.deformations]
+        tissue = tissue_of_cine(labels, options.label_names, model.reference, options.ed_phase, moves)
+    model = replace(model, cine_fingerprint=image.fingerprint(), seen=seen, tissue=tissue)
     budget = surface_budget(image.grid.spacing_mm, surface.volume_mm3())
     return CineModel(model, surfaces, tracked, quality, budget, volumes, ends, shifts, base, phases)
 

@@ -79,6 +79,7 @@ def limits_of(device: HeldDevice, stated: DeviceLimits) -> DeviceLimits:
         return DeviceLimits(
             stiffness_n_per_m=(own or stated).stiffness_n_per_m,
             continuous_force_n=(own or stated).continuous_force_n,
+            friction_n=(own or stated).friction_n,
             name=device.name,
         )
     return replace(

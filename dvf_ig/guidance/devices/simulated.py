@@ -224,6 +224,7 @@ class SimulatedStylus:
         return DeviceLimits(
             rate_hz=self.rate_hz,
             stiffness_n_per_m=MM_PER_M * whole.allowed_stiffness_n_per_mm,
+            friction_n=whole.friction_n,
             continuous_force_n=whole.continuous_force_n,
             name=self.name,
         )

@@ -34,9 +34,10 @@ from dvf_ig.guidance.supervision.supervisor import (
     RearmAnswer,
 )
 from dvf_ig.guidance.targets import PathFixture
+from dvf_ig.guidance.tissue import Feel
 from dvf_ig.kernels.fixture_field import BLEND_PATH, DEPTH, LAW, packed_fixture
 from dvf_ig.kernels.servo import supervision
-from dvf_ig.kernels.servo.layout import MAX_FIXTURES, SETTINGS, Bound
+from dvf_ig.kernels.servo.layout import MAX_FIXTURES, SETTINGS, TISSUE, Bound
 
 from .options import ServoOptions
 
@@ -105,7 +106,22 @@ def bind_fixtures(fixtures: Fixtures, device: DeviceLimits, options: ServoOption
         times,
         np.zeros((2, settings["fixtures"]["path_points"].max())),
         settings,
+        *bound_feel(options.feel),
     )
+
+
+def bound_feel(feel: Feel | None) -> tuple[Any, NDArray[np.float32], NDArray[np.float32]]:
+    """(1,) TISSUE, motion and properties; nothing is felt without them."""
+    tissue = np.zeros(1, TISSUE)
+    if feel is None:
+        return tissue, np.zeros((1, 4, 4, 16), dtype=np.float32), np.zeros((2, 2, 2, 4), dtype=np.float32)
+    first, grid = feel.tissue.motion[0], feel.tissue.labels.grid
+    tissue["felt"], tissue["stick_n_per_mm"] = 1, feel.stick_n_per_mm
+    tissue["warp_origin_mm"], tissue["warp_per_mm"] = first.origin_mm, 1.0 / first.knot_mm
+    tissue["label_origin_mm"], tissue["label_per_mm"] = grid.origin_mm, 1.0 / grid.spacing_mm[0]
+    count = len(first.coefficients)
+    motion = [warp.coefficients.reshape(count, count, 4 * count) for warp in feel.tissue.motion]
+    return tissue, np.stack(motion), np.array(feel.properties)
 
 
 def _structures(fixtures: Fixtures) -> tuple[NDArray[np.float32], list[int | None]]:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 from dvf_ig.core import InvalidInputError
 from dvf_ig.guidance.feed_forward import NO_FEED_FORWARD, FeedForward
+from dvf_ig.guidance.tissue import Feel
 
 SLOWEST_HZ, FASTEST_HZ = 200.0, 4000.0
 """The watchdog trips 10 ms after a force: at the slowest rate one deadline may be missed."""
@@ -23,6 +24,7 @@ class ServoOptions:
         residual_limit_mj: energy made by sampling, latency and quantisation beyond which the force is
             withdrawn (docs/theory/safety.md).
         predict_tool: take the tool to where it will be when the force is felt; pose and phase always are.
+        feel: tissue that is felt instead of the fixtures, whose joint cap stays; None: the fixtures are.
         speed_cutoff_hz: of the low-pass filter on the tool's measured speed.
     Raises:
         InvalidInputError: a number out of range.
@@ -34,6 +36,7 @@ class ServoOptions:
     residual_limit_mj: float = 5.0
     predict_tool: bool = True
     speed_cutoff_hz: float = 50.0
+    feel: Feel | None = None
 
     def __post_init__(self) -> None:
         if not SLOWEST_HZ <= self.rate_hz <= FASTEST_HZ:

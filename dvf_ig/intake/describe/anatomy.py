@@ -8,6 +8,7 @@ import numpy as np
 
 from dvf_ig.core.arrays import AnyArray
 from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
+from dvf_ig.core.model import DvfModel
 from dvf_ig.core.plausible import surface_problem
 from dvf_ig.core.space.mesh import Mesh
 from dvf_ig.core.space.points import Landmarks
@@ -191,12 +192,21 @@ def model_facts(path: Path) -> Facts:
         "lower_mm": model.origin_mm.tolist(),
         "upper_mm": model.upper_mm.tolist(),
         "chambers": [chamber.name for chamber in model.chambers],
+        "tissue": _tissue_facts(model),
         "megabytes": model.megabytes,
         "unseen_share": model.unseen_share,
         "capped_share": float(np.concatenate(model.reference_caps).mean()),
         "sources": list(model.sources),
         "sha256": model_digest(model),
     }
+
+
+def _tissue_facts(model: DvfModel) -> list[str] | str:
+    """List the names of a model's tissue labels, or say that it keeps none."""
+    if model.tissue is None:
+        return "none: no labels, no motion between distant slices, or a file of an earlier version"
+    values = np.unique(model.tissue.labels.values).tolist()
+    return [model.tissue.name(value) for value in values if value != 0]
 
 
 def transform_facts(path: Path) -> Facts:

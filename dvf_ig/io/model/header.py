@@ -10,6 +10,9 @@ from dvf_ig.core.arrays import AnyArray
 from dvf_ig.core.errors import InvalidInputError
 from dvf_ig.core.model import Chamber
 from dvf_ig.core.space.mesh import Mesh
+from dvf_ig.core.space.volume import Grid, Volume
+from dvf_ig.core.space.warp import Warp
+from dvf_ig.core.tissue import Tissue
 from dvf_ig.io import limits
 
 
@@ -55,9 +58,46 @@ def chambers_of_arrays(names: Sequence[str], frame: str, arrays: dict[str, AnyAr
     return tuple(Chamber(name, tuple(meshes[k * phases : (k + 1) * phases])) for k, name in enumerate(names))
 
 
+def tissue_parts(tissue: Tissue) -> tuple[dict[str, Any], dict[str, AnyArray]]:
+    """Return the header and the arrays of a model's tissue."""
+    grid, first = tissue.labels.grid, tissue.motion[0]
+    header = {
+        "label_mm": float(grid.spacing_mm[0]),
+        "knot_mm": float(first.knot_mm),
+        "names": [list(one) for one in tissue.names],
+    }
+    motion = np.stack([warp.coefficients for warp in tissue.motion])
+    values = (tissue.labels.values, grid.origin_mm, motion, first.origin_mm)
+    return header, dict(zip(TISSUE_ARRAYS, values, strict=True))
+
+
+def tissue_of_arrays(header: "ModelHeader", arrays: dict[str, AnyArray]) -> Tissue | None:
+    """Rebuild the tissue of a file; None for files without.
+
+    Raises:
+        KeyError: an array is missing.
+        InvalidInputError: arrays of other shapes or types.
+    """
+    of = header.tissue
+    if of is None:
+        return None
+    values, origin_mm, motion, knots_mm = (arrays[name] for name in TISSUE_ARRAYS)
+    if values.ndim != 3 or motion.ndim != 5 or len(motion) != header.phases:
+        raise InvalidInputError(
+            f"its tissue has labels of shape {values.shape} and a motion of shape {motion.shape} for "
+            f"{header.phases} phases; build it again"
+        )
+    nx, ny, nz = values.shape
+    labels = Volume(Grid.axis_aligned(header.frame, (nx, ny, nz), origin_mm, of.label_mm), values)
+    warps = tuple(Warp(header.frame, knots_mm, of.knot_mm, one) for one in motion)
+    return Tissue(labels, of.names, warps)
+
+
 SCHEMA_OF_PART = "dvf_ig.model/2"
 """Schema of a model of whose surface slices show a part (`SeenPart`)."""
 SEEN_ARRAYS = ("seen_normal", "seen_bounds_mm", "seen_ends_mm", "seen_sigma_mm")
+
+TISSUE_ARRAYS = ("tissue_labels", "tissue_origin_mm", "tissue_motion_mm", "tissue_motion_origin_mm")
 
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Text = Annotated[str, Field(strict=True)]
@@ -70,6 +110,16 @@ class _Units(BaseModel):
     length: Literal["mm"]
     time: Literal["s"]
     coefficients: Literal["mm"]
+
+
+class TissueHeader(BaseModel):
+    """Pitch of the labels and of the motion's knots, names of label values."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    label_mm: Annotated[float, Field(strict=True, ge=0.1, le=20.0)]
+    knot_mm: Annotated[float, Field(strict=True, ge=0.1, le=100.0)]
+    names: tuple[tuple[Annotated[int, Field(strict=True, ge=0, le=255)], Text], ...] = ()
 
 
 class ModelHeader(BaseModel):
@@ -94,6 +144,7 @@ class ModelHeader(BaseModel):
     sources: tuple[Text, ...] = ()
     chambers: tuple[Text, ...] = ()
     cine_fingerprint: Text | None = None
+    tissue: TissueHeader | None = None
 
     @model_validator(mode="after")
     def _consistent(self) -> "ModelHeader":
@@ -126,7 +177,7 @@ def require_consistent(header: ModelHeader, arrays: dict[str, AnyArray]) -> None
             f"its schema {header.schema_} does not fit its arrays of what slices show; build it again"
         )
     of_lengths = ("coefficients", "origin_mm", "reference_vertices_mm", "chamber_vertices_mm")
-    for name in (*of_lengths, *SEEN_ARRAYS[1:]):
+    for name in (*of_lengths, *SEEN_ARRAYS[1:], *TISSUE_ARRAYS[1:]):
         if name in arrays:
             _require_lengths(arrays[name], name)
 

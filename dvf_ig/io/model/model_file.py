@@ -28,6 +28,8 @@ from .header import (
     chamber_arrays,
     chambers_of_arrays,
     require_consistent,
+    tissue_of_arrays,
+    tissue_parts,
 )
 
 SCHEMA = "dvf_ig.model/1"
@@ -138,6 +140,9 @@ def _parts(model: DvfModel) -> tuple[dict[str, Any], dict[str, AnyArray]]:
         header["cine_fingerprint"] = model.cine_fingerprint
     if model.seen is not None:
         arrays |= {name: getattr(model.seen, name[5:]) for name in SEEN_ARRAYS}
+    if model.tissue is not None:
+        header["tissue"], of_tissue = tissue_parts(model.tissue)
+        arrays |= of_tissue
     if model.chambers:
         header["chambers"] = [chamber.name for chamber in model.chambers]
         arrays |= chamber_arrays(model.chambers)
@@ -230,6 +235,7 @@ def _model(path: Path, document: dict[str, Any], arrays: dict[str, AnyArray]) ->
             chambers=chambers_of_arrays(header.chambers, frame, arrays),
             cine_fingerprint=header.cine_fingerprint,
             seen=_seen(header, arrays),
+            tissue=tissue_of_arrays(header, arrays),
         )
     except KeyError as exc:
         raise UnreadableFileError(f"{path}: the model lacks {exc}; build it again") from exc

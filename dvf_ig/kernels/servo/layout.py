@@ -120,6 +120,19 @@ SETTINGS = np.dtype(
 )
 """Constants while a servo runs; damping in N·s/mm."""
 
+TISSUE = np.dtype(
+    [
+        ("felt", _I),
+        ("warp_origin_mm", _F, (3,)),
+        ("warp_per_mm", _F),
+        ("label_origin_mm", _F, (3,)),
+        ("label_per_mm", _F),
+        ("stick_n_per_mm", _F),
+    ]
+)
+"""Constants of tissue: whether it is felt instead of fixtures, the knots of its motion (named as those of a
+change of shape), the grid of its properties, the stiffness of sticking friction."""
+
 CLAMPS = 10
 SUPERVISION = np.dtype(
     [
@@ -174,10 +187,13 @@ MEMORY = np.dtype(
         ("worst_share", _F),
         ("last_phase", _F),
         ("phase_known", _I),
+        ("anchored", _I),
+        ("anchor_mm", _F, (3,)),
     ]
 )
 """Memory from one tick to the next. `worst_share` is the progress from the fixtures of a known phase, 0, to
-the walls of the worst one, 1; `last_phase` the last known phase of the model."""
+the walls of the worst one, 1; `last_phase` the last known phase of the model; `anchor_mm` where friction
+holds the tool, in the material of the tissue that it touches."""
 
 SAMPLE = np.dtype(
     [
@@ -267,6 +283,8 @@ class Bound(NamedTuple):
         path_points: (3, m) mm of all paths, phase after phase; path_times: their phases' times.
         path_work: (2, n) working space of `dvf_ig.kernels.path`, n points of the longest path.
         settings: (1,) SETTINGS.
+        tissue: (1,) TISSUE; tissue_motion: (n, c, c, 4 c) float32 pull-backs to end-diastole;
+            tissue_properties: (x, y, z, 4) float32 stiffness in N/mm, damping in N·s/mm, friction, texture.
     """
 
     linear: Any
@@ -277,6 +295,9 @@ class Bound(NamedTuple):
     path_times: FloatArray
     path_work: FloatArray
     settings: Any
+    tissue: Any
+    tissue_motion: Any
+    tissue_properties: Any
 
 
 class Scratch(NamedTuple):

@@ -18,6 +18,7 @@ from . import supervision
 from .fixtures import cross_to_walls, fixtures_force
 from .passivity import control, note_sent, observe
 from .supervision import supervise
+from .tissue import tissue_force
 
 
 @inlined
@@ -123,9 +124,12 @@ def servo_tick(
         xyz[k] = m.tool_mm[k] + settings.predict_tool * settings.lead_s * speed[k]
         surface[k] = 0.0
     felt_s = t_s + settings.lead_s
-    status = fixtures_force(bound, scratch, inputs, felt_s, xyz, status)
-    if status != code.OK or m.worst_share > 0.0:
-        status = cross_to_walls(bound, scratch, inputs, felt_s, xyz, status, dt_s)
+    if bound.tissue[0].felt != 0:
+        status = tissue_force(bound, scratch, inputs, felt_s, xyz, status)
+    else:
+        status = fixtures_force(bound, scratch, inputs, felt_s, xyz, status)
+        if status != code.OK or m.worst_share > 0.0:
+            status = cross_to_walls(bound, scratch, inputs, felt_s, xyz, status, dt_s)
     evaluated = math.isfinite(sample.distance_mm)
     surface_speed = math.nan
     for k in range(3):

@@ -21,7 +21,18 @@ from typing import Any
 
 import numpy as np
 
-from dvf_ig.core import RIGID_SIGMA_MM, DvfModel, FloatArray, Mesh, Rigid, Warp, WarpMotion
+from dvf_ig.core import (
+    RIGID_SIGMA_MM,
+    DvfModel,
+    FloatArray,
+    Grid,
+    Mesh,
+    Rigid,
+    Tissue,
+    Volume,
+    Warp,
+    WarpMotion,
+)
 from dvf_ig.core.space.warp import CELLS, knots
 from dvf_ig.guidance import (
     Evaluator,
@@ -42,12 +53,14 @@ from dvf_ig.guidance.servo.bound import bind_fixtures
 from dvf_ig.guidance.servo.inputs import Publication
 from dvf_ig.guidance.servo.record import BINS, deadlines_of
 from dvf_ig.guidance.servo.servo import real_time_thread
+from dvf_ig.guidance.tissue import Feel, feel_of
 from dvf_ig.kernels.compiled import kernel
 from dvf_ig.kernels.pose_and_phase import GUIDED_SIZE, guided_batch
 from dvf_ig.kernels.servo import loop, shared
 from dvf_ig.kernels.servo.borrowed import borrowed
 from dvf_ig.kernels.servo.layout import new_scratch
 from dvf_ig.kernels.servo.tick import servo_tick
+from dvf_ig.preop.tissue import LABEL_MM
 from dvf_ig.study.bench.calls import POSE, batch_of, steady
 from dvf_ig.study.bench.timing import CYCLE_S, RATE_HZ, Row, hand_path, random_points, row
 
@@ -304,6 +317,8 @@ def bench_tick(model: DvfModel, seed: int) -> TickCost:
         "one guided force, warped": _guided(model, path, _warp(model)),
         "servo tick": _ticks(model, path, None),
         "servo tick, warped": _ticks(model, path, _warp(model)),
+        "servo tick, tissue": _ticks(model, path, None, feel=_feel(model)),
+        "servo tick, tissue, warped": _ticks(model, path, _warp(model), feel=_feel(model)),
         "servo tick, two structures and a path": _ticks(model, path, None, _two_structures(model)),
     }
     floor = compiled_floor(model, POSE, law)
@@ -364,6 +379,22 @@ def _warp(model: DvfModel) -> WarpMotion:
     return WarpMotion.still(Warp.through(model.frame, origin, pitch, 0.05 * away, variance))
 
 
+def _feel(model: DvfModel) -> Feel:
+    """Tissue of two kinds that moves a little; what it is does not matter to the time of a tick."""
+    corners = model.reference[model.ed_phase].vertices_mm
+    low, side_mm = corners.min(axis=0) - 6.0, float(np.ptp(corners, axis=0).max()) + 12.0
+    count = round(side_mm / LABEL_MM)
+    grid = Grid.axis_aligned(model.frame, (count,) * 3, low, LABEL_MM)
+    kinds = 1 + (np.indices(grid.shape).sum(axis=0) // 8) % 2
+    places, nothing = knots(low, side_mm / CELLS), np.zeros((CELLS + 1) ** 3)
+    motion = [
+        Warp.through(model.frame, low, side_mm / CELLS, np.sin(places / 30.0 + k), nothing)
+        for k in range(model.phases)
+    ]
+    tissue = Tissue(Volume(grid, kinds.astype(np.uint8)), ((1, "myocardium"), (2, "vessel")), tuple(motion))
+    return feel_of(replace(model, tissue=tissue), COMMON_DEVICE)
+
+
 def _guided(model: DvfModel, tip: FloatArray, warp: WarpMotion | None) -> Pass:
     """Force at a tip and time, through pose, phase and perhaps a change of shape; with rates and σ_d."""
     t_s, status = np.arange(len(tip)) / RATE_HZ, np.zeros(len(tip), dtype=np.int64)
@@ -391,7 +422,11 @@ def _two_structures(model: DvfModel) -> FixtureSet:
 
 
 def _ticks(
-    model: DvfModel, tip: FloatArray, warp: WarpMotion | None, fixtures: FixtureSet = TWO_FIXTURES
+    model: DvfModel,
+    tip: FloatArray,
+    warp: WarpMotion | None,
+    fixtures: FixtureSet = TWO_FIXTURES,
+    feel: Feel | None = None,
 ) -> Pass:
     """Pose, phase, fixtures, composition, passivity, saturation, supervision; without device and clock.
 
@@ -400,7 +435,7 @@ def _ticks(
     stay = tip[: round(2.0 * RATE_HZ)]
     tip = np.ascontiguousarray(np.tile(np.concatenate([stay, stay[::-1]]), (3, 1))[: len(tip)])
     numbers = np.zeros(1)
-    bound = bind_fixtures(Fixtures(model, fixtures), COMMON_DEVICE, ServoOptions(), 0.0)
+    bound = bind_fixtures(Fixtures(model, fixtures), COMMON_DEVICE, ServoOptions(feel=feel), 0.0)
     scratch = new_scratch(len(fixtures.fixtures))
     inputs = ServoInputs(
         PoseAndPhase(*steady(POSE), warp=warp), 0.0, Rigid.identity("tracker", "device"), valid_for_s=1e9

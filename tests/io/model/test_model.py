@@ -11,7 +11,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dvf_ig.core import Chamber, CycleTiming, DvfModel, InvalidInputError, Mesh, SeenPart, UnreadableFileError
+from dvf_ig.core import (
+    Chamber,
+    CycleTiming,
+    DvfModel,
+    Grid,
+    InvalidInputError,
+    Mesh,
+    SeenPart,
+    Tissue,
+    UnreadableFileError,
+    Volume,
+    Warp,
+)
 from dvf_ig.io import model_digest, read_model, write_model
 
 Same = Callable[..., None]
@@ -42,7 +54,17 @@ def model(seed: int = 0, patient: str = "patient-1") -> DvfModel:
         sources=("surfaces", "Zürich"),
         chambers=tuple(chamber(rng, name, n) for name in ("lv_blood", "label 3")[: int(rng.integers(0, 3))]),
         seen=seen if seed % 3 == 1 else None,
+        tissue=tissue(rng, n) if seed % 2 else None,
     )
+
+
+def tissue(rng: np.random.Generator, phases: int) -> Tissue:
+    labels = Volume(
+        Grid.axis_aligned("mr", (4, 3, 5), rng.normal(size=3), 1.5), rng.integers(0, 4, (4, 3, 5), np.uint8)
+    )
+    motion = rng.normal(size=(phases, 15, 15, 15, 4)).astype(np.float32)
+    warps = tuple(Warp("mr", np.array([1.0, -2.0, 3.0]), 11.5, one) for one in motion)
+    return Tissue(labels, ((1, "wall"), (3, "Höhle")), warps)
 
 
 def chamber(rng: np.random.Generator, name: str, phases: int) -> Chamber:
@@ -71,6 +93,14 @@ def test_a_file_without_chambers_is_that_of_versions_that_kept_none(tmp_path: Pa
         assert not [name for name in archive.files if "chamber" in name]
         assert "chambers" not in json.loads(archive["header"].tobytes())
     assert read_model(tmp_path / "m.npz").chambers == ()
+
+
+def test_a_file_without_tissue_is_that_of_versions_that_kept_none(tmp_path: Path) -> None:
+    write_model(replace(model(3), tissue=None), tmp_path / "m.npz")
+    with np.load(tmp_path / "m.npz", allow_pickle=False) as archive:
+        assert not [name for name in archive.files if "tissue" in name]
+        assert "tissue" not in json.loads(archive["header"].tobytes())
+    assert read_model(tmp_path / "m.npz").tissue is None
 
 
 def test_a_file_says_whether_it_holds_a_part(tmp_path: Path) -> None:
