@@ -38,6 +38,11 @@ def _answer(option: str, command: str) -> None:
         raise typer.BadParameter(
             f"there is no option --config; give the file as the argument: {command} session.yaml"
         )
+    if option == "--feel":
+        raise typer.BadParameter(
+            "a session guides a patient and gives no force that is made up; feel the tissue of a model with: "
+            "dvf-ig device test --feel MODEL"
+        )
     for name, key in KEYS.items():
         if option in key.options:
             raise typer.BadParameter(

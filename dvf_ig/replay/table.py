@@ -101,6 +101,12 @@ def _pose_rows(result: dict[str, Any]) -> list[tuple[str, str, str]]:
         else f"TRE {tre['median']:.2f} mm median, {tre['p95']:.2f} p95, {tre['max']:.2f} max"
     )
     rows.append(("registration", text, error))
+    dice = result["label_dice"]
+    if dice is not None and dice["mean"] is not None:
+        text = f"in {dice['frames']} ultrasound planes of the last registration"
+        rows.append(
+            ("labels", text, f"Dice {dice['mean']:.2f} mean of labels, {dice['organ']:.2f} whole organ")
+        )
     if usable:
         rows.append(("least constrained", usable[-1]["weakness"], ""))
         shape = usable[-1]["shape_change"]

@@ -111,6 +111,8 @@ class PlaneOverlay:
         outline_levels: grey levels of the anatomy whose contours replace those of a model.
         anatomy_from_pixel: (3, 3) maps (column, row, 1) to mm in the anatomy's frame by the registered pose;
             None if not given.
+        labels: (rows, columns) labels of the model's tissue by the registered pose; None without any.
+        label_names: value and name of each.
     """
 
     name: str
@@ -123,6 +125,8 @@ class PlaneOverlay:
     registered: AnatomyPlane
     outline_levels: tuple[float, ...] = ()
     anatomy_from_pixel: FloatArray | None = None
+    labels: NDArray[np.uint8] | None = None
+    label_names: tuple[tuple[int, str], ...] = ()
 
     @property
     def size_mm(self) -> tuple[float, float]:

@@ -1,4 +1,4 @@
-"""A soft ball in front of a haptic device, for `dvf-ig device test`, and what was measured meanwhile."""
+"""A soft ball or a heart's tissue at a haptic device, for `dvf-ig device test`, and what was measured."""
 
 import time
 from typing import Any
@@ -6,16 +6,17 @@ from typing import Any
 import numpy as np
 
 from dvf_ig.core import CycleTiming, DvfModel, FloatArray, Mesh, Rigid
-from dvf_ig.guidance import FixtureOptions, Fixtures, FixtureSet, PoseAndPhase, Sigmoid
+from dvf_ig.guidance import FixtureOptions, Fixtures, FixtureSet, Sigmoid
 from dvf_ig.guidance.device import COMMON_DEVICE
 from dvf_ig.guidance.devices import HeldDevice, SimulatedStylus, limits_of, position_mm
 from dvf_ig.guidance.devices.simulated import Hand
 from dvf_ig.guidance.servo import Servo, ServoInputs, ServoOptions
+from dvf_ig.guidance.tissue import TissueClass, feel_fixtures, feel_of
 from dvf_ig.preop import AxisSolver, fit_coefficients
-from dvf_ig.study.bench.calls import steady
+from dvf_ig.study.passivity import steady_transform
 
 RADIUS_MM, DISTANCE_MM = 20.0, 30.0
-"""Radius of the ball; from the tip at rest to its centre, along -x of the device."""
+"""Radius of the ball; from the tip at rest to its centre, along -x of the device. A heart is as near."""
 KNOT_MM, CELLS = 5.0, 32
 """The model's box is 160 mm wide: most of a desktop device's workspace."""
 SOFT = Sigmoid(gamma_per_mm=0.5, cap_n=0.6)
@@ -50,21 +51,32 @@ def ball_model() -> DvfModel:
     )
 
 
-def feel_ball(device: HeldDevice, seconds: float) -> dict[str, Any]:
+def feel_ball(device: HeldDevice, seconds: float, heart: DvfModel | None = None) -> dict[str, Any]:
     """Render the ball, and return JSON values; a simulated hand pushes into it and draws back.
 
+    Args:
+        heart: whose tissue is felt instead, beating at its own rate; its side towards +x is touched.
     Raises:
-        InvalidInputError: the device does not answer, or cannot render the ball.
+        InvalidInputError: the device does not answer, or cannot render the ball; a heart without tissue.
     """
     limits = limits_of(device, COMMON_DEVICE)
-    fixtures = Fixtures(ball_model(), FixtureSet((FixtureOptions(SOFT, name="ball"),), device=limits))
+    feel = None if heart is None else feel_of(heart, limits)
+    if heart is None:
+        fixtures = Fixtures(ball_model(), FixtureSet((FixtureOptions(SOFT, name="ball"),), device=limits))
+        nearest_mm = np.array([RADIUS_MM, 0.0, 0.0])
+    else:
+        fixtures = feel_fixtures(heart, limits)
+        corners_mm = heart.reference[heart.ed_phase].vertices_mm
+        nearest_mm = corners_mm[corners_mm[:, 0].argmax()]
     first_mm = position_mm(device)
-    centre_mm = first_mm - np.array([DISTANCE_MM, 0.0, 0.0])
+    touched_mm = first_mm - np.array([DISTANCE_MM - RADIUS_MM, 0.0, 0.0])
     place = Rigid.from_rotation_vector(np.zeros(3), np.zeros(3), "tracker", "device")
-    mr_from_tracker = Rigid.from_rotation_vector(np.zeros(3), -centre_mm, "mr", "tracker")
-    transform = PoseAndPhase(*steady(mr_from_tracker))
+    frame = fixtures.model.frame
+    model_from_tracker = Rigid.from_rotation_vector(np.zeros(3), nearest_mm - touched_mm, frame, "tracker")
+    transform = steady_transform(fixtures.model, pose=model_from_tracker)
+    options = ServoOptions(rate_hz=device.rate_hz, feel=feel)
     rows, presses, pressed = [], 0, False
-    with Servo(fixtures, device, limits=limits, options=ServoOptions(rate_hz=device.rate_hz)) as servo:
+    with Servo(fixtures, device, limits=limits, options=options) as servo:
         begin_s, enabled = time.monotonic(), False
         while (now_s := time.monotonic()) < begin_s + seconds:
             servo.publish(ServoInputs(transform, now_s - begin_s, place), now_s)
@@ -86,7 +98,9 @@ def feel_ball(device: HeldDevice, seconds: float) -> dict[str, Any]:
     return {
         "device": device.name,
         "position_mm": first_mm.tolist(),
-        "ball_centre_mm": centre_mm.tolist(),
+        "touched_mm": touched_mm.tolist(),
+        "tissue": None if feel is None else [_described(one) for one in feel.classes],
+        "cannot_render": [] if feel is None else list(feel.refused),
         "rate_hz": device.rate_hz,
         "ticks": late.ticks,
         "run_share": late.run_share,
@@ -107,6 +121,14 @@ def feel_ball(device: HeldDevice, seconds: float) -> dict[str, Any]:
         "state": None if sent is None else sent.state.name,
         "reasons": [] if sent is None else list(sent.hazards.sentences),
     }
+
+
+def _described(one: TissueClass) -> dict[str, Any]:
+    """Values of a kind of tissue, each with its source."""
+    values = (one.stiffness_n_per_mm, one.damping_n_s_per_m, one.friction, one.texture)
+    names = ("stiffness_n_per_mm", "damping_n_s_per_m", "friction", "texture")
+    pairs = zip(names, values, one.sources, strict=True)
+    return {"name": one.name, **{name: {"value": value, "source": source} for name, value, source in pairs}}
 
 
 def _hand(first_mm: FloatArray, share: float) -> Hand:

@@ -10,8 +10,10 @@ from typer.testing import CliRunner
 
 from dvf_ig.cli.main import app
 from dvf_ig.core import Landmarks, Points, Rigid
-from dvf_ig.io import write_landmarks
+from dvf_ig.io import write_landmarks, write_model
 from dvf_ig.io.calibration_files import read_landmark_map
+from dvf_ig.study.passivity import wall_model
+from dvf_ig.study.tissue import tissue_wall
 
 PLACE = Rigid.from_rotation_vector([0.3, -0.2, 0.5], [40.0, -10.0, 5.0], "tracker", "device")
 NAMES = ("a", "b", "c", "d")
@@ -37,6 +39,30 @@ def test_a_simulated_hand_feels_the_ball() -> None:
     assert result["ticks"] + 1 > result["run_share"] * 1000
     assert 0.0 < result["largest_force_n"] <= 0.6
     assert result["deepest_mm"] < 5.0, "the ball holds the hand back"
+
+
+def test_a_simulated_hand_feels_tissue_in_a_mode_of_its_own(tmp_path: Path) -> None:
+    model = tmp_path / "wall.npz"
+    write_model(tissue_wall(["lv_myocardium"]), model)
+    command = ["device", "test", "--device", "simulated:omni", "--seconds", "1.5"]
+    done = CliRunner().invoke(app, [*command, "--feel", str(model), "--json"])
+    assert done.exit_code == 0, done.output
+    result = json.loads(done.stdout)
+    assert [one["name"] for one in result["tissue"]] == ["myocardium"]
+    assert result["tissue"][0]["friction"]["source"].startswith("Loring")
+    assert "friction of myocardium cannot be rendered on the simulated PHANToM Omni" in done.stderr
+    refused = CliRunner().invoke(app, ["serve", str(tmp_path), "--feel", str(model)])
+    assert refused.exit_code == 2
+    assert "gives no force that is made up" in " ".join(refused.output.replace("│", " ").split())
+    without = CliRunner().invoke(app, [*command, "--feel", str(write_without(tmp_path))])
+    assert without.exit_code == 3
+    assert "keeps no labels to feel" in " ".join(without.output.split())
+
+
+def write_without(folder: Path) -> Path:
+    """A model of an earlier version, without labels."""
+    write_model(wall_model(), folder / "old.npz")
+    return folder / "old.npz"
 
 
 def test_an_unknown_device_exits_3_and_names_those_that_are_known() -> None:

@@ -8,12 +8,14 @@ from scipy import ndimage
 
 from dvf_ig.core import (
     AnyArray,
+    DvfModel,
     FloatArray,
     Grid,
     ImageMap,
     Rigid,
     Volume,
     VolumeSeries,
+    Warp,
     nearest_phase,
     read_only_arrays,
 )
@@ -46,6 +48,7 @@ class Anatomy:
         evaluator: evaluator of the fixture model; None without a model.
         blood: the surface of the blood; None if not known.
         outline_levels: grey levels, 0 to 1 in the window, whose contours replace a model.
+        model: whose labels are shown at the registered pose; warp: the change of shape that it follows.
     """
 
     name: str
@@ -57,6 +60,18 @@ class Anatomy:
     evaluator: Evaluator | None = None
     blood: BoundaryTarget | None = None
     outline_levels: tuple[float, ...] = ()
+    model: DvfModel | None = None
+    warp: Warp | None = None
+
+    def labels(self, pose: Rigid, xyz_mm: FloatArray, model_phase: float) -> NDArray[np.uint8] | None:
+        """Look up the labels at (rows, columns, 3) positions of the pose's source frame; None without any."""
+        if self.model is None or self.model.tissue is None:
+            return None
+        there = pose.apply_array(xyz_mm.reshape(-1, 3))
+        if self.warp is not None:
+            there = there - self.warp.at(there)[0]
+        values = self.model.tissue.label_at(there, model_phase, self.model.timing)
+        return values.astype(np.uint8).reshape(xyz_mm.shape[:2])
 
     def plane(self, pose: Rigid, xyz_mm: FloatArray, model_phase: float) -> AnatomyPlane:
         """Sample the anatomy at (rows, columns, 3) positions of the pose's source frame."""
@@ -86,17 +101,41 @@ class Anatomy:
         return np.where(inside, np.clip((level - low) / max(high - low, 1e-12), 0.0, 1.0), np.nan)
 
 
-def anatomy_of_heart(heart: Heart, mr: VolumeSeries | None) -> Anatomy:
-    """Show a heart's model with its MR, or without one, with the blood inside its surfaces."""
+def anatomy_of_heart(heart: Heart, mr: VolumeSeries | None, warp: Warp | None = None) -> Anatomy:
+    """Show a heart's model with its MR, or without one, with the blood inside its surfaces.
+
+    Args:
+        warp: change of shape through which labels are shown.
+    """
     fixture = Evaluator(heart.model, Sigmoid(), blend="distance", withhold_unseen=False)
     if mr is not None:
         window = _window(mr.values)
-        return Anatomy("MR", "", mr.grid, mr.values, mr.timing.fractions, window, fixture, heart.surface)
+        return Anatomy(
+            "MR",
+            "",
+            mr.grid,
+            mr.values,
+            mr.timing.fractions,
+            window,
+            fixture,
+            heart.surface,
+            model=heart.model,
+            warp=warp,
+        )
     channels = heart.channels
     blood = channels.values[..., 0]
     window = float(blood.min()), float(blood.max())
     return Anatomy(
-        "blood", NO_GREY_LEVELS, channels.grid, blood, channels.fractions, window, fixture, heart.surface
+        "blood",
+        NO_GREY_LEVELS,
+        channels.grid,
+        blood,
+        channels.fractions,
+        window,
+        fixture,
+        heart.surface,
+        model=heart.model,
+        warp=warp,
     )
 
 
@@ -136,6 +175,7 @@ def plane_overlay(
     xyz_mm = np.stack([column, row, np.ones_like(row)], axis=-1) @ frame_from_pixel.T
     right, down = frame_from_pixel[:, 0], frame_from_pixel[:, 1]
     phase = 0.0 if model_phase is None else model_phase
+    tissue = None if anatomy.model is None else anatomy.model.tissue
     placed = registered.rotation @ frame_from_pixel
     placed[:, 2] += registered.translation_mm
     return PlaneOverlay(
@@ -149,6 +189,8 @@ def plane_overlay(
         registered=anatomy.plane(registered, xyz_mm, phase),
         outline_levels=anatomy.outline_levels,
         anatomy_from_pixel=placed,
+        labels=anatomy.labels(registered, xyz_mm, phase),
+        label_names=() if tissue is None else tissue.names,
     )
 
 

@@ -10,6 +10,7 @@ from dvf_ig.guidance import Hazard, SupervisorState
 from dvf_ig.registration import target_errors_mm
 from dvf_ig.replay.engine import Replay
 from dvf_ig.replay.result.errors import true_contact, true_phases
+from dvf_ig.replay.result.labels import change_of_shape, last_shown
 from dvf_ig.replay.result.pose import suspensions
 from dvf_ig.replay.table import table
 from dvf_ig.report.plane_overlay import PlaneOverlay
@@ -67,8 +68,7 @@ def report_html(replay: Replay, result: dict[str, Any]) -> str:
 
 def _overlays(replay: Replay) -> list[PlaneOverlay]:
     """Overlay four frames of the last registration in use, or of the last that gave a pose at all."""
-    attempt = next((a for a in reversed(replay.attempts) if a.usable), None)
-    attempt = attempt or next((a for a in reversed(replay.attempts) if a.result), None)
+    attempt = last_shown(replay)
     images = replay.scenario.ultrasound.images
     if attempt is None or attempt.result is None or attempt.frames is None or images is None:
         return []
@@ -76,7 +76,7 @@ def _overlays(replay: Replay) -> list[PlaneOverlay]:
         attempt.frames,
         images,
         replay.setup.calibrations.probe_from_image,
-        anatomy_of_heart(replay.heart, replay.scenario.preop.mr),
+        anatomy_of_heart(replay.heart, replay.scenario.preop.mr, change_of_shape(attempt)),
         replay.start,
         attempt.result.target_from_source,
     )

@@ -11,6 +11,7 @@ from dvf_ig.registration import target_errors_mm
 from dvf_ig.replay.engine import Replay
 from dvf_ig.replay.preconditions import RATE_HZ
 
+from .labels import label_fields
 from .pose import updates_in_force
 from .score import (
     CONTACT_MM,
@@ -37,6 +38,7 @@ ERROR_FIELDS = (
     "lag_error_s",
     "probe_error_mm",
     "tip_error_mm",
+    "label_dice",
     "hazard_s",
     "hazard_longest_s",
 )
@@ -52,6 +54,7 @@ def error_fields(replay: Replay) -> dict[str, Any]:
     start_errors = target_errors_mm(replay.start, truth.mr_from_tracker_at(0.0), truth.targets.points)
     out: dict[str, Any] = {
         "start_tre_mm": summarise_errors(start_errors).tre_fields(),
+        "label_dice": label_fields(replay),
         "lag_error_s": replay.setup.calibrations.lag_s - truth.lag_s,
         "tip_error_mm": float(np.linalg.norm(replay.setup.calibrations.tip.xyz_mm[0] - truth.tip.xyz_mm[0])),
     }

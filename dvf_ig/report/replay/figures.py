@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib import colormaps
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
@@ -40,6 +41,7 @@ THIN = slice(None, None, 5)
 """Slice of the ticks that are drawn."""
 LARGEST_SHOWN_N = 0.65
 GOOD_TRE_MM = 2.0
+LABEL_TINT = 0.4
 RULE_WIDTH = 0.12
 """Share of the time axis that the name of a rule takes; names that would overlap are left out."""
 
@@ -51,18 +53,53 @@ def overlay_figure(overlays: Sequence[PlaneOverlay]) -> Figure | None:
     """
     if not overlays:
         return None
-    figure = Figure(figsize=(WIDE_IN, 5.6), layout="constrained")
-    axes = figure.subplots(2, len(overlays), squeeze=False)
+    labelled = any(one.labels is not None and one.labels.any() for one in overlays)
+    rows = 3 if labelled else 2
+    figure = Figure(figsize=(WIDE_IN, 2.8 * rows), layout="constrained")
+    axes = figure.subplots(rows, len(overlays), squeeze=False)
     for column, overlay in enumerate(overlays):
-        _draw_overlay(axes[:, column], overlay)
+        _draw_overlay(axes[:2, column], overlay)
+        if labelled:
+            _draw_labels(axes[2, column], overlay)
     axes[0, 0].set_ylabel("ultrasound")
     axes[1, 0].set_ylabel("model in the same plane")
-    handles = [
+    handles: list[Artist] = [
         axes[0, 0].plot([], [], color=color, lw=1.6, label=label)[0]
         for color, label in ((START, "surface at the start pose"), (ON_GREY, "surface after registration"))
     ]
-    figure.legend(handles=handles, loc="outside lower center", ncols=2, frameon=False)
+    if labelled:
+        axes[2, 0].set_ylabel("labels after registration")
+        handles += _label_handles(overlays)
+    figure.legend(handles=handles, loc="outside lower center", ncols=2 if not labelled else 4, frameon=False)
     return figure
+
+
+def _label_color(value: int) -> tuple[float, float, float]:
+    red, green, blue, _ = colormaps["tab20"](value % 20)
+    return float(red), float(green), float(blue)
+
+
+def _label_handles(overlays: Sequence[PlaneOverlay]) -> list[Artist]:
+    """List the labels that are seen in any of the planes."""
+    seen = set().union(*(np.unique(one.labels).tolist() for one in overlays if one.labels is not None))
+    names = dict(overlays[0].label_names)
+    return [
+        Patch(color=_label_color(value), label=names.get(value, f"label {value}").replace("_", " "))
+        for value in sorted(seen - {0})
+    ]
+
+
+def _draw_labels(axis: Axes, overlay: PlaneOverlay) -> None:
+    """Tint the ultrasound by the labels."""
+    extent = image_extent(overlay.size_mm)
+    axis.imshow(overlay.image, cmap="gray", extent=extent, vmin=0, vmax=255)
+    if overlay.labels is not None:
+        tint = np.zeros((*overlay.labels.shape, 4))
+        for value in np.unique(overlay.labels[overlay.labels != 0]).tolist():
+            tint[overlay.labels == value] = (*_label_color(value), LABEL_TINT)
+        axis.imshow(tint, extent=extent, interpolation="nearest")
+    draw_plane_marks(axis, overlay.size_mm, overlay.registered.edges)
+    without_ticks(axis)
 
 
 def _draw_overlay(axes: NDArray[np.object_], overlay: PlaneOverlay) -> None:

@@ -28,7 +28,8 @@ def replay_html(page: ReplayPage) -> str:
     sections = (
         (
             "Ultrasound and model, before and after registration",
-            f"The model's surface in the ultrasound plane at the phase of each frame. {LETTERS_NOTE}.",
+            "The model's surface in the ultrasound plane at the phase of each frame, and its labels if it "
+            f"keeps any. {LETTERS_NOTE}.",
             overlay_figure(page.overlays),
         ),
         (
