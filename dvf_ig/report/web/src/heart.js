@@ -18,6 +18,8 @@ export function bracket(fractions, phi) {
 export class Surface {
   constructor(entry, vertices, triangles, fractions) {
     Object.assign(this, { name: entry.name, role: entry.role, label: entry.label, triangles, fractions });
+    // of which there may be several, each with its own switch
+    this.key = ["structure", "fixture"].includes(entry.role) ? `${entry.role} ${entry.name}` : entry.role;
     this.level_mm = entry.level_mm;
     this.fixture = entry.fixture;
     this.vertices = vertices;
