@@ -60,6 +60,7 @@ from .scenario.recording import ImagedHeart as ImagedHeart
 from .scenario.recording import cine_scenario as cine_scenario
 from .scenario.recording import imaged_heart as imaged_heart
 from .scenario.recording import phantom_scenario as phantom_scenario
+from .scenario.recording import preoperative_surface as preoperative_surface
 from .scenario.recording import scenario_examination as scenario_examination
 from .scenario.recording import surface_scenario as surface_scenario
 from .second_world.floor import RigidFloor as RigidFloor

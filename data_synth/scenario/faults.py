@@ -10,6 +10,7 @@ def describe_faults(preset: Preset) -> tuple[str, ...]:
     disturbances = (
         (max(rates) - min(rates) > 10, "The heart rate changes a lot."),
         (preset.rhythm.ectopic_share > 0, "Some beats are ventricular extrasystoles."),
+        (preset.tool.sites == 1, "The tool slides along one line of the heart."),
         (bool(ecg.lead_off_s), "ECG electrodes come off for a while."),
         (bool(ecg.noise_bursts_s), "Bursts of noise cover the ECG."),
         (bool(ecg.missed_beats), "Some beats leave no trace in the ECG."),

@@ -152,6 +152,7 @@ PRESETS: dict[str, Preset] = {
         )
     ),
     "unrecorded-breathing": Preset(respiration=BreathSpec("ventilated", excursion_mm=10.0, recorded=False)),
+    "atrial": Preset(tool=ToolSpec(sites=1, slide_mm=30.0, contact_s=12.0)),
 }
 """calm: about 72 beats/min with mild variability, low noise, short drop-outs. Every other one is calm except:
 tachycardia: the rate climbs from 60 to 120 beats/min between 8 and 52 s.
@@ -178,6 +179,7 @@ ventilated: a ventilator moves the heart by 10 mm, 14 times a minute; its channe
     are recorded.
 breathing: the patient breathes, 6 mm, 14 times a minute and unevenly; a chest marker is recorded.
 unrecorded-breathing: ventilated, and nothing records the breath.
+atrial: the tool slides along one line of 30 mm, again and again; `dvf-ig synth scenario` adds the fixtures.
 """
 
 

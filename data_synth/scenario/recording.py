@@ -159,6 +159,22 @@ def scenario_heart(spec: ScenarioSpec) -> PhantomAnatomy:
     )
 
 
+def preoperative_surface(spec: ScenarioSpec, preop: Preop) -> SurfaceSeries:
+    """Sample the surface of the heart of `phantom_scenario` in the phases of its MR; vertices correspond.
+
+    Args:
+        preop: of that scenario, with its MR.
+    Raises:
+        InvalidInputError: no MR.
+    """
+    if preop.mr is None:
+        raise InvalidInputError("the pre-operative data have no MR, whose phases the surface needs")
+    heart, timing = HeartSpec(spec.heart.kind, spec.seeds.anatomy, spec.seeds.motion), preop.mr.timing
+    anatomy = scenario_heart(ScenarioSpec(motion=spec.motion, heart=heart, mismatch_mm=0.0))
+    vertices = np.stack([anatomy.surface_vertices(phase) for phase in timing.fractions.tolist()])
+    return SurfaceSeries(preop.surface, "mr", vertices, anatomy.surface_triangles, timing, preop.patient_id)
+
+
 def surface_scenario(
     spec: ScenarioSpec,
     surfaces: Mapping[str, SurfaceSeries],

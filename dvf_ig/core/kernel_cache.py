@@ -51,7 +51,9 @@ def compile_callback(function: Callable[..., Any], sources: KernelSources, signa
     return callback
 
 
-class _Callback(CFunc):  # type: ignore[misc]
+class _Callback(CFunc):
+    _wrapper_address: Any
+
     @property
     def address(self) -> Any:
         if self._wrapper_address is None:

@@ -214,6 +214,35 @@ class FixturesConfig(Section):
     margin: MarginChoice = "off"
     device: DeviceConfig | None = None
 
+    @classmethod
+    def of(cls, fixtures: "FixtureSet") -> "FixturesConfig":
+        """Describe fixtures whose structures are in the files of `structure_files`.
+
+        Raises:
+            pydantic.ValidationError: a path that moves with no structure, which no configuration can state.
+        """
+        described: list[dict[str, Any]] = []
+        names = {id(model): name for name, model in structure_files(fixtures).items()}
+        for one in fixtures.fixtures:
+            stated: dict[str, Any] = one.described()
+            if one.structure is not None:
+                del stated["structure"]
+                stated["model"] = names[id(one.structure)]
+            if one.path is not None:
+                beats = one.structure is not None and one.path.timing is not None
+                drawn = one.structure.ed_phase if one.structure and beats else slice(None)
+                stated["path"] = one.path.points_mm[drawn].reshape(-1, 3).tolist()
+            described.append(stated)
+        margin = fixtures.margin
+        return cls.model_validate(
+            {
+                "fixtures": described,
+                "cap_n": fixtures.cap_n,
+                "device": DeviceConfig.of(fixtures.device),
+                "margin": margin.fixed_mm if margin.mode == "fixed" else margin.mode,
+            }
+        )
+
     def fixture_set(self, folder: Path, frame: str = "mr") -> "FixtureSet":
         """Build the fixtures.
 
@@ -238,6 +267,16 @@ class FixturesConfig(Section):
                 raise InvalidInputError(f"fixtures.{n}: {exc}") from exc
         device = COMMON_DEVICE if self.device is None else self.device.limits()
         return FixtureSet(tuple(options), self.cap_n, margin_options(self.margin), device)
+
+
+STRUCTURES = "structure-"
+"""Begin of the names of files that hold further structures."""
+
+
+def structure_files(fixtures: "FixtureSet") -> dict[str, "DvfModel"]:
+    """The models of further structures, each once, by the name of the file that holds it."""
+    models = {id(one.structure): one.structure for one in fixtures.fixtures if one.structure is not None}
+    return {f"{STRUCTURES}{k}.npz": model for k, model in enumerate(models.values())}
 
 
 def margin_options(choice: str | float) -> "MarginOptions":

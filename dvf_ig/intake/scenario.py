@@ -33,6 +33,7 @@ CONFIG = "scenario.yaml"
 TRUTH = "truth"
 README = "README.md"
 PREVIEW = "preview.png"
+FIXTURES = "fixtures.yaml"
 TRIGGER = "trigger.csv"
 """In place of `ecg.csv`, where beats come from a trigger."""
 SPEC = "spec.yaml"
@@ -76,6 +77,7 @@ class FilesConfig(Section):
     respiration: str | None = None
     ventilator: str | None = None
     chest: str | None = None
+    fixtures: str | None = None
 
 
 class ScenarioConfig(Section):
@@ -179,5 +181,6 @@ def _session(config: ScenarioConfig, folder: Path, *, with_truth: bool) -> Sessi
             landmarks_mr=files.landmarks_mr,
             landmarks_tracker=files.landmarks_tracker,
         ),
+        fixtures=files.fixtures,
         truth=TRUTH if with_truth else None,
     )

@@ -16,6 +16,7 @@ from dvf_ig.core.recordings.stream import PoseStream
 from dvf_ig.core.space.rigid import Rigid
 from dvf_ig.core.timing.cycle import CycleTiming
 from dvf_ig.core.timing.trigger import TriggerTimes
+from dvf_ig.guidance import FixtureSet
 from dvf_ig.io.ecg.recording import write_ecg_csv
 from dvf_ig.io.ecg.trigger import TRIGGER_PREFIX, write_triggers
 from dvf_ig.io.image.timing import timing_document
@@ -23,6 +24,7 @@ from dvf_ig.io.image.volume import write_volume, write_volume_series
 from dvf_ig.io.json_file import write_json
 from dvf_ig.io.landmarks import write_landmarks
 from dvf_ig.io.mesh.series import write_surface_series
+from dvf_ig.io.model.model_file import write_model
 from dvf_ig.io.plus.latency import write_line_table
 from dvf_ig.io.plus.nwire import write_nwire_phantom, write_wire_points
 from dvf_ig.io.plus.sequence_write import write_poses, write_sequence
@@ -31,9 +33,12 @@ from dvf_ig.io.transform import write_transform
 from dvf_ig.io.truth import write_truth
 from dvf_ig.io.writing.atomic import atomic_folder, write_bytes, write_text
 from dvf_ig.io.writing.place import make_folder
+from dvf_ig.io.yaml_text import yaml_text
 
+from .fixtures import FixturesConfig, structure_files
 from .scenario import (
     CONFIG,
+    FIXTURES,
     PREVIEW,
     README,
     SPEC,
@@ -59,12 +64,14 @@ class ScenarioNotes:
         spec: YAML from which the scenario can be made again; it is written into truth/.
         preview_png: a picture of the scenario as a PNG file's bytes, see `dvf_ig.report.preview_png`.
         examination: truth of the MR's breath-holds; it is written into truth/.
+        fixtures: what acts on the tool in place of one forbidden region.
     """
 
     faults: tuple[str, ...] = ()
     spec: str = ""
     preview_png: bytes | None = None
     examination: Mapping[str, object] | None = None
+    fixtures: FixtureSet | None = None
 
 
 def write_scenario(scenario: Scenario, folder: Path | str, notes: ScenarioNotes | None = None) -> None:
@@ -80,6 +87,9 @@ def write_scenario(scenario: Scenario, folder: Path | str, notes: ScenarioNotes 
             cannot hold.
     """
     config = _config(scenario)
+    if notes is not None and notes.fixtures is not None:
+        files = config.files.model_copy(update={"fixtures": FIXTURES})
+        config = config.model_copy(update={"files": files})
     tool, tip, probe, latency = scenario.tool, scenario.tip, scenario.probe, scenario.latency
     if tool is None or not isinstance(tip, PoseStream) or not isinstance(probe, NWireRecording):
         raise InvalidInputError("a scenario folder holds tool, pivot and N-wire recordings; one is missing")
@@ -118,6 +128,11 @@ def write_scenario(scenario: Scenario, folder: Path | str, notes: ScenarioNotes 
 
 def _write_notes(scenario: Scenario, folder: Path, notes: ScenarioNotes) -> None:
     write_text(folder / README, readme_text(scenario, notes))
+    if notes.fixtures is not None:
+        described = FixturesConfig.of(notes.fixtures).model_dump(mode="json", exclude_none=True)
+        write_text(folder / FIXTURES, yaml_text(described, flow=None))
+        for name, model in structure_files(notes.fixtures).items():
+            write_model(model, folder / name)
     if notes.preview_png is not None:
         write_bytes(folder / PREVIEW, notes.preview_png)
     if notes.spec and scenario.truth is not None:
@@ -249,7 +264,7 @@ def readme_text(scenario: Scenario, notes: ScenarioNotes) -> str:
             "",
             "| file | content | frame | clock |",
             "|---|---|---|---|",
-            *(f"| {' | '.join(row)} |" for row in _rows(scenario)),
+            *(f"| {' | '.join(row)} |" for row in (*_rows(scenario), *_fixture_rows(notes.fixtures))),
             "",
             *_CONVENTIONS,
             "",
@@ -309,6 +324,17 @@ def _rows(scenario: Scenario) -> list[tuple[str, str, str, str]]:
     if scenario.truth is not None:
         rows.append(("`truth/`", "the ground truth; a replay reads it only to score itself", "", ""))
     return rows
+
+
+def _fixture_rows(fixtures: FixtureSet | None) -> list[tuple[str, str, str, str]]:
+    if fixtures is None:
+        return []
+    names = ", ".join(one.name for one in fixtures.fixtures)
+    structures = [
+        (f"`{name}`", f"model of the structure {model.surface_name}", model.frame, "")
+        for name, model in structure_files(fixtures).items()
+    ]
+    return [(f"`{FIXTURES}`", f"what acts on the tool: {names}", "mr", ""), *structures]
 
 
 def _preop_rows(preop: Preop) -> list[tuple[str, str, str, str]]:

@@ -33,7 +33,7 @@ def _coordinate(q_mm: float, origin_mm: float, per_mm: float, cells: int) -> tup
 
 
 @inlined
-def spline_at(warps: Any, slot: int, p: Any, q: Vector) -> tuple[Float64x4, Float64x4, Float64x4, Float64x4]:
+def spline_at(warps: Any, slot: Any, p: Any, q: Vector) -> tuple[Float64x4, Float64x4, Float64x4, Float64x4]:
     """Evaluate (m, variance) of one warp and its three derivatives per mm.
 
     Args:

@@ -13,7 +13,7 @@ import numpy as np
 
 from dvf_ig.core import CycleTiming, DvfModel, FloatArray, UnreadableFileError, read_only_arrays
 from dvf_ig.guidance import PathTarget
-from dvf_ig.intake.session_log.live import STRUCTURES, structure_files
+from dvf_ig.intake.fixtures import STRUCTURES, structure_files
 from dvf_ig.io import read_json, read_model, write_model, write_sidecar
 from dvf_ig.io.file_within import path_within
 from dvf_ig.kernels.servo.layout import MAX_FIXTURES

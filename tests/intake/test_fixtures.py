@@ -29,10 +29,11 @@ from dvf_ig.intake.fixtures import (
     PathConfig,
     fixture_options,
     read_fixtures,
+    structure_files,
 )
 from dvf_ig.intake.schema import SessionConfig
 from dvf_ig.intake.session import session_fixtures
-from dvf_ig.intake.session_log.live import LiveDocument, live_document, structure_files
+from dvf_ig.intake.session_log.live import LiveDocument, live_document
 from dvf_ig.io import write_landmarks, write_model
 from dvf_ig.io.json_file import read_json, write_json
 from dvf_ig.io.yaml_config import read_yaml

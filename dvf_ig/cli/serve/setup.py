@@ -89,8 +89,9 @@ def live_setup(
 @contextmanager
 def recorded_session(out: Path, ready: "LiveSetup") -> "Iterator[SessionRecord]":
     """A record in the folder, with everything attached that a replay needs in addition to messages."""
+    from dvf_ig.intake.fixtures import structure_files
     from dvf_ig.intake.session_log.document import DOCUMENT, attach_heart, document_of_live
-    from dvf_ig.intake.session_log.live import LIVE, live_document, structure_files
+    from dvf_ig.intake.session_log.live import LIVE, live_document
     from dvf_ig.io import output_folder
     from dvf_ig.io.model.model_file import model_bytes
     from dvf_ig.io.ros.log_file import LogWriter

@@ -10,6 +10,7 @@ from dvf_ig.cli.shell import emit, progress, warn, wrote
 if TYPE_CHECKING:
     from data_synth import ReplayedPath, ScenarioSpec
     from dvf_ig.core import Scenario, Volume, VolumeSeries
+    from dvf_ig.guidance import FixtureSet
 
     from .spec import SpecFile
 
@@ -42,10 +43,21 @@ def first_scenario(file: "SpecFile", out: Path | None, *, print_spec: bool, as_j
         spec_text(file),
         preview_png(recorded),
         None if exam is None else exam.truth(),
+        _fixtures(recorded, spec),
     )
     write_scenario(recorded, out, notes)
     emit(_facts(recorded, out, path), _rows(recorded, path), as_json=as_json)
     wrote(out, "mr, tracker")
+
+
+def _fixtures(recorded: "Scenario", spec: "ScenarioSpec") -> "FixtureSet | None":
+    """Build the fixtures of a preset that has its own."""
+    if spec.preset != "atrial":
+        return None
+    from data_synth import preoperative_surface
+    from dvf_ig.study.operators.lesion import scenario_fixtures
+
+    return scenario_fixtures(recorded, preoperative_surface(spec, recorded.preop))
 
 
 def _made(file: "SpecFile", spec: "ScenarioSpec") -> "tuple[Scenario, ReplayedPath | None]":
@@ -57,6 +69,8 @@ def _made(file: "SpecFile", spec: "ScenarioSpec") -> "tuple[Scenario, ReplayedPa
         raise typer.BadParameter("--surfaces, --ecg and --probe-path belong to --anatomy surfaces")
     if file.anatomy != "cine" and any(value is not None for value in images):
         raise typer.BadParameter("--cine, --labels, --es-labels and --voxel-mm belong to --anatomy cine")
+    if spec.preset == "atrial" and file.anatomy != "phantom":
+        raise typer.BadParameter("--preset atrial belongs to --anatomy phantom")
     if file.anatomy == "phantom":
         return _on_the_phantom(spec), None
     if file.anatomy == "cine":

@@ -11,15 +11,14 @@ With these a replay pushes the same events and requests at the same moments, and
 import json
 from collections.abc import Iterator
 from enum import IntEnum
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from pydantic import Field
 
-from dvf_ig.core import DvfModel
 from dvf_ig.core.arrays import FloatArray
 from dvf_ig.guidance import FixtureSet
-from dvf_ig.intake.fixtures import DeviceConfig, FixturesConfig, RetimingName
+from dvf_ig.intake.fixtures import FixturesConfig, RetimingName
 from dvf_ig.io.ros import messages as ros
 from dvf_ig.io.yaml_config import Section
 from dvf_ig.session import (
@@ -47,8 +46,6 @@ from .document import (
 )
 
 LIVE = "live.json"
-STRUCTURES = "structure-"
-"""Begin of the names of files that hold further structures."""
 EVENT, STATE, WORK = "/exact/event", "/exact/state", "/exact/work"
 LIVE_STREAMS = {EVENT: ros.ARRAY, STATE: ros.ARRAY, WORK: ros.ARRAY}
 LOST = "lost"
@@ -110,38 +107,8 @@ def live_document(fixtures: FixtureSet, retiming: RetimingName, seed: int) -> by
     Raises:
         pydantic.ValidationError: a path that moves with no structure, which no configuration can state.
     """
-    described: list[dict[str, Any]] = []
-    names = {id(model): name for name, model in structure_files(fixtures).items()}
-    for one in fixtures.fixtures:
-        stated: dict[str, Any] = one.described()
-        if one.structure is not None:
-            del stated["structure"]
-            stated["model"] = names[id(one.structure)]
-        if one.path is not None:
-            beats = one.structure is not None and one.path.timing is not None
-            points = one.path.points_mm[one.structure.ed_phase if one.structure and beats else slice(None)]
-            stated["path"] = points.reshape(-1, 3).tolist()
-        described.append(stated)
-    margin = fixtures.margin
-    document = {
-        "fixtures": {
-            "fixtures": described,
-            "cap_n": fixtures.cap_n,
-            "device": DeviceConfig.of(fixtures.device),
-            "margin": margin.fixed_mm if margin.mode == "fixed" else margin.mode,
-        },
-        "retiming": retiming,
-        "seed": seed,
-    }
-    return json.dumps(
-        LiveDocument.model_validate(document).model_dump(mode="json", by_alias=True), indent=1
-    ).encode()
-
-
-def structure_files(fixtures: FixtureSet) -> dict[str, DvfModel]:
-    """The models of further structures, each once, by the name of the file that holds it."""
-    models = {id(one.structure): one.structure for one in fixtures.fixtures if one.structure is not None}
-    return {f"{STRUCTURES}{k}.npz": model for k, model in enumerate(models.values())}
+    document = LiveDocument(fixtures=FixturesConfig.of(fixtures), retiming=retiming, seed=seed)
+    return json.dumps(document.model_dump(mode="json", by_alias=True), indent=1).encode()
 
 
 def event_messages(event: Event, arrived_s: float) -> Iterator[Timed]:

@@ -18,6 +18,7 @@ from dvf_ig.core import (
     TriggerTimes,
     UnreadableFileError,
 )
+from dvf_ig.intake.fixtures import STRUCTURES
 from dvf_ig.intake.parts import SessionFiles
 from dvf_ig.intake.preop import PreopFiles, read_preop
 from dvf_ig.io import limits
@@ -43,7 +44,7 @@ from .document import (
     SessionDocument,
     read_document,
 )
-from .live import LIVE, STRUCTURES, LiveDocument
+from .live import LIVE, LiveDocument
 from .live_read import read_live_streams
 
 _POSE = 14

@@ -36,7 +36,7 @@ ONSET_MM = 0.5
 
 
 @inlined
-def _cell(mm: float, origin_mm: float, per_mm: float, last: int) -> tuple[int, float]:
+def _cell(mm: float, origin_mm: float, per_mm: float, last: int) -> tuple[Any, float]:
     """Find the voxel before a coordinate and the share of the next; beyond the grid its border's."""
     u = min(max((mm - origin_mm) * per_mm, 0.0), float(last))
     begin = min(int(u), last - 1)
@@ -59,7 +59,8 @@ def _properties(bound: Any, x: Vector) -> tuple[float, float, float, float]:
             at_i, at_j = i + np.uintp(a), j + np.uintp(b)
             total = fma(total, weight * (1.0 - w), load_row(values, at_i, at_j, k, none))
             total = fma(total, weight * w, load_row(values, at_i, at_j, k + one, none))
-    return unpack(total)
+    k_mm, b_s, friction, texture = unpack(total)
+    return k_mm, b_s, friction, texture
 
 
 @inlined

@@ -219,7 +219,7 @@ def _fixture_surfaces(
         of = one.structure or model
         if of not in surfaces:
             surfaces[of] = cycle_surface(of.reference, STRUCTURE_PITCH_MM)
-            out.append(_surface(of.surface_name, "organ", _through_cycle(surfaces[of], of, model)))
+            out.append(_surface(of.surface_name, "structure", _through_cycle(surfaces[of], of, model)))
         if one.path is not None:
             continue
         level = shown_level_mm(one.law)

@@ -22,12 +22,11 @@ from dvf_ig.study.operators.closed_loop import (
     operating_heart,
     surface_of,
 )
+from dvf_ig.study.operators.lesion import MARGIN_MM, ablate
 from dvf_ig.study.operators.summary import OperatorsSummary, difference
 from dvf_ig.study.operators.tasks import (
     CUT,
     DEPTH_MM,
-    MARGIN_MM,
-    ablate,
     cut,
     dissect,
     track,

@@ -34,7 +34,7 @@ from dvf_ig.study.driver import (
     seed_option,
     seeds_option,
 )
-from dvf_ig.study.operators import tasks
+from dvf_ig.study.operators import lesion, tasks
 from dvf_ig.study.operators.closed_loop import (
     ABLATIONS,
     BEATING,
@@ -53,10 +53,10 @@ from dvf_ig.study.operators.closed_loop import (
     surface_of,
 )
 from dvf_ig.study.operators.figure import operators_figure, operators_shown
+from dvf_ig.study.operators.lesion import ablate, lesion_measures
 from dvf_ig.study.operators.paper import figures_of
 from dvf_ig.study.operators.summary import MEASURES, Difference, OperatorsSummary, Row, summarise_operators
 from dvf_ig.study.operators.tasks import (
-    ablate,
     automatic,
     cut,
     cutting_law,
@@ -64,7 +64,6 @@ from dvf_ig.study.operators.tasks import (
     dissect,
     dissection_law,
     dissection_measures,
-    lesion_measures,
     track,
     tracked_place,
     tracking_law,
@@ -179,10 +178,10 @@ def _of_task(task: str) -> list[str]:
         ]
     law = tracking_law()
     if task == "lesion":
-        t = tasks
+        t = lesion
         return [
-            f"Lesion: {t.LESION_MM:g} mm of the beating surface at up to {t.CUT_SPEED_MM_S:g} mm/s; guidance "
-            "to the line as drawn at end-diastole, beating with the model, "
+            f"Lesion: {t.LESION_MM:g} mm of the beating surface at up to {tasks.CUT_SPEED_MM_S:g} mm/s; "
+            "guidance to the line as drawn at end-diastole, beating with the model, "
             f"δ {law.delta_mm:.2f} mm, m {law.m:g}, {law.cap_n:g} N; behind it a still oesophagus of radius "
             f"{t.TUBE_MM:g} mm, {t.GAP_MM:g} mm from the line at its closest, forbidden from "
             f"{t.MARGIN_MM:g} mm before its surface on; the heart's outer surface represents an atrium's "

@@ -2,8 +2,7 @@
 
 Cutting is along a line of the epicardium, to a depth and no deeper (Table I); dissection is of ten pellets
 above an organ, to which guidance pulls (Tables III and IV); tracking is of a place of the beating surface
-over 30 cycles (Figs 14, 15); a lesion is along a line that beats, before an oesophagus that does
-not. Automatic tracking, a stylus in nobody's hand, is `dvf_ig.study.tracking`.
+over 30 cycles (Figs 14, 15). Automatic tracking, a stylus in nobody's hand, is `dvf_ig.study.tracking`.
 """
 
 from dataclasses import dataclass, replace
@@ -11,16 +10,14 @@ from functools import cache
 from typing import NamedTuple
 
 import numpy as np
-from skimage.measure import marching_cubes
 
 from data_synth.operator.contact_sites import Site, contact_sites
 from data_synth.operator.fulcrum import Fulcrum
 from data_synth.operator.hand import minimum_jerk, perpendicular
 from data_synth.operator.simulated_operator import RATE_HZ, SimulatedOperator
 from data_synth.seeds import child_rng
-from dvf_ig.core import DvfModel, FloatArray, Mesh, read_only_arrays
-from dvf_ig.guidance import FixtureOptions, Gaussian, PathTarget, Sigmoid
-from dvf_ig.preop import model_of_still
+from dvf_ig.core import FloatArray, read_only_arrays
+from dvf_ig.guidance import Gaussian, Sigmoid
 from dvf_ig.study.operators.closed_loop import (
     ACCESS,
     DEVICE,
@@ -301,114 +298,6 @@ def dissection_measures(dissection: Dissection) -> dict[str, float]:
         "time_s": float(len(trace.t_s) / RATE_HZ),
         "largest_force_n": float(trace.force_n.max()),
         "withheld_s": trace.withheld_s,
-    }
-
-
-LESION_MM = 30.0
-GAP_MM = 4.0
-"""Least distance of the line from the oesophagus' surface over the beat: wall and fat, assumed."""
-TUBE_MM, BEYOND_MM = 8.0, 25.0
-"""Radius of the oesophagus, and its length beyond either end of the line: assumed."""
-MARGIN_MM = 2.0
-"""Half of the forbidden region's force is felt this far before the oesophagus."""
-WITHIN_MM = 2.0
-"""A tip this close to the line makes the lesion there."""
-FIELD_MM = 2.0
-"""Pitch of the image from which the oesophagus' mesh is made."""
-
-
-@read_only_arrays
-@dataclass(frozen=True, slots=True, eq=False)
-class Tube:
-    """An oesophagus: all within TUBE_MM of the straight line from `start_mm` to `end_mm`, (3,)."""
-
-    start_mm: FloatArray
-    end_mm: FloatArray
-
-    def distance_mm(self, xyz_mm: FloatArray) -> FloatArray:
-        """(…,) distance of (…, 3) points to its surface, negative inside."""
-        return distance_to_line(xyz_mm, np.stack([self.start_mm, self.end_mm])) - TUBE_MM
-
-    def model(self, patient_id: str) -> DvfModel:
-        """The fixture's model of it, in the frame "mr"."""
-        ends = np.stack([self.start_mm, self.end_mm])
-        low = ends.min(axis=0) - TUBE_MM - 2.0 * FIELD_MM
-        shape = np.ceil((ends.max(axis=0) + TUBE_MM + 2.0 * FIELD_MM - low) / FIELD_MM).astype(int) + 1
-        places = np.moveaxis(np.indices(tuple(shape)), 0, -1) * FIELD_MM + low
-        vertices, triangles, *_ = marching_cubes(self.distance_mm(places), 0.0, spacing=(FIELD_MM,) * 3)
-        mesh = Mesh("mr", vertices + low, triangles)
-        return model_of_still(mesh, patient_id=patient_id, surface_name="oesophagus")
-
-
-def distance_to_line(xyz_mm: FloatArray, line_mm: FloatArray) -> FloatArray:
-    """(…,) distance of (…, 3) points to the straight segments between (n, 3) points."""
-    along = np.diff(line_mm, axis=0)
-    off = xyz_mm[..., None, :] - line_mm[:-1]
-    share = np.clip((off * along).sum(axis=-1) / (along**2).sum(axis=-1), 0.0, 1.0)
-    return np.asarray(np.linalg.norm(off - share[..., None] * along, axis=-1).min(axis=-1))
-
-
-@read_only_arrays
-@dataclass(frozen=True, slots=True, eq=False)
-class Lesion:
-    """One operator's lesion.
-
-    Attributes:
-        trace: of it.
-        line_mm: (n,) distance of the tip to the line, which beats; tube_mm: to the oesophagus.
-    """
-
-    trace: Trace
-    line_mm: FloatArray
-    tube_mm: FloatArray
-
-
-def ablate(heart: OperatingHeart, condition: Condition, seed: int) -> Lesion:
-    """One operator's lesion along a line of the beating wall, the oesophagus behind it forbidden."""
-    site = contact_sites(heart.truth, ACCESS, 1, child_rng(seed, "lesion"))[0]
-    line = moving_line(heart.truth, site, LESION_MM, 0.0)
-    tube = tube_behind(line, site)
-    above = ABOVE_MM * site.normal
-    fixtures = lesion_fixtures(heart.model, line, tube)
-    start, wall = line.at(0.0, 0.0) + above, fixtures[1].law
-    loop = Loop(heart, condition, seed, wall, start, -site.normal, 0.0, fixtures=fixtures)
-    trace = run_task(loop, CuttingTask(line, above, loop), LONGEST_CUT_S)
-    phases = [heart.phase(condition, t) for t in trace.t_s.tolist()]
-    off = [distance_to_line(tip, line.points(at)) for tip, at in zip(trace.tip_mm, phases, strict=True)]
-    return Lesion(trace, np.array(off), tube.distance_mm(trace.tip_mm))
-
-
-def tube_behind(line: MovingLine, site: Site) -> Tube:
-    """Along the line, and GAP_MM behind its deepest place of the beat."""
-    places = line.places_mm.reshape(-1, 3)
-    deepest = float(((places - site.point_mm) @ site.normal).min())
-    middle = site.point_mm + (deepest - GAP_MM - TUBE_MM) * site.normal
-    half = (0.5 * LESION_MM + BEYOND_MM) * site.slide
-    return Tube(middle - half, middle + half)
-
-
-def lesion_fixtures(model: DvfModel, line: MovingLine, tube: Tube) -> tuple[FixtureOptions, ...]:
-    """Guide to the line, drawn at end-diastole and beating with the model; forbid the oesophagus."""
-    drawn = line.points(float(model.timing.fractions[model.ed_phase]))
-    oesophagus = tube.model(model.patient_id)
-    return (
-        FixtureOptions(tracking_law(), path=PathTarget.beating(model, drawn), name="line", structure=model),
-        FixtureOptions(replace(cutting_law(), depth_mm=-MARGIN_MM), name="oesophagus", structure=oesophagus),
-    )
-
-
-def lesion_measures(lesion: Lesion) -> dict[str, float]:
-    """Distances to the line while drawing, and the least to the oesophagus at any time."""
-    drawing = lesion.trace.stage == CUT
-    off = lesion.line_mm[drawing]
-    return {
-        "line_mm": float(off.mean()),
-        "within_share": float((off <= WITHIN_MM).mean()),
-        "tube_mm": float(lesion.tube_mm.min()),
-        "within_margin_s": float((lesion.tube_mm < MARGIN_MM).sum() / RATE_HZ),
-        "time_s": float(drawing.sum() / RATE_HZ),
-        "largest_force_n": float(lesion.trace.force_n.max()),
-        "withheld_s": lesion.trace.withheld_s,
     }
 
 

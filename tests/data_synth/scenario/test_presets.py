@@ -79,6 +79,7 @@ CHANGED = {
     "ventilated": {"ecg", "contact", "tool"},
     "breathing": {"ecg", "contact", "tool"},
     "unrecorded-breathing": {"ecg", "contact", "tool"},
+    "atrial": {"contact", "tool"},
 }
 """The ball's images are black and all alike: in themselves, repeated or gone they are the same. Its shape is
 the same in every preset."""

@@ -9,7 +9,7 @@ from data_synth.operator.contact_sites import Site
 from dvf_ig.core import CycleTiming, FloatArray, SurfaceSeries
 from dvf_ig.guidance import Evaluator, Gaussian, Sigmoid
 from dvf_ig.preop import ModelOptions, model_from_surfaces
-from dvf_ig.study.operators import paper, tasks
+from dvf_ig.study.operators import lesion, paper, tasks
 from dvf_ig.study.operators.closed_loop import (
     ABLATIONS,
     HAPTICS,
@@ -23,17 +23,15 @@ from dvf_ig.study.operators.closed_loop import (
     moving_line,
 )
 from dvf_ig.study.operators.figure import Compared, Curve, Interval, OperatorsFigure, Panel, operators_figure
+from dvf_ig.study.operators.lesion import ablate, distance_to_line, lesion_measures
 from dvf_ig.study.operators.study import assumptions
 from dvf_ig.study.operators.summary import difference, summarise_operators
 from dvf_ig.study.operators.tasks import (
-    ablate,
     count_excursions,
     cut,
     cutting_measures,
     dissect,
     dissection_measures,
-    distance_to_line,
-    lesion_measures,
     track,
     tracking_measures,
 )
@@ -101,15 +99,16 @@ def test_guidance_helps_a_hand_to_follow_the_beat(heart: OperatingHeart) -> None
 def test_a_lesion_stays_near_its_beating_line_and_clear_of_the_oesophagus(heart: OperatingHeart) -> None:
     """The path is the surface's own motion to 0.1 mm; the model of the oesophagus is the tube to 0.1 mm."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(tasks, "LESION_MM", 8.0)
+        patch.setattr(lesion, "LESION_MM", 8.0)
         alone, helped = (lesion_measures(ablate(heart, c, 1)) for c in TASKS["lesion"])
         normal = np.array([0.6, -0.64, 0.48])
         site = Site(CENTER + RADIUS_MM * normal, normal, np.array([0.0, 0.6, 0.8]))
         line = moving_line(heart.truth, site, 8.0, 0.0)
-        tube = tasks.tube_behind(line, site)
-        guide, wall = tasks.lesion_fixtures(heart.model, line, tube)
+        tube = lesion.tube_behind(line.places_mm, site)
+        drawn = line.points(float(heart.model.timing.fractions[heart.model.ed_phase]))
+        guide, wall = lesion.lesion_fixtures(heart.model, drawn, tube.model(heart.model.patient_id))
     assert helped["line_mm"] < 0.7 * alone["line_mm"]
-    assert helped["tube_mm"] >= max(tasks.MARGIN_MM, alone["tube_mm"])
+    assert helped["tube_mm"] >= max(lesion.MARGIN_MM, alone["tube_mm"])
     assert helped["within_margin_s"] == 0.0
     assert alone["largest_force_n"] == 0.0
     assert guide.path is not None

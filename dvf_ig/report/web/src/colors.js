@@ -5,6 +5,7 @@ export const COLORS = {
   unseen: "#8d8f98",
   blood: "#56b4e9",
   patient: "#f2f2f2",
+  structure: "#b7a1f5",
   fixture: "#1fc39a",
   force: "#f0e442",
   plane: "#cc79a7",

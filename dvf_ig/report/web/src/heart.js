@@ -20,6 +20,8 @@ const largest = (values, least) => values.reduce((most, one) => (Math.abs(one) >
 export class Surface {
   constructor(entry, vertices, triangles, fractions) {
     Object.assign(this, { name: entry.name, role: entry.role, label: entry.label, triangles, fractions });
+    // of which there may be several, each with its own switch
+    this.key = ["structure", "fixture"].includes(entry.role) ? `${entry.role} ${entry.name}` : entry.role;
     this.level_mm = entry.level_mm;
     this.fixture = entry.fixture;
     this.vertices = vertices;

@@ -20,7 +20,7 @@ export class ImagePanel {
     (this.shape?.fan_px ?? []).forEach(([c, r], i) => (i ? path.lineTo(c, r) : path.moveTo(c, r)));
     path.closePath();
     this.fan = this.shape?.fan_px ? path : null;
-    this.shown = { organ: true, patient: true, blood: true, fixture: true, field: true };
+    this.shown = { organ: true, patient: true, blood: true, field: true };
   }
 
   resize() {
@@ -63,7 +63,7 @@ export class ImagePanel {
     this.contours = [];
     if (plane && phase !== null) {
       if (this.shown.field && this.heart.distance && this.scene.fixtures.length) this.field(plane, phase, margin);
-      for (const role of ["fixture", "blood", "unseen", "organ", "patient"]) if (this.shown[role]) this.outlines(role, plane, phase);
+      for (const role of ["fixture", "structure", "blood", "unseen", "organ", "patient"]) this.outlines(role, plane, phase);
     }
     if (plane) {
       if (tip) this.tip(plane, tip, force);
@@ -130,7 +130,7 @@ export class ImagePanel {
   outlines(role, plane, phase) {
     const draw = this.context;
     for (const surface of this.heart.surfaces) {
-      if (surface.role !== role) continue;
+      if (surface.role !== role || this.shown[surface.key] === false) continue;
       const segments = cut(surface.at(phase), surface.triangles, plane);
       this.contours.push({ name: surface.name, role, segments });
       const path = new Path2D();

@@ -80,17 +80,18 @@ export function layOut(scene) {
 /** What is shown, in its colour, with a switch for each. */
 export function legendRows(scene, series, { surfaces }, bySigma) {
   const has = (role) => surfaces.find((one) => one.role === role);
-  const fixture = has("fixture");
   const cap = scene.fixtures_cap_n;
   const paths = scene.fixtures.filter((one) => one.path_mm).slice(0, 1);
+  const all = (role) => surfaces.filter((one) => one.role === role);
   const widened = (series.columns.margin_mm ?? []).some((one) => one > 0);
   return [
     has("organ") && ["organ", COLORS.organ, `${words(has("organ").name)} surface${has("patient") ? " in the MR" : ""}`],
     has("patient") && ["patient", COLORS.patient, patientWords(has("patient"), bySigma)],
     has("unseen") && ["unseen", COLORS.unseen, "not seen by any MR slice: closed, no force"],
     has("blood") && ["blood", COLORS.blood, "blood in all chambers (blue for contrast)"],
+    ...all("structure").map((one) => [one.key, COLORS.structure, words(one.name)]),
     scene.image && ["plane", COLORS.plane, "ultrasound plane"],
-    fixture && ["fixture", COLORS.fixture, `${fixture.name}, ${fixture.label}${widened ? " without margin" : ""}`],
+    ...all("fixture").map((one) => [one.key, COLORS.fixture, `${one.name}, ${one.label}${widened ? " without margin" : ""}`]),
     ...paths.map((one) => ["path", COLORS.fixture, `${one.name || "path"}, line to follow`]),
     !scene.planes && scene.kind !== "model" && ["field", COLORS.force, `force (field: longest ${cap} N)`],
     scene.targets.length > 0 && ["targets", COLORS.force, scene.bound_mm ? `targets, error < ${scene.bound_mm.toFixed(1)} mm` : "targets"],

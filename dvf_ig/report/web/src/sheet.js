@@ -35,7 +35,8 @@ export class UltrasoundSheet {
     border.renderOrder = 6;
     const group = (this.group = new Group());
     group.add(sheet, border);
-    this.outlines = { blood: intersection("blood"), unseen: intersection("unseen"), organ: intersection("organ"), patient: intersection("patient") };
+    const roles = ["structure", "blood", "unseen", "organ", "patient"];
+    this.outlines = Object.fromEntries(roles.map((role) => [role, intersection(role)]));
     group.add(...Object.values(this.outlines));
     group.visible = false;
     this.context = canvas.getContext("2d", { willReadFrequently: !image.fan_px });
@@ -60,7 +61,7 @@ export class UltrasoundSheet {
   /** Takes the contours of the image, pairs of (column, row), and which roles are shown. */
   contours(list, plane, shown) {
     for (const [role, lines] of Object.entries(this.outlines)) {
-      lines.visible = shown[role];
+      lines.visible = shown[role] ?? true;
       const flat = list.filter((one) => one.role === role).flatMap((one) => one.segments);
       const out = new Float32Array((flat.length / 2) * 3);
       for (let i = 0; i < flat.length; i += 2)

@@ -28,7 +28,7 @@ export class Space {
     this.controls.target.copy(this.center);
     this.half = halfExtents(heart, this.center);
     this.radius = Math.hypot(this.half[0], this.half[1], this.half[2]) / 1.25;
-    this.shown = { organ: true, unseen: true, patient: true, blood: true, fixture: true, plane: true, field: true };
+    this.shown = { organ: true, unseen: true, patient: true, blood: true, plane: true, field: true };
     this.open = true;
     this.cutPlane = new Plane(new Vector3(0, 0, 1), 0);
     this.light();
@@ -79,7 +79,7 @@ export class Space {
     this.moment = { plane, tip, force };
     const known = phase !== null;
     for (const { surface, geometry, group } of this.surfaces) {
-      group.visible = this.shown[surface.role] ?? true;
+      group.visible = this.shown[surface.key] ?? true;
       if (!group.visible) continue;
       surface.at(known ? phase : 0);
       geometry.attributes.position.needsUpdate = true;
@@ -196,7 +196,7 @@ export class Space {
       const around = this.changed && this.shown.patient && ofMr; // a veil about the patient's surface
       solid.visible = !around && (Boolean(plane) || shell || !blood || !this.shown.organ);
       solid.material.clippingPlanes = plane ? [this.cutPlane] : null;
-      veil.visible = around || ((ofMr || surface.role === "patient") && Boolean(plane));
+      veil.visible = around || ((ofMr || ["patient", "structure"].includes(surface.role)) && Boolean(plane));
       veil.material.opacity = this.veil;
     }
     this.renderer.render(this.scene, this.camera);
