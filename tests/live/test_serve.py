@@ -118,7 +118,7 @@ def test_serve_leaves_what_view_shows_and_refuses_a_folder_with_a_record(tmp_pat
 
         sender = threading.Thread(target=send)
         sender.start()
-        done = run("serve", "x", "--port", server.port, "--seconds", 2.5, "-o", out, "--json")
+        done = run("serve", "x", "--port", server.port, "--seconds", 1.5, "-o", out, "--json")
         stop.set()
         sender.join()
     assert done.exit_code == 0, done.stderr
