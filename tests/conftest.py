@@ -176,6 +176,12 @@ def run(commanded: "tuple[Path, Result]") -> Path:
     return commanded[0]
 
 
+@pytest.fixture
+def blank_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """For a test of a page's words, or of what is written beside it."""
+    monkeypatch.setattr("dvf_ig.report.page.png_bytes", lambda _: b"")
+
+
 @pytest.fixture(scope="session")
 def ball() -> "DvfModel":
     """A beating, drifting ball whose distance field is known in closed form."""

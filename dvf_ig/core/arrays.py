@@ -1,7 +1,8 @@
 """Read-only arrays that a value owns: copied once, validated once."""
 
 from collections.abc import Callable
-from dataclasses import fields
+from dataclasses import fields, is_dataclass
+from enum import Enum
 from functools import wraps
 from typing import Any, TypeVar
 
@@ -64,7 +65,7 @@ def read_only_arrays(cls: type[T]) -> type[T]:
     An array that anybody could still write to is copied once at construction; others are shared. The same
     holds for arrays within tuples and dicts, and after unpickling. Place it above `@dataclass`.
     """
-    names = [f.name for f in fields(cls) if f.type not in _NUMBERS]  # type: ignore[arg-type]
+    names = [f.name for f in fields(cls) if not _holds_no_array(f.type)]  # type: ignore[arg-type]
     restore = getattr(cls, "__setstate__", _restored)
     for method, original in (("__init__", cls.__init__), ("__setstate__", restore)):
         setattr(cls, method, _then_protect(original, names))
@@ -93,8 +94,11 @@ def _then_protect(method: Callable[..., None], names: list[str]) -> Callable[...
 
 
 _HOLDERS = (np.ndarray, tuple, dict)
-_NUMBERS = (bool, int, float, str)
-"""Types of fields that hold no array: they are not looked at."""
+
+
+def _holds_no_array(kind: Any) -> bool:
+    """Return whether values of a type need no look: numbers, texts, enumerations and dataclasses."""
+    return isinstance(kind, type) and (issubclass(kind, (int, float, str, Enum)) or is_dataclass(kind))
 
 
 def _protected(value: Any) -> Any:

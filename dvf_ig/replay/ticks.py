@@ -114,7 +114,7 @@ class TickRecorder:
         self._bound[i] = state.pose_bound_mm
         breath = state.breath
         self._breath[i] = breath.phase, breath.displacement_mm
-        self._codes[i] = state.status, state.supervisor, state.supervised.hazards, breath.state
+        self._codes[i] = *state.tick.codes, breath.state
 
     def finish(self) -> Ticks:
         """All ticks; phase and pose are read from the transforms that held."""

@@ -129,7 +129,7 @@ def _draw_histogram(axis: Axes, envelopes: FloatArray) -> None:
     axis.plot(levels, rayleigh.pdf(levels, scale=scale), color=TRUTH, lw=1, label="Rayleigh")
     axis.set_title("speckle in myocardium", fontsize=10)
     axis.set_xlabel("envelope, re myocardium")
-    axis.legend(fontsize=8)
+    axis.legend(loc="upper right", fontsize=8)
 
 
 def _draw_points(axis: Axes, points_db: FloatArray, depth_mm: float) -> None:

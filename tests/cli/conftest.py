@@ -8,6 +8,26 @@ from typer.testing import CliRunner
 from dvf_ig.cli.main import app
 
 
+@pytest.fixture
+def drawn() -> None:
+    """For a test that looks at the pictures of a registration or a motion."""
+
+
+@pytest.fixture(autouse=True)
+def pages_without_pictures(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leave out pictures, except for tests with `drawn`: they take longer than what they show."""
+    from matplotlib.figure import Figure
+
+    if "drawn" not in request.fixturenames:
+        monkeypatch.setattr("dvf_ig.report.motion.motion_figure", lambda *_: Figure())
+        for name in (
+            "report.registration.page._planes",
+            "report.registration.page._shape",
+            "replay.page.registration_page.registration_view",
+        ):
+            monkeypatch.setattr(f"dvf_ig.{name}", lambda *_: "")
+
+
 @pytest.fixture(scope="session")
 def calibration_recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder of each kind, only to be read."""

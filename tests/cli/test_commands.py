@@ -129,6 +129,7 @@ def test_doctor_says_what_to_do_where_kernels_are_not_kept(monkeypatch: pytest.M
     assert "set NUMBA_CACHE_DIR to a folder that can be written" in check["remedy"]
 
 
+@pytest.mark.usefixtures("drawn")
 def test_register_writes_a_transform_that_evaluate_reads(
     scenario: Scenario,
     replay: Replay,

@@ -148,6 +148,7 @@ def expected(lab: Path, *, mr: bool = True, start: Rigid | None = None, **option
     return result.target_from_source
 
 
+@pytest.mark.usefixtures("drawn")
 def test_files_give_the_pose_of_arrays(lab: Path, tmp_path: Path) -> None:
     """One volume stored as uint8, one as float32, the model from its file."""
     file = session(lab, tmp_path, "a.nrrd@0", "b.nrrd@0.0", mr="cine.nrrd", transform="start.tfm")

@@ -1,5 +1,6 @@
 """Shared by the tests of the live link: one session in which nothing goes wrong, with a page that watches."""
 
+import gc
 import os
 from collections.abc import Iterator
 from typing import Any
@@ -24,8 +25,13 @@ def know_images(patch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture(autouse=True)
 def usual_schedule() -> Iterator[None]:
-    """A session that a test runs in its own thread gives it real-time priority: not for what follows."""
+    """A session that a test runs in its own thread gives it real-time priority: not for what follows.
+
+    At its end it unfreezes what the collector leaves out, also what `tests/conftest.py` froze.
+    """
     yield
+    if gc.get_freeze_count() == 0:
+        gc.freeze()
     if hasattr(os, "sched_setscheduler"):
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
 

@@ -98,6 +98,7 @@ def test_serve_ends_after_its_time_and_says_what_it_did() -> None:
 
 
 @pytest.mark.usefixtures("toy_patient")
+@pytest.mark.usefixtures("blank_pictures")
 def test_serve_leaves_what_view_shows_and_refuses_a_folder_with_a_record(tmp_path: Path) -> None:
     """Poses of the tool alone are sent: there are states, and no force."""
     pytest.importorskip("mcap", reason="session logs need mcap")
@@ -118,7 +119,7 @@ def test_serve_leaves_what_view_shows_and_refuses_a_folder_with_a_record(tmp_pat
 
         sender = threading.Thread(target=send)
         sender.start()
-        done = run("serve", "x", "--port", server.port, "--seconds", 2.5, "-o", out, "--json")
+        done = run("serve", "x", "--port", server.port, "--seconds", 1.5, "-o", out, "--json")
         stop.set()
         sender.join()
     assert done.exit_code == 0, done.stderr
@@ -280,6 +281,7 @@ def test_kinds_of_ecg_are_told_apart() -> None:
 
 
 @pytest.mark.usefixtures("toy_patient")
+@pytest.mark.usefixtures("blank_pictures")
 def test_serve_drives_a_simulated_device_and_says_how_its_force_ended() -> None:
     """The hand follows the poses of the tool that are sent; without a registration there is no force."""
     with listen("127.0.0.1", 0, None) as server:

@@ -113,6 +113,7 @@ def test_dynamic_guidance_is_scored_against_guidance(replay: Replay) -> None:
     assert (inward > 0).all(), "guidance pulls to the surface from outside too"
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_a_path_has_no_true_force(replay: Replay) -> None:
     """Contact with the organ is scored all the same."""
     center = replay.heart.center_mm

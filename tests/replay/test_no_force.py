@@ -45,6 +45,7 @@ def test_what_kept_the_force_back_is_looked_for_after_the_first_pose(replay: Rep
     assert told.startswith("the tool stayed outside the box of the model in 67% of the ticks")
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_the_command_tells_and_ends_with_7(
     replay: Replay, written: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -49,6 +49,7 @@ def test_the_force_never_jumps(replay: Replay) -> None:
     assert 0.0 < summary["largest_slew_n_per_s"] <= limit_n_per_s * (1.0 + 1e-9)
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_result_fits_its_schema_and_the_page_holds_every_picture(replay: Replay) -> None:
     result = result_of(replay)
     validate(result)

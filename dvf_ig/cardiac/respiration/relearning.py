@@ -22,11 +22,6 @@ class RelearningClock:
         self.changes = 0
         self._next: BreathClock | None = None
 
-    @property
-    def candidate_breaths(self) -> int:
-        """Ordinary breaths of the second clock; 0 without one."""
-        return 0 if self._next is None else self._next.ordinary_breaths
-
     def push(self, t_s: FloatArray, values: FloatArray) -> None:
         """Add samples (n,), (n, columns); see `BreathClock.push`."""
         for k in range(len(t_s)):

@@ -145,6 +145,12 @@ class ServoTick:
         return Hazard(int(self._row["hazards"]))
 
     @property
+    def codes(self) -> tuple[int, int, int]:
+        """Numbers of status, supervisor's state and active hazards."""
+        row = self._row
+        return int(row["status"]), int(row["state"]), int(row["hazards"])
+
+    @property
     def supervised(self) -> SupervisedForce:
         """The force sent, and the supervisor's state with what it met."""
         row = self._row

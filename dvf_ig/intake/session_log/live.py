@@ -177,7 +177,8 @@ def state_message(state: GuidanceState, lost: int) -> Timed:
             *state.wanted_n,
             *(state.distance_mm, state.margin_mm[0]),
             *(state.breath.phase, state.breath.displacement_mm, state.breath.state),
-            *(state.status, state.supervisor, state.supervised.hazards, lost),
+            *state.tick.codes,
+            lost,
         ],
         dtype=np.float64,
     )
@@ -207,5 +208,4 @@ def answer_messages(state: GuidanceState) -> Iterator[Timed]:
         if not state.tool.hazard:
             tip = matrix[:, :3] @ state.tool.tip_tracker_mm + matrix[:, 3]
             yield now_s, "/tool/tip", ros.POSE, ros.pose(now_s, "mr", tip)
-    codes = (int(state.status), int(state.supervisor), int(state.supervised.hazards))
-    yield now_s, "/diagnostics", ros.DIAGNOSTICS, status_message(now_s, *codes)
+    yield now_s, "/diagnostics", ros.DIAGNOSTICS, status_message(now_s, *state.tick.codes)

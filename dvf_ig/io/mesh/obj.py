@@ -29,7 +29,8 @@ def decode_obj(data: bytes) -> RawMesh:
         if keyword == "v":
             vertices.append(_vertex(words[1:], len(vertices)))
         elif keyword == "f":
-            faces.append([corner.split("/", 1)[0] for corner in words[1:]])
+            corners = words[1:]
+            faces.append([corner.split("/", 1)[0] for corner in corners] if "/" in line else corners)
             counts_at_face.append(len(vertices))
         elif keyword in _WITHOUT_SURFACE:
             left_out[keyword] += 1
@@ -45,8 +46,7 @@ def decode_obj(data: bytes) -> RawMesh:
             f"{len(vertices)} vertices and {len(faces)} faces; needed an OBJ mesh with both"
         )
     counts = np.array([len(face) for face in faces])
-    corners = _corners(faces, np.repeat(counts_at_face, counts))
-    triangles, _ = fan_triangles(corners, counts)
+    triangles, _ = fan_triangles(_corners(faces, np.repeat(counts_at_face, counts)), counts)
     named = tuple(f"{count} {_WITHOUT_SURFACE[key]}" for key, count in left_out.items() if count)
     return RawMesh(np.array(vertices, dtype=np.float64), triangles, "\n".join(notes), left_out=named)
 
@@ -56,8 +56,8 @@ def _whole_lines(text: str) -> Iterator[str]:
     begun = ""
     for part in text_lines(text):
         line = begun + part
-        harmless = "#" in line or not line.strip() or line.split()[0] in _HARMLESS
-        begun = "" if harmless or not line.endswith("\\") else line[:-1] + " "
+        continued = line.endswith("\\") and "#" not in line and line.split()[0] not in _HARMLESS
+        begun = line[:-1] + " " if continued else ""
         if not begun:
             yield line
     yield begun

@@ -29,16 +29,6 @@ class WireProblem(Enum):
     NOT_FINITE = "a number is not finite"
     NOT_RIGID = "a matrix is not a rigid motion, or its translation is beyond a kilometre"
 
-    @property
-    def ends_connection(self) -> bool:
-        """True if the start of the next message is lost."""
-        return self in _FRAMING
-
-
-_FRAMING = frozenset(
-    {WireProblem.VERSION, WireProblem.NAME, WireProblem.TOO_LARGE, WireProblem.TOO_SLOW, WireProblem.CLOSED}
-)
-
 
 class WireError(InvalidInputError):
     """Refused message.

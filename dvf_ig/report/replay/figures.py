@@ -302,7 +302,7 @@ def distance_histogram(ticks: TickTrace) -> Figure:
         )
     axis.axvline(0, color=TRUTH, lw=0.8, ls=":")
     axis.set(xlabel="distance from the surface, mm (inside > 0)", ylabel="ticks")
-    axis.legend(fontsize=9, frameon=False)
+    axis.legend(loc="upper left", fontsize=9, frameon=False)
     return figure
 
 

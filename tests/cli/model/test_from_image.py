@@ -54,6 +54,7 @@ def radius_mm(mesh):
     return np.linalg.norm(mesh.vertices_mm, axis=1)
 
 
+@pytest.mark.usefixtures("drawn")
 def test_from_labels_of_end_diastole(folder):
     output = folder / "from_labels.npz"
     image, labels = folder / "cine.nii.gz", folder / "ed.nii.gz"

@@ -46,7 +46,7 @@ def recording() -> SecondWorldRecording:
     Tissue and outline are drawn on wider grids than a study's, and the MR has fewer phases: half the time.
     """
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(tissue_fields, "SPACING_MM", 2.5)
+        patch.setattr(tissue_fields, "SPACING_MM", 3.5)
         patch.setitem(RANGES, "mr.phases", Range(12.0, 12.0))
         patch.setattr(anatomy, "outline", partial(outline, step_mm=5.0))
         anatomy._at_rest.cache_clear()
@@ -261,7 +261,7 @@ def test_a_recording_is_written_with_its_floor_and_registered_to_a_defined_end(
     assert "image.persistence" in (folder / "truth" / "spec.yaml").read_text()
     read = read_scenario(folder)
     assert read.preset == recording.scenario.preset
-    coarse = model_from_labels(read.preop, options=ModelOptions(knot_spacing_mm=8.0))
+    coarse = model_from_labels(read.preop, options=ModelOptions(knot_spacing_mm=12.0))
     write_model(coarse, tmp_path / "model.npz")
     result, _ = register_session(folder, tmp_path / "model.npz", seed=0)
     assert result.stop in Stop

@@ -19,10 +19,10 @@ from data_synth import PRESETS, ScenarioSpec, phantom_scenario
 
 # a coarse world: the same code at a fraction of the time
 outline = anatomy.outline
-anatomy.outline = lambda *given: outline(*given, step_mm=8.0)
-anatomy.REFERENCE_SPACING_MM = 5.0
+anatomy.outline = lambda *given: outline(*given, step_mm=12.0)
+anatomy.REFERENCE_SPACING_MM = 7.0
 Protocol = cine.MrProtocol
-cine.MrProtocol = lambda: Protocol(phases=3, spacing_mm=5.0)
+cine.MrProtocol = lambda: Protocol(phases=3, spacing_mm=7.0)
 
 def digest(value, into):
     if isinstance(value, np.ndarray):

@@ -9,7 +9,7 @@ from dvf_ig.kernels.servo import loop
 from dvf_ig.kernels.servo.layout import ROW_WORDS
 from dvf_ig.kernels.servo.shared import load_ordered, new_counter, publish, read_shared, store_number
 
-READS = 300
+READS = 40
 
 
 @kernel

@@ -194,12 +194,15 @@ def test_a_real_cine_is_followed_without_folding(data_dir):
     whole = read_volume_series(data_dir / "bivme-cine" / "sax_4d.nii.gz")
     chosen = np.arange(0, 25, 6)
     timing = CycleTiming(whole.timing.fractions[chosen], whole.timing.rr_s)
-    values = whole.values[chosen][:, ::2, ::2]
-    spacing = whole.grid.spacing_mm * [2.0, 2.0, 1.0]
-    grid = Grid("mr", (128, 104, 6), whole.grid.origin_mm, spacing, whole.grid.direction)
-    image = VolumeSeries(grid, values, timing)
     fitted = close_surface(read_surface_series(data_dir / "bivme-cine", "EPICARDIAL"))
     vertices = fitted.vertices_mm[chosen]
+    there = whole.grid.to_index(vertices.reshape(-1, 3))[:, :2]
+    low, high = there.min(axis=0).astype(int) - 30, there.max(axis=0).astype(int) + 30
+    values = whole.values[chosen][:, low[0] : high[0] : 2, low[1] : high[1] : 2]
+    spacing = whole.grid.spacing_mm * [2.0, 2.0, 1.0]
+    origin_mm = whole.grid.to_mm(np.array([*low, 0.0]))
+    grid = Grid("mr", values.shape[1:], origin_mm, spacing, whole.grid.direction)
+    image = VolumeSeries(grid, values, timing)
     organ = inside_mask(image.grid.to_index(vertices[0]), fitted.triangles, image.grid.shape)
     motion = track_cycle(image, organ)
     quality = assess_motion(motion, image, organ)

@@ -127,6 +127,7 @@ def breath() -> BreathLoop:
     )
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_a_breath_is_a_closed_loop_with_its_beats_and_what_they_miss() -> None:
     upper, lower = breathing_figure(breath()).axes
     lines = {str(line.get_label()): line for line in upper.get_lines()}
@@ -143,6 +144,7 @@ def test_a_breath_is_a_closed_loop_with_its_beats_and_what_they_miss() -> None:
     assert "Breathing: the heart" in replay_html(replace(page(), breath=breath()))
 
 
+@pytest.mark.usefixtures("blank_pictures")
 @pytest.mark.parametrize("error", ["", "0.1 mm"])
 def test_errors_have_a_column_only_where_the_truth_is_known(error: str) -> None:
     text = replay_html(replace(page(), estimates=[("tool tip", "(0, 0, 0) mm", error)]))
@@ -157,6 +159,7 @@ def test_the_page_holds_every_figure_and_is_self_contained() -> None:
     assert "verdict good'>Registered to the end; force could be given from the first pose on" in text
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_without_ground_truth_and_registration_there_is_less() -> None:
     bare = replace(
         ticks(), true_force_n=None, true_distance_mm=None, phase_error_percent=None, valid=T_S < 0.0
@@ -187,6 +190,7 @@ LOST = "from 17.3 s on 3 heart beats in a row did not confirm the pose"
         ((False, False), None, "bad'>Not registered, no force was given: &lt;why&gt;"),
     ],
 )
+@pytest.mark.usefixtures("blank_pictures")
 def test_the_banner_is_amber_where_the_pose_was_lost(
     usable: tuple[bool, bool], lost: str | None, verdict: str
 ) -> None:
