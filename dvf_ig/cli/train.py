@@ -49,7 +49,7 @@ def train(
     """Play a task of Ren 2008 on a beating heart with and without force, seen in a page of this machine.
 
     The order is drawn by the seed. A simulated device plays by itself. Trials are added to OUT/trials.jsonl;
-    the table of all persons in OUT stands beside the paper's (Table I; Tables III and IV).
+    the table of all persons in OUT has the paper's rows as well (Table I; Tables III and IV).
     """
     with command():
         from dvf_ig.live.page import PageServer

@@ -1,10 +1,13 @@
 """`dvf-ig train`: a simulated operator plays in real time, its page shows it, its log and table name it."""
 
 import json
+import threading
+import time
 from pathlib import Path
 
 import numpy as np
 import pytest
+from fake_library import POSITION, SharedDhd, compiled
 from toy_sphere import sphere
 from typer.testing import CliRunner
 
@@ -60,10 +63,39 @@ def test_a_simulated_operator_plays_both_arms_and_is_in_the_table(tmp_path: Path
         f"stereo, {arm}" for arm in ("visual only", "visual + haptic")
     }
     for line in lines:
-        assert line["done"] == 1
+        assert line["complete"]
         course = np.loadtxt(tmp_path / line["course"], delimiter=",", skiprows=1)
         assert course[:, 5].max() == pytest.approx(line["pellet_depths_mm"][0], abs=1e-3)
         assert (course[:, 4].max() == 0.0) == line["condition"].endswith(NO_HAPTICS)
+
+
+@pytest.mark.usefixtures("quick")
+def test_a_person_plays_with_a_vendor_s_device(
+    heart: OperatingHeart, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The fake device is pushed some 5 mm into the heart and drawn back, once with force and once without."""
+    library = compiled("fake_dhd", tmp_path, "libdhd.so")
+    monkeypatch.setattr("dvf_ig.guidance.devices.force_dimension.LIBRARY", str(library))
+    monkeypatch.delenv("FORCEDIM_SDK", raising=False)
+    state = SharedDhd(tmp_path / "dhd", (0.0, 0.0, 0.0))
+    monkeypatch.setenv("FAKE_DHD", str(state.path))
+    loop, task = pellets.pellet_trial(heart, "cutting", closed_loop.Condition("", beating=False), 1)
+    rotation = practice.place_of_device("force-dimension", loop, np.zeros(3)).rotation
+    inwards = -rotation.T @ task.pellets.sites[0].normal
+
+    def push() -> None:
+        for share in np.sin(np.linspace(0.0, np.pi, 500)):
+            state.numbers[POSITION : POSITION + 3] = 1e-3 * 14.0 * share * inwards
+            time.sleep(0.001)
+
+    monkeypatch.setattr(practice, "await_button", lambda _: threading.Thread(target=push).start())
+    command = ["train", "cutting", "--device", "force-dimension", "--person", "anna", "-o", str(tmp_path)]
+    done = CliRunner().invoke(app, command)
+    assert done.exit_code == 0, done.output
+    forces = {line["condition"]: line["measures"]["largest_force_n"] for line in practice.read_log(tmp_path)}
+    assert forces[f"mono, {NO_HAPTICS}"] < 1e-6
+    assert 0.02 < forces["mono, visual + haptic"] <= 0.6
+    assert all(3.0 < line["pellet_depths_mm"][0] < 7.0 for line in practice.read_log(tmp_path))
 
 
 def test_the_order_of_the_arms_is_drawn_by_the_seed() -> None:

@@ -19,7 +19,7 @@ from dvf_ig.report.viewer import live_page
 
 
 class Feed(Protocol):
-    """What the page shows."""
+    """Source of the page's data."""
 
     def scene(self) -> tuple[bytes, bytes]:
         """Return scene.json in two parts."""

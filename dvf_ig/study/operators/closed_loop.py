@@ -78,7 +78,7 @@ class Condition:
 
 STILL, BEATING = "still heart", "beating heart"
 MONO, STEREO = "mono", "stereo"
-MONO_NOISE = 2.85
+MONO_NOISE = 2.8
 """Factor on the error of depth with one eye, with which 40 operators (seeds 901 to 940) push pellets into a
 still heart without a force as variably as people do in Table I of Ren 2008, SD 1.51 mm."""
 
@@ -525,8 +525,18 @@ def fixtures_of(loop: Loop) -> Fixtures:
 
 
 def inputs_of(
-    loop: Loop, now_s: float, *, begin_s: float = 0.0, valid_for_s: float = VALID_FOR_S
+    loop: Loop,
+    now_s: float,
+    *,
+    begin_s: float = 0.0,
+    place: Rigid | None = None,
+    valid_for_s: float = VALID_FOR_S,
 ) -> ServoInputs:
-    """What a session would publish at `now_s` of a trial that began at `begin_s` of the servo's clock."""
+    """Inputs that a session would publish at `now_s`, if the trial began at `begin_s` of the same clock.
+
+    Args:
+        place: tracker_from_device; None: the device moves in the tracker's axes.
+    """
     transform = loop.heart.transform(loop.condition, loop.seed, begin_s)
-    return ServoInputs(transform, now_s, Rigid.identity("tracker", "device"), valid_for_s=valid_for_s)
+    place = place or Rigid.identity("tracker", "device")
+    return ServoInputs(transform, now_s, place, valid_for_s=valid_for_s)

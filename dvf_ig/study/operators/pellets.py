@@ -177,7 +177,7 @@ class PelletTask:
 
 
 class PushTask(PelletTask):
-    """Push each pellet DEPTH_MM under the beating surface; it stays where it was deepest."""
+    """Push each pellet DEPTH_MM under the beating surface; its deepest place counts."""
 
     def __init__(self, pellets: Pellets, loop: Loop) -> None:
         super().__init__(pellets, loop, HOLD_S)
@@ -229,14 +229,14 @@ def pellet_trial(
     """
     pellets = pellets_of(heart, task, seed, number)
     side = perpendicular(ACCESS, np.array([0.0, 0.0, 1.0]))
-    held, sight, target_mm = None, -ACCESS, DEPTH_MM
+    trocar, sight, target_mm = None, -ACCESS, DEPTH_MM
     law: Law = cutting_law(limits)
     if task == "dissection":
         sight = -(math.cos(CAMERA_RAD) * ACCESS + math.sin(CAMERA_RAD) * side)
-        held = _fulcrum(pellets, side, child_rng(seed, f"fulcrum {number}")) if fulcrum else None
+        trocar = _fulcrum(pellets, side, child_rng(seed, f"fulcrum {number}")) if fulcrum else None
         target_mm, law = -HEIGHT_MM, dissection_law(limits)
     start_mm = pellets.hover_mm(0)
-    loop = Loop(heart, condition, seed, law, start_mm, sight, target_mm, held, device=device, limits=limits)
+    loop = Loop(heart, condition, seed, law, start_mm, sight, target_mm, trocar, device=device, limits=limits)
     return loop, (PushTask if task == "cutting" else RemoveTask)(pellets, loop)
 
 

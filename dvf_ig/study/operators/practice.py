@@ -75,13 +75,13 @@ Tell = Callable[[str], None]
 
 @dataclass(frozen=True, slots=True)
 class Practice:
-    """What is asked for.
+    """Options of a training.
 
     Attributes:
         task: "cutting" or "dissection".
         device: name, as `open_device` takes it.
         person: who plays, for the table.
-        seed: of pellets, fulcra and order; of the simulated operator, too.
+        seed: of pellets, fulcra, order, and simulated operator.
         trials: with each of both arms.
         sight: one of SIGHTS.
     """
@@ -94,12 +94,12 @@ class Practice:
     sight: str = "mono"
 
     def __post_init__(self) -> None:
-        for what, value, known in (
+        for what, value, choices in (
             ("task", self.task, ("cutting", "dissection")),
             ("sight", self.sight, tuple(SIGHTS)),
         ):
-            if value not in known:
-                raise InvalidInputError(f"{what} '{value}' is none of {', '.join(known)}")
+            if value not in choices:
+                raise InvalidInputError(f"{what} '{value}' is none of {', '.join(choices)}")
 
     @property
     def simulated(self) -> bool:
@@ -132,8 +132,8 @@ class OperatorsHand(HeldInstrument):
 class LivePlayer:
     """Who plays in real time: fulfils `Player`; entered while the device's servo runs."""
 
-    def __init__(self, loop: Loop, tool: HapticTool, instrument: OperatorsHand | None) -> None:
-        self._loop, self._tool, self._instrument = loop, tool, instrument
+    def __init__(self, loop: Loop, tool: HapticTool, place: Rigid, instrument: OperatorsHand | None) -> None:
+        self._loop, self._tool, self._place, self._instrument = loop, tool, place, instrument
         self._operator = None if instrument is None else operator_with(loop, instrument)
         self._tip_mm = loop.start_mm
         self._steps = 0
@@ -158,7 +158,7 @@ class LivePlayer:
     def step(self, aim: Aim) -> float:
         """Publish, let a simulated operator act, and wait for the next step."""
         tool, now_s = self._tool, time.monotonic()
-        tool.publish_inputs(inputs_of(self._loop, now_s, begin_s=self._begin_s), now_s)
+        tool.publish_inputs(inputs_of(self._loop, now_s, begin_s=self._begin_s, place=self._place), now_s)
         due = round(self.now_s * RATE_HZ) + 1
         if self._operator is not None:
             for _ in range(min(due - self._steps, MOST_STEPS)):
@@ -183,7 +183,7 @@ class LivePlayer:
 
 
 def practise(heart: OperatingHeart, practice: Practice, show: "TrainingFeed", tell: Tell, out: Path) -> None:
-    """Play all trials, and add each to `out`/trials.jsonl, its course to a CSV file beside it.
+    """Play all trials, and add each to `out`/trials.jsonl, its course to a CSV file in the same folder.
 
     Raises:
         InvalidInputError: a device that does not answer, or cannot render the fixtures.
@@ -211,19 +211,19 @@ def _play(
     loop, task = _trial(heart, practice, condition, number, device)
     hand, place = None, Rigid.identity("tracker", "device")
     if device is None:
-        held: HeldDevice = (hand := OperatorsHand(loop))
+        haptic: HeldDevice = (hand := OperatorsHand(loop))
     else:
-        held, place = device, place_of_device(practice.device, loop, position_mm(device))
+        haptic, place = device, place_of_device(practice.device, loop, position_mm(device))
     force = "with force" if condition.haptic else "without force"
     show.begin(loop, task, f"{practice.task}, {force}")
     tip = Points("tool", np.zeros((1, 3)))
     late_s = LATE_S[device is None]
-    with HapticTool(held, fixtures_of(loop), loop.limits, place, tip, tell, late_s) as tool:
+    with HapticTool(haptic, fixtures_of(loop), loop.limits, place, tip, tell, late_s) as tool:
         if device is not None:
             tell(f"{force}: hold the stylus still and press its button to begin")
-            _await_button(device)
+            await_button(device)
         tell(f"{practice.task}, trial {number + 1} of {practice.trials}, {force}")
-        player = LivePlayer(loop, tool, hand)
+        player = LivePlayer(loop, tool, place, hand)
         trace = run_task(loop, task, LONGEST_S, player, lambda t, _: show.observe(t, player, tool))
     measures = cutting_measures if practice.task == "cutting" else dissection_measures
     line = {
@@ -232,10 +232,10 @@ def _play(
         "condition": condition.name,
         "trial": number,
         "seed": practice.seed,
-        "device": held.name,
+        "device": haptic.name,
         "sight": practice.sight,
-        "done": task.done,
-        "measures": measures(trace),
+        "complete": task.done == PELLETS,
+        "measures": measures(trace) if task.done > 0 else {},
         "pellet_depths_mm": pellet_depths_mm(trace).round(3).tolist(),
         "latches": list(tool.counts.latches),
     }
@@ -249,7 +249,7 @@ def _trial(
     number: int,
     device: HeldDevice | None,
 ) -> tuple[Loop, PelletTask]:
-    """Prepare a trial on the device; a person's has no fulcrum, and no force where none is to be felt."""
+    """Prepare a trial on the device; a person's has no fulcrum, and no force in the arm without."""
     if device is None:
         model = DEVICES[practice.device.partition(":")[2] or next(iter(DEVICES))]
         limits = model.limits(fastest_mm_s=FASTEST_MM_S)
@@ -279,7 +279,8 @@ def view_of(loop: Loop) -> tuple[FloatArray, FloatArray]:
     return toward, perpendicular(toward, np.array([0.0, 0.0, 1.0]))
 
 
-def _await_button(device: HeldDevice) -> None:
+def await_button(device: HeldDevice) -> None:
+    """Wait until the person presses the button."""
     while device.pressed:
         time.sleep(LOOK_S)
     while not device.pressed:
@@ -342,7 +343,7 @@ class TrainingFeed:
         self._sent_s = self._last_s
         t_s, tip_mm, loop, task, state, reasons = self._newest
         phase = loop.heart.phase(loop.condition, t_s)
-        moving, done = task.pellets.moving, task.done
+        moving, count = task.pellets.moving, task.done
         shaft = loop.fulcrum.point_mm - tip_mm if loop.fulcrum is not None else -loop.sight
         event = {
             "t_s": round(self._last_s, 3),
@@ -356,10 +357,10 @@ class TrainingFeed:
             "supervisor": state.name.lower(),
             "hazards": "",
             "reasons": list(reasons),
-            "pellets": [p.round(3).tolist() for p in moving.points(phase)[done:]],
+            "pellets": [p.round(3).tolist() for p in moving.points(phase)[count:]],
             "rows": [
                 ["task", self._title],
-                ["pellet", f"{min(done + 1, PELLETS)} of {PELLETS}"],
+                ["pellet", f"{min(count + 1, PELLETS)} of {PELLETS}"],
                 ["time", f"{t_s:.0f} s"],
             ],
         }

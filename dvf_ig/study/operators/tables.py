@@ -1,4 +1,4 @@
-"""Tables I, III and IV of Ren 2008, its rows beside those of simulated operators or of who trained here.
+"""Tables I, III and IV of Ren 2008, its rows next to those of simulated operators or of who trained here.
 
 Both sides have the same statistics, by subject: means over subjects, and the p of a paired t test.
 """
@@ -96,15 +96,16 @@ def operators_subjects(task: str, lines: Sequence[Line], heart: str = "") -> dic
 
 
 def training_tables(task: str, lines: Sequence[Mapping[str, Any]]) -> Rows:
-    """Tables of a task with those who trained, beside the paper's people; lines of a training log.
+    """Tables of a task with those who trained, next to the paper's people; lines of a training log.
 
-    A subject without both arms, or of Table IV without both sights, is in no row.
+    A subject without both arms, or of Table IV without both sights, is in no row; a trial that ended early
+    does not count.
     """
     arms: dict[tuple[str, str], FloatArray] = {}
-    done = [line for line in lines if line["task"] == task and line["done"] > 0]
-    for person, sight in dict.fromkeys((line["person"], line["condition"].split(", ")[0]) for line in done):
+    played = [line for line in lines if line["task"] == task and line["complete"]]
+    for person, sight in dict.fromkeys((line["person"], line["condition"].split(", ")[0]) for line in played):
         own = [
-            [line for line in done if line["person"] == person and line["condition"] == f"{sight}, {arm}"]
+            [line for line in played if line["person"] == person and line["condition"] == f"{sight}, {arm}"]
             for arm in (HAPTICS, NO_HAPTICS)
         ]
         if all(own):
@@ -127,7 +128,7 @@ def _figures(task: str, trials: Sequence[Mapping[str, Any]]) -> list[float]:
 
 
 def paper_table(kind: str, subjects: Subjects, label: str, shown: int | None = None) -> Rows:
-    """One table, I, III or IV: the paper's people, and other subjects beside them if there are any."""
+    """One table, I, III or IV: the paper's people, and next to them other subjects, if there are any."""
     make = depth_rows if kind == "I" else time_rows
     people = {"I": paper.DEPTH_MM, "III": paper.DISSECTION_S, "IV": paper.SIGHT_S}[kind]
     left = make({f"person {k + 1}": arms for k, arms in enumerate(people)})

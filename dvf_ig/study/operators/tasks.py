@@ -1,4 +1,4 @@
-"""Tasks of single operators beside the pellets (`pellets`): a lesion along a line, manual tracking.
+"""Tasks without pellets: a lesion along a line, manual tracking.
 
 Tracking is of a place of the beating surface over 30 cycles (Figs 14, 15); a lesion is along a line that
 beats, before an oesophagus that does not. Automatic tracking, a stylus in nobody's hand, is

@@ -268,7 +268,7 @@ def test_tables_put_operators_and_persons_beside_the_paper_s() -> None:
     assert paper_table("III", subjects["III"], "operators")[1][3:] == ("operator 1", "50.0", "50.0")
 
     def trial(person: str, arm: str, sight: str = "mono") -> dict[str, object]:
-        common = {"person": person, "task": "cutting", "condition": f"{sight}, {arm}", "done": 2}
+        common = {"person": person, "task": "cutting", "condition": f"{sight}, {arm}", "complete": True}
         return {**common, "pellet_depths_mm": [4.0, 6.0] if arm == NO_HAPTICS else [4.9, 5.1]}
 
     played = [trial("anna", HAPTICS), trial("anna", NO_HAPTICS), trial("berta", HAPTICS)]
