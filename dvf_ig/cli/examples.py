@@ -62,6 +62,10 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     ),
     "model check": ("dvf-ig model check heart.npz", "dvf-ig model check heart.npz --labels es.nii.gz@0.35"),
     "model export": ("dvf-ig model export heart.npz --format stl -o surfaces",),
+    "train": (
+        "dvf-ig train cutting --device simulated",
+        "dvf-ig train dissection --device force-dimension --person anna --trials 5 -o training",
+    ),
     "calibrate pivot": ("dvf-ig calibrate pivot pivot.igs.mha -o tip.json",),
     "calibrate probe": (
         "dvf-ig calibrate probe nwire.igs.mha --device-set PlusDeviceSet.xml -o probe.json",
@@ -104,7 +108,7 @@ SECTIONS = {
     "Prepare": ("inspect", "calibrate", "gate", "model", "config"),
     "Intervene": ("register", "evaluate", "replay", "serve", "force"),
     "Look, and hand on": ("view", "export"),
-    "Try and measure": ("synth", "study", "bench"),
+    "Try and measure": ("synth", "train", "study", "bench"),
     "This machine": ("doctor", "device", "cache"),
 }
 """Commands and groups by heading, in the order of an intervention."""

@@ -19,6 +19,7 @@ from dvf_ig.cli import (
     gate,
     replay,
     study,
+    train,
     view,
 )
 from dvf_ig.cli.calibrate import commands as calibrate
@@ -56,6 +57,7 @@ app.command("evaluate")(evaluate.evaluate)
 app.command("replay", cls=SessionCommand)(replay.replay)
 app.command("serve", cls=SessionCommand)(serve.serve)
 app.add_typer(device.app, name="device")
+app.command("train")(train.train)
 app.command("view")(view.view)
 app.add_typer(export.app, name="export")
 app.add_typer(config.app, name="config")

@@ -29,6 +29,7 @@ from dvf_ig.guidance.servo import (
     ServoRecord,
 )
 from dvf_ig.guidance.servo.record import deadlines_together
+from dvf_ig.guidance.servo.servo import LATE_NS
 from dvf_ig.session import GuidanceState, ToolPose
 
 from .timed import LiveEvent
@@ -75,6 +76,7 @@ class HapticTool:
         tracker_from_device: place of the device.
         tip: tool tip of the session, one point in frame "tool"; the device's tip takes its place.
         tell: called with a sentence whenever the force is withdrawn or given again.
+        late_s: as of `Servo`.
     Raises:
         InvalidInputError: as `Servo`, or frames that do not fit.
     """
@@ -87,12 +89,14 @@ class HapticTool:
         tracker_from_device: Rigid,
         tip: Points,
         tell: Callable[[str], None],
+        late_s: float = LATE_NS * 1e-9,
     ) -> None:
         require_same_frame("tracker", tracker_from_device.target, "place of the haptic device")
         require_same_frame("device", tracker_from_device.source, "place of the haptic device")
         self.device, self.counts = device, HapticCounts()
         self._place, self._tip_mm, self._tell = tracker_from_device, tip.xyz_mm[0], tell
-        self._servo = Servo(fixtures, device, limits=limits, options=ServoOptions(rate_hz=device.rate_hz))
+        options = ServoOptions(rate_hz=device.rate_hz)
+        self._servo = Servo(fixtures, device, limits=limits, options=options, late_s=late_s)
         self._deadlines: list[Deadlines] = []
         self._inputs: ServoInputs | None = None
         self._published_s = self._posed_s = -np.inf
@@ -161,8 +165,12 @@ class HapticTool:
 
     def publish(self, state: GuidanceState) -> None:
         """Hand the servo what the session knows; its times are those of the monotonic clock."""
-        self._inputs = state.inputs(self._place)
-        self._servo.publish(self._inputs, state.now_s)
+        self.publish_inputs(state.inputs(self._place), state.now_s)
+
+    def publish_inputs(self, inputs: ServoInputs, now_s: float) -> None:
+        """Hand the servo its inputs, of `now_s` by the monotonic clock."""
+        self._inputs = inputs
+        self._servo.publish(inputs, now_s)
         if not np.isfinite(self._published_s):
             self._published_s = time.monotonic()
 

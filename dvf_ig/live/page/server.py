@@ -12,12 +12,23 @@ import threading
 import time
 from dataclasses import dataclass, field
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from typing import Any
+from typing import Any, Protocol
 
 from dvf_ig.core.errors import InvalidInputError
 from dvf_ig.report.viewer import live_page
 
-from .feed import PageFeed
+
+class Feed(Protocol):
+    """Source of the page's data."""
+
+    def scene(self) -> tuple[bytes, bytes]:
+        """Return scene.json in two parts."""
+        ...
+
+    def next_event(self) -> str | None:
+        """Return what is new since the last call as JSON, or None."""
+        ...
+
 
 MOST_WATCHERS = 4
 """Largest number of watchers; one slot is reserved for a page of this server."""
@@ -152,7 +163,7 @@ class _Server(ThreadingHTTPServer):
     allow_reuse_address = True
     request_queue_size = 32
 
-    def __init__(self, port: int, feed: PageFeed) -> None:
+    def __init__(self, port: int, feed: Feed) -> None:
         super().__init__(("127.0.0.1", port), _Handler)
         self.feed, self.page = feed, live_page().encode()
         self.watchers = Watchers()
@@ -237,7 +248,7 @@ class PageServer:
         InvalidInputError: the port is taken.
     """
 
-    def __init__(self, feed: PageFeed, port: int) -> None:
+    def __init__(self, feed: Feed, port: int) -> None:
         try:
             self._server = _Server(port, feed)
         except OSError as exc:

@@ -1,20 +1,23 @@
-"""Draw the figures and Table II of Ren 2008 from this package's model and laws, with the paper's numbers.
+"""Draw the figures of Ren 2008 from this package's model and laws, and one page of them with its tables.
 
-Fig. 4 fitted surface, Figs 5 and 11 force fields, Figs 8 to 10 potentials, Fig. 14 automatic tracking
-(`dvf_ig.study.tracking`); also equations 10–11 over time, which the paper does not draw.
+Figs 3 to 5, 11 and 16 are slices, 7, 12 and 13 scenes, 8 to 10 laws, 14 and 15 tracking; also equations
+10–11 over time, which the paper does not draw.
 """
 
-from .fields import field_figure as field_figure
-from .fields import organ_field as organ_field
-from .fields import surface_field as surface_field
 from .over_time import force_over_time as force_over_time
 from .over_time import over_time_figure as over_time_figure
 from .page import PaperFigure as PaperFigure
+from .page import PaperTable as PaperTable
 from .page import paper_html as paper_html
 from .page import write_paper_figures as write_paper_figures
 from .potentials import exponent_figure as exponent_figure
 from .potentials import steepness_figure as steepness_figure
 from .potentials import width_figure as width_figure
-from .surface import SurfaceFit as SurfaceFit
-from .surface import surface_figure as surface_figure
-from .surface import surface_fit as surface_fit
+from .scene import HeartView as HeartView
+from .scene import Section as Section
+from .scene import held_figure as held_figure
+from .scene import scene_figure as scene_figure
+from .slices import Slice as Slice
+from .slices import dilation_distance_mm as dilation_distance_mm
+from .slices import slice_figure as slice_figure
+from .tracking import tracking_errors_figure as tracking_errors_figure

@@ -1,4 +1,4 @@
-"""Build the page of the paper's figures and Table II, and write the figures as files."""
+"""Build the page of the paper's figures and tables, and write the figures as files."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from dvf_ig.report.style import png_bytes, svg_bytes
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-TITLE = "Dynamic virtual fixtures: the figures of Ren 2008 from this model"
+TITLE = "Dynamic virtual fixtures: the tables and figures of Ren 2008 from this model"
 ABOUT = (
     "Ren, Patel, McIsaac, Guiraudon, Peters: Dynamic 3-D Virtual Fixtures for Minimally Invasive Beating "
     "Heart Procedures. IEEE Transactions on Medical Imaging 27(8), 2008. The figures show the same "
@@ -43,6 +43,21 @@ class PaperFigure:
     figure: Figure
 
 
+@dataclass(frozen=True, slots=True)
+class PaperTable:
+    """A table of the paper's rows and of those from here.
+
+    Attributes:
+        title: of the section.
+        rows: the first is the heading.
+        meanings: sentences: what each difference means, and the paper's errata.
+    """
+
+    title: str
+    rows: Sequence[Sequence[str]]
+    meanings: Sequence[str]
+
+
 def write_paper_figures(folder: Path, figures: Sequence[PaperFigure]) -> list[Path]:
     """Write each figure as PNG and SVG, and return the files.
 
@@ -57,17 +72,20 @@ def write_paper_figures(folder: Path, figures: Sequence[PaperFigure]) -> list[Pa
     return written
 
 
-def paper_html(figures: Sequence[PaperFigure], rows: Sequence[tuple[str, str, str]]) -> str:
+def paper_html(figures: Sequence[PaperFigure], tables: Sequence[PaperTable]) -> str:
     """Build the page; it belongs in the folder of the files of `write_paper_figures`.
 
     Args:
-        figures: in the order of the paper.
-        rows: Table II: quantity, value here, value in the paper.
+        figures, tables: in the order of the paper.
     """
-    body = f"<p class=note>{html.escape(ABOUT)}</p>" + "".join(map(_part, figures))
-    comparison = table(("", "here", "Ren 2008"), rows)
-    note = "Times were measured on this machine and depend on its load."
-    return html_page(TITLE, body + section("After Table II: accuracy and speed", note, comparison))
+    head = f"<p class=note>{html.escape(ABOUT)}</p>"
+    body = "".join(map(_table, tables)) + "<h2>Figures</h2>" + "".join(map(_part, figures))
+    return html_page(TITLE, head + body)
+
+
+def _table(each: PaperTable) -> str:
+    meanings = "".join(f"<li>{html.escape(sentence)}</li>" for sentence in each.meanings)
+    return section(each.title, "", table(each.rows[0], each.rows[1:]) + f"<ul>{meanings}</ul>")
 
 
 def _part(each: PaperFigure) -> str:

@@ -7,7 +7,7 @@ that the operators work on, true and as the fixture knows it, and lines that rid
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -22,9 +22,18 @@ from data_synth.operator.operator_spec import OperatorSpec, drawn_operator
 from data_synth.operator.simulated_operator import RATE_HZ, SimulatedOperator
 from data_synth.seeds import child_rng
 from dvf_ig.core import DvfModel, FloatArray, Rigid, read_only_arrays
-from dvf_ig.guidance import DEVICES, FixtureOptions, Fixtures, FixtureSet, Law, PoseAndPhase
-from dvf_ig.guidance.devices.protocol import HapticDevice
+from dvf_ig.guidance import (
+    DEVICES,
+    DeviceLimits,
+    FixtureOptions,
+    Fixtures,
+    FixtureSet,
+    Law,
+    PoseAndPhase,
+    SimulatedDevice,
+)
 from dvf_ig.guidance.servo import ServoInputs, ServoOptions, SimulatedServo
+from dvf_ig.guidance.servo.inputs import VALID_FOR_S
 from dvf_ig.guidance.supervision.supervisor import SupervisorState
 from dvf_ig.study.passivity import steady_transform
 from dvf_ig.study.tracking.stylus import FASTEST_MM_S, BeatingSurface, beating_surface
@@ -69,9 +78,9 @@ class Condition:
 
 STILL, BEATING = "still heart", "beating heart"
 MONO, STEREO = "mono", "stereo"
-MONO_NOISE = 1.96
-"""Factor on the error of depth with one eye, with which 40 operators (seeds 901 to 940) cut without a force
-as people do in Table I of Ren 2008, 1.64 mm RMS about the wanted depth."""
+MONO_NOISE = 2.8
+"""Factor on the error of depth with one eye, with which 40 operators (seeds 901 to 940) push pellets into a
+still heart without a force as variably as people do in Table I of Ren 2008, SD 1.51 mm."""
 
 
 def _three(prefix: str, common: Condition) -> tuple[Condition, ...]:
@@ -154,20 +163,20 @@ class OperatingHeart:
         """This heart's, or another person's."""
         return surface_of(OTHER_HEART_SEED).model if condition.wrong_organ else self.model
 
-    def transform(self, condition: Condition, seed: int) -> PoseAndPhase:
+    def transform(self, condition: Condition, seed: int, begin_s: float = 0.0) -> PoseAndPhase:
         """Pose and phase that a session would publish, with the condition's errors.
 
         Args:
             seed: of the operator; draws the direction of the registration's error.
+            begin_s: time by the servo's clock at which the heart is at phase 0.
         """
         model = self.fixture_model(condition)
         direction = child_rng(seed, "registration").standard_normal(3)
         shift = condition.registration_mm * direction / np.linalg.norm(direction)
         shift += model_center_mm(model) - model_center_mm(self.model)
         pose = Rigid(model.frame, "tracker", np.eye(3), shift)
-        return steady_transform(
-            model, pose=pose, rr_s=self.cycle(condition), phase_offset=condition.phase_error
-        )
+        offset = condition.phase_error - begin_s / self.cycle(condition)
+        return steady_transform(model, pose=pose, rr_s=self.cycle(condition), phase_offset=offset)
 
 
 def operating_heart() -> OperatingHeart:
@@ -239,7 +248,13 @@ def moving_line(surface: MovingSurface, site: Site, length_mm: float, depth_mm: 
     """
     count = 1 + round(length_mm / STEP_MM)
     along = (np.arange(count) - 0.5 * (count - 1)) * STEP_MM
-    base = _at_depth(surface, site.point_mm + along[:, None] * site.slide, 0.0, 0.0)
+    return moving_points(surface, site.point_mm + along[:, None] * site.slide, depth_mm)
+
+
+def moving_points(surface: MovingSurface, points_mm: FloatArray, depth_mm: float) -> MovingLine:
+    """Points (n, 3), projected onto the surface at phase 0, riding on it at a depth from then on."""
+    count = len(points_mm)
+    base = _at_depth(surface, points_mm, 0.0, 0.0)
     resting = surface.at(0.0)
     apart = np.linalg.norm(base[:, None] - resting[None], axis=2)
     nearest = np.argsort(apart, axis=1)[:, :NEAREST]
@@ -295,6 +310,7 @@ class Loop:
         target_depth_mm: where the task wants the tip, positive inside.
         fulcrum: of the instrument, if any.
         fixtures: in place of the law on the heart's surface.
+        device: simulated, that the operator holds; limits: of it.
     """
 
     heart: OperatingHeart
@@ -306,6 +322,8 @@ class Loop:
     target_depth_mm: float
     fulcrum: Fulcrum | None = None
     fixtures: tuple[FixtureOptions, ...] = ()
+    device: SimulatedDevice = DEVICE
+    limits: DeviceLimits = LIMITS
 
 
 @read_only_arrays
@@ -346,49 +364,130 @@ class Aim(NamedTuple):
     stage: float = 0.0
 
 
-Task = Callable[[float, FloatArray, SimulatedOperator], Aim]
-"""Aim at a time (s), from the true tip (3,) and the operator's state; called once a step, in order."""
+Task = Callable[[float, FloatArray, float], Aim]
+"""Aim at a time (s), from the true tip (3,) and the error (mm) that the operator believes in; called once a
+step, in order."""
 
 
-def run_task(loop: Loop, task: Task, longest_s: float) -> Trace:
-    """Let the operator do the task until it is over, or until time is up."""
-    condition = loop.condition
-    spec = operator_of(loop)
-    stylus = Stylus(
-        DEVICE.mass_kg,
-        DEVICE.viscous_n_s_per_m,
-        DEVICE.dry_n,
-        DEVICE.resolution_mm,
-        DEVICE.largest_n if condition.haptic else 0.0,
-        condition.lag_s,
-    )
-    instrument = HeldInstrument(
-        loop.start_mm,
-        spec.hand,
-        stylus,
-        fulcrum=loop.fulcrum,
-        stated_latency_s=condition.lag_s if condition.lag_known else 0.0,
-    )
-    learnt = learnt_force(loop.law, loop.target_depth_mm) if condition.haptic else None
-    operator = SimulatedOperator(spec, loop.seed, instrument, loop.sight, learnt)
-    servo, inputs = _servo(loop, instrument, longest_s)
-    ticks = round(DEVICE.rate_hz / RATE_HZ)
-    tips, forces, stages, withheld = [], [], [], 0
-    for k in range(round(longest_s * RATE_HZ)):
-        tip = instrument.tip_mm
-        aim = task(k / RATE_HZ, tip, operator)
+class Player(Protocol):
+    """Who holds the instrument, with the servo that drives it.
+
+    Attributes:
+        now_s: since the trial began; tip_mm: (3,) true tip; felt_n: (3,) force on the hand.
+        believed_error_mm: distance between aim and tip by all that the player sees and feels.
+    """
+
+    @property
+    def now_s(self) -> float: ...
+
+    @property
+    def tip_mm(self) -> FloatArray: ...
+
+    @property
+    def felt_n(self) -> FloatArray: ...
+
+    @property
+    def believed_error_mm(self) -> float: ...
+
+    def step(self, aim: Aim) -> float:
+        """Act until the next step; return the seconds in which the supervisor withheld the force."""
+        ...
+
+
+class SimulatedPlayer:
+    """A simulated operator in simulated time."""
+
+    def __init__(self, loop: Loop, longest_s: float) -> None:
+        stylus = stylus_of(loop.device, loop.condition)
+        stated_s = loop.condition.lag_s if loop.condition.lag_known else 0.0
+        self._instrument = HeldInstrument(
+            loop.start_mm, operator_of(loop).hand, stylus, fulcrum=loop.fulcrum, stated_latency_s=stated_s
+        )
+        self._operator = operator_with(loop, self._instrument)
+        self._servo = SimulatedServo(
+            fixtures_of(loop), self._instrument, limits=loop.limits, options=ServoOptions()
+        )
+        self._inputs = inputs_of(loop, 0.0, valid_for_s=2.0 * longest_s)
+        self._step = 0
+
+    @property
+    def now_s(self) -> float:
+        return self._step / RATE_HZ
+
+    @property
+    def tip_mm(self) -> FloatArray:
+        return self._instrument.tip_mm
+
+    @property
+    def felt_n(self) -> FloatArray:
+        return self._instrument.felt_n
+
+    @property
+    def believed_error_mm(self) -> float:
+        return self._operator.believed_error_mm
+
+    def step(self, aim: Aim) -> float:
+        """See, feel, decide, and let the servo tick."""
+        follow(self._operator, aim)
+        state = self._servo.run(self._inputs, round(DEVICE.rate_hz / RATE_HZ)).state
+        self._step += 1
+        return int((state >= SupervisorState.FADE).sum()) / DEVICE.rate_hz
+
+
+def run_task(
+    loop: Loop,
+    task: Task,
+    longest_s: float,
+    player: Player | None = None,
+    watch: Callable[[float, Aim], None] | None = None,
+) -> Trace:
+    """Let a player do the task until it is over, or until time is up.
+
+    Args:
+        player: None: the simulated operator of the loop's seed.
+        watch: called with each time and aim.
+    """
+    player = player or SimulatedPlayer(loop, longest_s)
+    t_s, tips, forces, stages, withheld_s = [], [], [], [], 0.0
+    while (now_s := player.now_s) < longest_s:
+        tip = player.tip_mm
+        aim = task(now_s, tip, player.believed_error_mm)
+        if watch is not None:
+            watch(now_s, aim)
         if aim.stage < 0.0:
             break
+        t_s.append(now_s)
         tips.append(tip)
-        forces.append(float(np.linalg.norm(instrument.felt_n)))
+        forces.append(float(np.linalg.norm(player.felt_n)))
         stages.append(aim.stage)
-        operator.step(aim.place_mm, aim.planned_mm_s + spec.anticipated_share * aim.beat_mm_s)
-        state = servo.run(inputs, ticks).state
-        withheld += int((state >= SupervisorState.FADE).sum())
-    t_s, tip_mm = np.arange(len(tips)) / RATE_HZ, np.array(tips)
-    phases = np.array([loop.heart.phase(condition, t) for t in t_s.tolist()])
+        withheld_s += player.step(aim)
+    tip_mm = np.array(tips)
+    phases = np.array([loop.heart.phase(loop.condition, t) for t in t_s])
     depth = loop.heart.truth.distance(tip_mm, phases)[0]
-    return Trace(t_s, tip_mm, np.array(forces), depth, np.array(stages), withheld / DEVICE.rate_hz)
+    return Trace(np.array(t_s), tip_mm, np.array(forces), depth, np.array(stages), withheld_s)
+
+
+def follow(operator: SimulatedOperator, aim: Aim) -> None:
+    """Let an operator take the next step towards an aim."""
+    operator.step(aim.place_mm, aim.planned_mm_s + operator.spec.anticipated_share * aim.beat_mm_s)
+
+
+def stylus_of(device: SimulatedDevice, condition: Condition) -> Stylus:
+    """Stylus of a simulated device, whose motors may be off."""
+    return Stylus(
+        device.mass_kg,
+        device.viscous_n_s_per_m,
+        device.dry_n,
+        device.resolution_mm,
+        device.largest_n if condition.haptic else 0.0,
+        condition.lag_s,
+    )
+
+
+def operator_with(loop: Loop, instrument: HeldInstrument) -> SimulatedOperator:
+    """The operator with the instrument in hand."""
+    learnt = learnt_force(loop.law, loop.target_depth_mm) if loop.condition.haptic else None
+    return SimulatedOperator(operator_of(loop), loop.seed, instrument, loop.sight, learnt)
 
 
 def operator_of(loop: Loop) -> OperatorSpec:
@@ -419,15 +518,25 @@ def learnt_force(law: Law, target_depth_mm: float) -> LearntForce:
     return LearntForce(law.cap_n * share, inside_mm + law.depth_mm - target_depth_mm)
 
 
-def _servo(loop: Loop, instrument: HapticDevice, longest_s: float) -> tuple[SimulatedServo, ServoInputs]:
-    model = loop.heart.fixture_model(loop.condition)
+def fixtures_of(loop: Loop) -> Fixtures:
+    """Fixtures that act on the instrument."""
     options = loop.fixtures or (FixtureOptions(loop.law, "force"),)
-    fixtures = Fixtures(model, FixtureSet(options, device=LIMITS))
-    servo = SimulatedServo(fixtures, instrument, limits=LIMITS, options=ServoOptions())
-    inputs = ServoInputs(
-        loop.heart.transform(loop.condition, loop.seed),
-        0.0,
-        Rigid.identity("tracker", "device"),
-        valid_for_s=2.0 * longest_s,
-    )
-    return servo, inputs
+    return Fixtures(loop.heart.fixture_model(loop.condition), FixtureSet(options, device=loop.limits))
+
+
+def inputs_of(
+    loop: Loop,
+    now_s: float,
+    *,
+    begin_s: float = 0.0,
+    place: Rigid | None = None,
+    valid_for_s: float = VALID_FOR_S,
+) -> ServoInputs:
+    """Inputs that a session would publish at `now_s`, if the trial began at `begin_s` of the same clock.
+
+    Args:
+        place: tracker_from_device; None: the device moves in the tracker's axes.
+    """
+    transform = loop.heart.transform(loop.condition, loop.seed, begin_s)
+    place = place or Rigid.identity("tracker", "device")
+    return ServoInputs(transform, now_s, place, valid_for_s=valid_for_s)

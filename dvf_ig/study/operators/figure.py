@@ -23,15 +23,9 @@ from dvf_ig.study.operators.closed_loop import (
     surface_of,
 )
 from dvf_ig.study.operators.lesion import MARGIN_MM, ablate
+from dvf_ig.study.operators.pellets import DEPTH_MM, cut, dissect
 from dvf_ig.study.operators.summary import OperatorsSummary, difference
-from dvf_ig.study.operators.tasks import (
-    CUT,
-    DEPTH_MM,
-    cut,
-    dissect,
-    track,
-    tracked_place,
-)
+from dvf_ig.study.operators.tasks import track, tracked_place
 from dvf_ig.study.statistics import Estimate
 
 if TYPE_CHECKING:
@@ -218,21 +212,21 @@ def _draw_ablations(axis: Axes, ablations: Sequence[Interval], label: str) -> No
 
 
 TITLES = {
-    "cutting": "depth-controlled cutting, forbidden surface 5 mm under the epicardium",
-    "dissection": "dissection of ten pellets through a fulcrum",
+    "cutting": "ten pellets pushed 5 mm into the heart, forbidden from there on",
+    "dissection": "ten pellets removed through a fulcrum, with guidance to their height",
     "tracking": "manual tracking of the beating surface over 30 cycles",
     "lesion": "a lesion along a beating line, the oesophagus behind it forbidden",
 }
 PANELS = {
-    "cutting": (("depth_rms_mm", "depth RMS, mm"), ("largest_excess_mm", "largest excess, mm")),
-    "dissection": (("errors", "touches of the forbidden organ"), ("violation_mm", "deepest touch, mm")),
+    "cutting": (("depth_sd_mm", "SD of the depth, mm"), ("depth_rms_mm", "RMS about 5 mm, mm")),
+    "dissection": (("time_s", "time, s"), ("errors", "touches of the organ")),
     "tracking": (("mean_mm", "mean distance to the surface, mm"), ("max_mm", "largest distance, mm")),
     "lesion": (
         ("line_mm", "mean distance to the line, mm"),
         ("tube_mm", "least distance to the oesophagus, mm"),
     ),
 }
-DEPTH_LIMITS_MM = {"cutting": (2.5, 8.0), "dissection": (-6.0, 4.0)}
+DEPTH_LIMITS_MM = {"cutting": (-10.0, 9.0), "dissection": (-6.0, 4.0)}
 """Tracking takes what its curves need."""
 FORBIDDEN_MM = {"cutting": DEPTH_MM, "dissection": 0.0, "lesion": -MARGIN_MM}
 ORDINATES = {
@@ -277,7 +271,7 @@ def operators_shown(
             for c in ABLATIONS
             if ablated
         ],
-        ablation_label="beating heart, depth RMS, mm (95 % interval)",
+        ablation_label="beating heart, RMS about 5 mm, mm (95 % interval)",
     )
 
 
@@ -320,10 +314,13 @@ def _people(measure: str) -> tuple[tuple[float, str], ...]:
     """What people did in Ren 2008, and its name."""
     if measure == "mean_mm":
         return (paper.AUTOMATIC_MM, "Ren 2008, automatic"), (paper.MANUAL_MM, "Ren 2008, manual")
-    if measure != "depth_rms_mm":
-        return ()
-    with_mm, without_mm = paper.depth_rms_mm()
-    return (with_mm, "Ren 2008, with force"), (without_mm, "Ren 2008, without")
+    arms = {
+        "depth_sd_mm": paper.DEPTH_MM[:, :, 1].mean(axis=0),
+        "depth_rms_mm": np.array(paper.depth_rms_mm()),
+        "time_s": paper.DISSECTION_S.mean(axis=(0, 2)),
+    }.get(measure, np.array([]))
+    names = ("Ren 2008, with force", "Ren 2008, without")
+    return tuple(zip(arms.tolist(), names, strict=False))
 
 
 def _courses(task: str, seed: int) -> list[tuple[str, list[Curve]]]:
@@ -333,17 +330,12 @@ def _courses(task: str, seed: int) -> list[tuple[str, list[Curve]]]:
 
 
 def _cut(conditions: Sequence[Condition], seed: int) -> list[Curve]:
-    """From the beginning of the cut on."""
     traces = [cut(operating_heart(), condition, seed) for condition in conditions]
-    cutting = [trace.stage == CUT for trace in traces]
-    return [
-        Curve(k, trace.t_s[of] - trace.t_s[of][0], trace.depth_mm[of])
-        for k, (trace, of) in enumerate(zip(traces, cutting, strict=True))
-    ]
+    return [Curve(k, trace.t_s, trace.depth_mm) for k, trace in enumerate(traces)]
 
 
 def _dissected(conditions: Sequence[Condition], seed: int) -> list[Curve]:
-    traces = [dissect(operating_heart(), condition, seed).trace for condition in conditions]
+    traces = [dissect(operating_heart(), condition, seed) for condition in conditions]
     return [Curve(k, trace.t_s, trace.depth_mm) for k, trace in enumerate(traces)]
 
 

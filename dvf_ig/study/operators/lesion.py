@@ -33,12 +33,12 @@ from dvf_ig.study.operators.closed_loop import (
     moving_line,
     run_task,
 )
+from dvf_ig.study.operators.pellets import cutting_law
 from dvf_ig.study.operators.tasks import (
     ABOVE_MM,
     CUT,
     LONGEST_CUT_S,
     CuttingTask,
-    cutting_law,
     tracking_law,
 )
 

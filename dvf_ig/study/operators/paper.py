@@ -62,9 +62,11 @@ def figures_of(task: str) -> dict[str, str]:
         shown = dict.fromkeys(names, f"manual {MANUAL_MM:g} mm mean, condition not stated")
         return {**shown, "automatic": f"{AUTOMATIC_MM:g} mm mean"}
     if task == "cutting":
-        rms_mm = dict(zip((HAPTICS, NO_HAPTICS), depth_rms_mm(), strict=True))
+        arms = dict(zip((HAPTICS, NO_HAPTICS), DEPTH_MM.mean(axis=0).tolist(), strict=True))
         return {
-            name: next((f"{mm:.2f} mm RMS" for end, mm in rms_mm.items() if name.endswith(end)), "–")
+            name: next(
+                (f"{mean:.2f} ± {sd:.2f} mm" for end, (mean, sd) in arms.items() if name.endswith(end)), "–"
+            )
             for name in names
         }
     columns = (

@@ -34,7 +34,7 @@ from dvf_ig.study.driver import (
     seed_option,
     seeds_option,
 )
-from dvf_ig.study.operators import lesion, tasks
+from dvf_ig.study.operators import lesion, pellets, tasks
 from dvf_ig.study.operators.closed_loop import (
     ABLATIONS,
     BEATING,
@@ -55,15 +55,17 @@ from dvf_ig.study.operators.closed_loop import (
 from dvf_ig.study.operators.figure import operators_figure, operators_shown
 from dvf_ig.study.operators.lesion import ablate, lesion_measures
 from dvf_ig.study.operators.paper import figures_of
-from dvf_ig.study.operators.summary import MEASURES, Difference, OperatorsSummary, Row, summarise_operators
-from dvf_ig.study.operators.tasks import (
-    automatic,
+from dvf_ig.study.operators.pellets import (
     cut,
     cutting_law,
     cutting_measures,
     dissect,
     dissection_law,
     dissection_measures,
+)
+from dvf_ig.study.operators.summary import MEASURES, Difference, OperatorsSummary, Row, summarise_operators
+from dvf_ig.study.operators.tasks import (
+    automatic,
     track,
     tracked_place,
     tracking_law,
@@ -156,23 +158,24 @@ def assumptions(task: str) -> list[str]:
 
 
 def _of_task(task: str) -> list[str]:
+    q = pellets
     if task == "cutting":
-        region, c = cutting_law(), tasks
+        region = cutting_law()
         return [
-            f"Cutting: {c.CUT_LENGTH_MM:g} mm at up to {c.CUT_SPEED_MM_S:g} mm/s, slower where the tip seems "
-            f"off its aim; wanted depth and forbidden surface both {c.DEPTH_MM:g} mm under the epicardium; "
-            f"forbidden region γ {region.gamma_per_mm:.2f}/mm, {region.cap_n:g} N; perforation: an excursion "
-            f"{c.PERFORATION_MM:g} mm beyond it; depths are those of the true surface."
+            f"Cutting: {q.PELLETS} pellets, each pushed from the surface to {q.DEPTH_MM:g} mm under it, held "
+            f"there {q.HOLD_S:g} s, seen along the way in; a pellet's depth is the largest of the tip under "
+            f"the true surface; forbidden region from {q.DEPTH_MM:g} mm on, γ {region.gamma_per_mm:.2f}/mm, "
+            f"{region.cap_n:g} N; perforation: a pellet {q.PERFORATION_MM:g} mm beyond it."
         ]
     if task == "dissection":
-        pull, q = dissection_law(), tasks
+        pull = dissection_law()
         return [
             f"Dissection: {q.PELLETS} pellets with centres {q.HEIGHT_MM:g} mm above the organ, "
-            f"which stands still; removed after {q.REMOVED_AFTER_S:g} s within {q.REACH_MM:g} mm, left after "
-            f"{q.GIVEN_UP_S:g} s; guidance to the pellets' height, δ {pull.delta_mm:.2f} mm, m {pull.m:g}, "
+            f"which stands still; removed after {q.REMOVED_AFTER_S:g} s within {q.REACH_MM:g} mm, however "
+            f"long that takes; guidance to the pellets' height, δ {pull.delta_mm:.2f} mm, m {pull.m:g}, "
             f"{pull.cap_n:g} N.",
-            f"Fulcrum: instrument of {q.LENGTH_MM:g} mm, {q.INSIDE_MM:g} mm inside at the first pellet; "
-            f"believed lever wrong by {100 * LEVER_GAIN_SD:g} % (SD), image turned by "
+            f"Fulcrum: one of {q.FULCRA}; instrument of {q.LENGTH_MM:g} mm, {q.INSIDE_MM:g} mm inside at the "
+            f"first pellet; believed lever wrong by {100 * LEVER_GAIN_SD:g} % (SD), image turned by "
             f"{MISALIGNED_SD_RAD * 57.29578:.0f}° (SD); camera 30° from the instrument; mono: depth error × "
             f"{MONO_NOISE:g}.",
         ]

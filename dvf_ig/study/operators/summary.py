@@ -18,13 +18,13 @@ from dvf_ig.study.operators.closed_loop import HAPTICS, NO_HAPTICS, TASKS, UNATT
 from dvf_ig.study.statistics import Estimate, bootstrap
 
 MEASURES = {
-    "cutting": ("depth_rms_mm", "largest_excess_mm", "perforations", "time_s"),
-    "dissection": ("removed", "errors", "violation_mm", "time_s"),
+    "cutting": ("depth_mean_mm", "depth_sd_mm", "depth_rms_mm", "perforations"),
+    "dissection": ("time_s", "errors", "violation_mm", "pellets"),
     "tracking": ("mean_mm", "p95_mm", "max_mm"),
     "lesion": ("line_mm", "within_share", "tube_mm", "within_margin_s", "time_s"),
 }
 """Measures of each task that tables show."""
-MORE_IS_BETTER = ("removed", "within_share", "tube_mm")
+MORE_IS_BETTER = ("pellets", "within_share", "tube_mm")
 LEAST = 3
 """Fewer operators have no effect size."""
 NORMAL_975 = 1.959964

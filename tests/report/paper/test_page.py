@@ -1,10 +1,10 @@
-"""The page of the paper's figures: each under its number, as PNG and SVG beside it, and Table II."""
+"""The page of the paper's tables and figures: each under its number, figures as PNG and SVG beside it."""
 
 from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from dvf_ig.report.paper import PaperFigure, exponent_figure, paper_html, steepness_figure
+from dvf_ig.report.paper import PaperFigure, PaperTable, exponent_figure, paper_html, steepness_figure
 from dvf_ig.report.paper import write_paper_figures as write
 
 
@@ -17,8 +17,10 @@ def test_figures_and_page(tmp_path: Path) -> None:
     written = write(tmp_path, figures)
     assert [path.name for path in written] == ["gamma.png", "gamma.svg", "m.png", "m.svg"]
     assert all(path.stat().st_size > 1000 for path in written)
-    page = paper_html(figures, [("tracking, mean", "0.10 mm", "0.29 mm")])
-    assert page.index("After Fig. 8") < page.index("After Fig. 9") < page.index("After Table II")
+    rows = [("", "here", "Ren 2008"), ("tracking, mean", "0.10 mm", "0.29 mm")]
+    page = paper_html(figures, [PaperTable("Table II", rows, ["People < machines."])])
+    assert page.index("Table II") < page.index("After Fig. 8") < page.index("After Fig. 9")
+    assert "<li>People &lt; machines.</li>" in page
     assert "γ &lt; 4" in page
     assert "<a href='gamma.svg'>" in page
     assert page.count("data:image/png;base64,") == 2

@@ -28,6 +28,7 @@ class Viewer {
     this.overview = new Overview(this.$("overview"), series, scene.fixtures_cap_n);
     this.registration = scene.kind === "registration";
     document.body.classList.toggle("model", scene.kind === "model");
+    document.body.classList.toggle("training", Boolean(scene.training));
     if (this.registration) this.asRegistration();
     legend(this);
     connectControls(this);
@@ -36,7 +37,8 @@ class Viewer {
     const watch = new ResizeObserver(() => this.resize());
     for (const one of [this.$("space"), this.image?.canvas, this.strips.canvas]) if (one) watch.observe(one);
     this.resize();
-    this.space.preset("front");
+    if (scene.training) this.space.train(scene.training);
+    else this.space.preset("front");
     requestAnimationFrame((now) => this.tick(now));
   }
 
@@ -102,9 +104,12 @@ class Viewer {
     const force = series.vector(values, "force_mr", "_n");
     const shaft = series.vector(values, "shaft_mr", "");
     this.values = values;
-    this.space.show({ phase: values.model_phase, plane, tip, shaft, force });
+    this.space.show({ phase: values.model_phase, plane, tip, shaft, force, pellets: series.pellets });
     if (this.registration) {
       this.planeTexts(frame);
+    } else if (this.scene.training) {
+      const why = (series.reasons ?? []).map((one) => ["no force", one]);
+      this.$("numbers").innerHTML = namedRows([...(series.rows ?? []), ...why]);
     } else {
       this.strips.draw(this.t, values);
       this.overview.draw(this.t);

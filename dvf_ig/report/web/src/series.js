@@ -123,6 +123,8 @@ export class Series {
       this[name].values.push(...event[name].values.map((value) => value ?? NaN));
     }
     this.reasons = event.reasons;
+    this.pellets = event.pellets;
+    this.rows = event.rows;
     this.peaks.push(...(event.r_peaks_s ?? []));
     this.marks.push(...(event.marks ?? []));
     if (event.frame) {

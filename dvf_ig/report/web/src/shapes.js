@@ -156,6 +156,23 @@ export function targetMark(target, bound) {
   return { group };
 }
 
+/** A pellet of a training; the one at hand shows through what hides it. */
+export function pellet() {
+  const material = new MeshLambertMaterial({ color: 0x2456c8, emissive: 0x101830 });
+  const ghost = new MeshBasicMaterial({ color: COLORS.force, transparent: true, opacity: 0.75, depthTest: false, depthWrite: false });
+  const ball = new SphereGeometry(2, 24, 16);
+  const [far, near] = [new Mesh(ball, material), new Mesh(ball, ghost)];
+  near.renderOrder = 6;
+  const group = new Group();
+  group.add(far, near);
+  const place = (at, current) => {
+    group.visible = Boolean(at);
+    near.visible = current;
+    if (at) group.position.set(...at);
+  };
+  return { group, place };
+}
+
 /** Where another plane of a registration lies. */
 export function planeEdge(plane, { columns, rows }) {
   const corners = [[0, 0], [columns, 0], [columns, rows], [0, rows]];

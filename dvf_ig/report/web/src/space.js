@@ -4,12 +4,17 @@ import {
   Color, DirectionalLight, HemisphereLight, PerspectiveCamera, Plane, Scene, Vector3, WebGLRenderer,
 } from "three";
 import { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
+import { AnaglyphEffect } from "three/examples/jsm/effects/AnaglyphEffect.js";
+import { StereoEffect } from "three/examples/jsm/effects/StereoEffect.js";
 import { themeColor } from "./colors.js";
-import { colorPatient, ForceArrow, planeEdge, surfaceMeshes, TargetPath, targetMark, Tool } from "./shapes.js";
+import { colorPatient, ForceArrow, pellet, planeEdge, surfaceMeshes, TargetPath, targetMark, Tool } from "./shapes.js";
 import { UltrasoundSheet } from "./sheet.js";
 
 /** CSS pixels from the top at which a letter is clear of the buttons. */
 const BELOW_BUTTONS = 56;
+/** Training is seen from where the paper's people sat, with eyes as far apart as people's. */
+const EYES_AWAY_MM = 750;
+const EYES_APART_MM = 64;
 const SIDES = [
   ["L", [1, 0, 0]], ["R", [-1, 0, 0]], ["P", [0, 1, 0]], ["A", [0, -1, 0]], ["S", [0, 0, 1]], ["I", [0, 0, -1]],
 ];
@@ -75,7 +80,7 @@ export class Space {
   }
 
   /** Shows one moment: model phase, plane of the frame, tip, shaft and force; null for what is not known. */
-  show({ phase, plane, tip, shaft, force }) {
+  show({ phase, plane, tip, shaft, force, pellets }) {
     this.moment = { plane, tip, force };
     const known = phase !== null;
     for (const { surface, geometry, group } of this.surfaces) {
@@ -89,6 +94,7 @@ export class Space {
     for (const path of this.paths) path.place(known ? phase : 0, this.shown.path !== false);
     this.ultrasound?.place(plane, this.shown.plane);
     this.tool.place(tip, shaft);
+    this.pellets?.forEach((one, i) => one.place(pellets?.[i], i === 0));
     this.force.place(tip, force);
     this.dirty = true;
   }
@@ -142,11 +148,30 @@ export class Space {
     this.dirty = true;
   }
 
+  /** The view of a training, which cannot be turned: the place of the eye is part of the task. */
+  train({ toward, up, sight, pellets }) {
+    this.pellets = Array.from({ length: pellets }, () => this.added(pellet()));
+    this.open = false;
+    this.orbit(new Vector3(...up));
+    this.controls.enabled = false;
+    const direction = new Vector3(...toward);
+    this.controls.target.copy(this.center);
+    this.camera.position.copy(this.center).addScaledVector(direction, EYES_AWAY_MM);
+    this.camera.fov = (2 * Math.atan((0.95 * this.radius) / EYES_AWAY_MM) * 180) / Math.PI;
+    this.camera.focus = EYES_AWAY_MM - this.radius / 2;
+    this.camera.updateProjectionMatrix();
+    this.controls.update();
+    if (sight === "anaglyph") this.stereo = Object.assign(new AnaglyphEffect(this.renderer), { eyeSep: EYES_APART_MM, planeDistance: this.camera.focus });
+    if (sight === "side-by-side") (this.stereo = new StereoEffect(this.renderer)).setEyeSeparation(EYES_APART_MM);
+    this.resize();
+  }
+
   resize() {
     const { clientWidth: width, clientHeight: height } = this.host;
     if (!width || !height) return;
     this.renderer.setPixelRatio(Math.min(2, window.devicePixelRatio));
     this.renderer.setSize(width, height);
+    this.stereo?.setSize(width, height);
     this.camera.aspect = width / height;
     this.camera.updateProjectionMatrix();
     this.dirty = true;
@@ -199,7 +224,7 @@ export class Space {
       veil.visible = around || ((ofMr || ["patient", "structure"].includes(surface.role)) && Boolean(plane));
       veil.material.opacity = this.veil;
     }
-    this.renderer.render(this.scene, this.camera);
+    (this.stereo ?? this.renderer).render(this.scene, this.camera);
     return true;
   }
 }
