@@ -448,7 +448,8 @@ def _speed(surface: BeatingSurface) -> tuple[FloatArray, FloatArray]:
 
 
 def _tracking(automatic: StylusRun) -> list[tuple[str, ...]]:
-    surface, rows = surface_of(HEART_SEED), [("mean error over all places", "here", "Ren 2008")]
+    surface = surface_of(HEART_SEED)
+    rows: list[tuple[str, ...]] = [("mean error over all places", "here", "Ren 2008")]
     for device in DEVICES.values():
         for compensate in (False, True):
             stylus = with_fixture(device, "force", compensate=compensate)
