@@ -131,7 +131,7 @@ def lesion_fixtures(
     """Guide to the line (n, 3), drawn at end-diastole and beating with the model; forbid the oesophagus."""
     path = PathTarget.beating(model, drawn_mm)
     return (
-        FixtureOptions(tracking_law(), path=path, name="line", structure=model),
+        FixtureOptions(tracking_law(), path=path, name="lesion", structure=model),
         FixtureOptions(replace(cutting_law(), depth_mm=-MARGIN_MM), name="oesophagus", structure=oesophagus),
     )
 
@@ -185,8 +185,8 @@ def _on_surface(model: DvfModel, xyz_mm: FloatArray) -> tuple[FloatArray, FloatA
     evaluator, phase = Evaluator(model, Sigmoid()), float(model.timing.fractions[model.ed_phase])
     gradient = np.zeros_like(xyz_mm)
     for _ in range(NEWTON_STEPS):
-        found = evaluator.force(xyz_mm, phase)
-        gradient = found.gradient
-        xyz_mm = xyz_mm - (found.distance_mm / (gradient**2).sum(axis=1))[:, None] * gradient
+        samples = evaluator.force(xyz_mm, phase)
+        gradient = samples.gradient
+        xyz_mm = xyz_mm - (samples.distance_mm / (gradient**2).sum(axis=1))[:, None] * gradient
     normal = -gradient.mean(axis=0)
     return xyz_mm, normal / np.linalg.norm(normal)
