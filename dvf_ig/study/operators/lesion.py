@@ -5,7 +5,7 @@ surface represents the atrium's wall, which the phantom's surface does not tell 
 the operators' task and the scenario of `synth scenario --preset atrial`.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from skimage.measure import marching_cubes
@@ -22,7 +22,17 @@ from dvf_ig.core import (
     SurfaceSeries,
     read_only_arrays,
 )
-from dvf_ig.guidance import Evaluator, FixtureOptions, FixtureSet, PathTarget, Sigmoid
+from dvf_ig.guidance import (
+    DEVICES,
+    Evaluator,
+    FixtureOptions,
+    FixtureSet,
+    Gaussian,
+    PathTarget,
+    Sigmoid,
+)
+from dvf_ig.guidance.devices.simulated import FASTEST_MM_S
+from dvf_ig.guidance.laws import gaussian_steepness
 from dvf_ig.preop import model_from_surfaces, model_of_still
 from dvf_ig.study.operators.closed_loop import (
     ACCESS,
@@ -38,8 +48,6 @@ from dvf_ig.study.operators.tasks import (
     CUT,
     LONGEST_CUT_S,
     CuttingTask,
-    cutting_law,
-    tracking_law,
 )
 
 LESION_MM = 30.0
@@ -129,11 +137,20 @@ def lesion_fixtures(
     model: DvfModel, drawn_mm: FloatArray, oesophagus: DvfModel
 ) -> tuple[FixtureOptions, FixtureOptions]:
     """Guide to the line (n, 3), drawn at end-diastole and beating with the model; forbid the oesophagus."""
-    path = PathTarget.beating(model, drawn_mm)
+    path, (pull, wall) = PathTarget.beating(model, drawn_mm), lesion_laws()
     return (
-        FixtureOptions(tracking_law(), path=path, name="lesion", structure=model),
-        FixtureOptions(replace(cutting_law(), depth_mm=-MARGIN_MM), name="oesophagus", structure=oesophagus),
+        FixtureOptions(pull, path=path, name="lesion", structure=model),
+        FixtureOptions(wall, name="oesophagus", structure=oesophagus),
     )
+
+
+def lesion_laws() -> tuple[Gaussian, Sigmoid]:
+    """The steepest guidance and forbidden region that every simulated device renders."""
+    cap_n = Sigmoid().cap_n
+    limits = [device.limits(fastest_mm_s=FASTEST_MM_S) for device in DEVICES.values()]
+    stiffest = (1.0 - 1e-9) * min(one.allowed_stiffness_n_per_mm for one in limits)
+    pull = Gaussian(gaussian_steepness(0.5) * cap_n / stiffest, 0.5, cap_n)
+    return pull, Sigmoid(4.0 * stiffest / cap_n, cap_n, -MARGIN_MM)
 
 
 def lesion_measures(lesion: Lesion) -> dict[str, float]:
