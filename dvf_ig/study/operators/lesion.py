@@ -18,8 +18,8 @@ from dvf_ig.core import (
     FloatArray,
     InvalidInputError,
     Mesh,
-    Scenario,
     SurfaceSeries,
+    ToolTruth,
     read_only_arrays,
 )
 from dvf_ig.guidance import (
@@ -173,17 +173,16 @@ DRAWN_MM = 2.0
 NEWTON_STEPS = 8
 
 
-def scenario_fixtures(scenario: Scenario, surface: SurfaceSeries) -> FixtureSet:
-    """The lesion's fixtures where the scenario's tool touches the heart.
+def scenario_fixtures(tool: ToolTruth, surface: SurfaceSeries) -> FixtureSet:
+    """The lesion's fixtures where a scenario's tool touches the heart.
 
     Args:
-        scenario: with its truth; in contact its tool slides along one line.
+        tool: true contact of the tool, which slides along one line.
         surface: of the heart at the time of the MR, with vertices that correspond from phase to phase.
     Raises:
         InvalidInputError: the tool never touches the heart.
     """
-    tool = None if scenario.truth is None else scenario.truth.tool
-    if tool is None or not (tool.distance_mm > 0.0).any():
+    if not (tool.distance_mm > 0.0).any():
         raise InvalidInputError("the tool does not touch the heart; make the scenario longer: --seconds 60")
     model = model_from_surfaces(surface)
     touched = tool.tip_mr_mm[tool.distance_mm > 0.0]
