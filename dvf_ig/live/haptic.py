@@ -60,7 +60,8 @@ class HapticCounts:
         self.ticks += len(record)
         self.forced_ticks += int((size_n > 0.0).sum())
         self.largest_n = max(self.largest_n, float(size_n.max(initial=0.0)))
-        known = record.distance_mm[np.isfinite(record.distance_mm)]
+        # the distance to a path has no sign, and no rate
+        known = record.distance_mm[np.isfinite(record.distance_mm + record.rows["rate_mm_per_cycle"])]
         self.deepest_mm = max(self.deepest_mm, float(known.max(initial=-np.inf)))
         for state in SupervisorState:
             self.by_state[state.name] += int((record.state == state).sum())

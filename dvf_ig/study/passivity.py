@@ -1,7 +1,7 @@
 """Push a stylus against walls of three times the passive γ, a wall that beats, and a wall behind a line.
 
 The motion that is left without and with the passivity controller, the work that a beating wall does on a hand
-in a cycle, and what does not repeat from cycle to cycle beside a guided line that beats before a wall that
+in a cycle, and what does not repeat from cycle to cycle at a guided line that beats before a wall that
 does not. Simulated devices; nothing is random.
 
     dvf-ig study passivity
@@ -112,7 +112,7 @@ class Pressing:
         return float(np.std(self.last_mm[:, 0]))
 
     def unrepeated_mm(self, ticks: int) -> float:
-        """RMS change of the true tip from one cycle of so many ticks to the next, in the last second."""
+        """RMS change of the true tip from one cycle of `ticks` ticks to the next, in the last second."""
         change = self.last_mm[ticks:] - self.last_mm[:-ticks]
         return float(np.sqrt((change**2).sum(axis=1).mean()))
 
@@ -131,7 +131,7 @@ def press(
     """Let a hand push a device's stylus into the wall.
 
     Args:
-        fixtures: on the wall, or beside it; their device's stiffness gives the slew limit.
+        fixtures: on the wall, or in front of it; their device's stiffness gives the slew limit.
         hand: on the stylus; +x leads into the wall.
         seconds: more than one.
         start_mm: where the tip starts, at rest, along the normal.
@@ -198,7 +198,7 @@ VISCOUS_WITH_SENSOR = SimulatedDevice("viscous arm, 0.03 mm sensor", 0.05, 0.1, 
 CYCLES = 30
 AMPLITUDE_MM, RR_S = 5.0, 0.6
 GAP_MM, MARGIN_MM, LINE_CAP_N = 4.0, 2.0, 0.4
-"""Of the line: its least distance from the wall, that at which half of the wall's force is felt, its cap."""
+"""Least distance of the line from the wall, where half of the wall's force is felt, the line's cap."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from recorded import tool_of
+from toy_ball import structure
 
 from dvf_ig.core import (
     InvalidInputError,
@@ -21,7 +22,8 @@ from dvf_ig.core import (
     UnreadableFileError,
     Volume,
 )
-from dvf_ig.intake import ScenarioNotes, read_scenario, write_scenario
+from dvf_ig.guidance import FixtureOptions, FixtureSet, Sigmoid
+from dvf_ig.intake import ScenarioNotes, read_scenario, read_session, write_scenario
 
 Make = Callable[..., Scenario]
 Same = Callable[..., None]
@@ -51,6 +53,20 @@ def test_a_restarted_tool_clock_is_in_the_file_and_readers_leave_it_out(
     assert stamps == [*late.t_s.tolist(), *later.t_s.tolist()]
     assert f"{len(late) + len(later)} poses of the tool" in (tmp_path / "s" / "README.md").read_text()
     assert_same(read_scenario(tmp_path / "s"), whole)
+
+
+def test_fixtures_and_the_models_of_their_structures_come_back(tmp_path: Path, make_scenario: Make) -> None:
+    oesophagus = structure("oesophagus", [30.0, 4.0, 0.0], 5.0, still=True)
+    wall = FixtureOptions(Sigmoid(1.5, 0.4, -2.0), name="oesophagus", structure=oesophagus)
+    folder = tmp_path / "s"
+    write_scenario(make_scenario(1), folder, ScenarioNotes(fixtures=FixtureSet((wall,))))
+    fixtures = read_session(folder).fixtures
+    assert fixtures is not None
+    (back,) = fixtures.fixtures
+    assert back.described() == wall.described()
+    assert back.structure is not None
+    np.testing.assert_array_equal(back.structure.coefficients, oesophagus.coefficients)
+    assert "oesophagus" in (folder / "README.md").read_text()
 
 
 def test_without_optional_parts(tmp_path: Path, make_scenario: Make, assert_same: Same) -> None:

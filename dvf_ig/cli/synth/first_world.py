@@ -52,12 +52,12 @@ def first_scenario(file: "SpecFile", out: Path | None, *, print_spec: bool, as_j
 
 def _fixtures(recorded: "Scenario", spec: "ScenarioSpec") -> "FixtureSet | None":
     """Build the fixtures of a preset that has its own."""
-    if spec.preset != "atrial":
+    if spec.preset != "atrial" or recorded.truth is None:
         return None
     from data_synth import preoperative_surface
     from dvf_ig.study.operators.lesion import scenario_fixtures
 
-    return scenario_fixtures(recorded, preoperative_surface(spec, recorded.preop))
+    return scenario_fixtures(recorded.truth.tool, preoperative_surface(spec, recorded.preop))
 
 
 def _made(file: "SpecFile", spec: "ScenarioSpec") -> "tuple[Scenario, ReplayedPath | None]":

@@ -9,7 +9,9 @@ from typing import Any
 
 from llvmlite import ir
 from numba import core
+from numba.core import cgutils
 from numba.extending import intrinsic
+from numba.np.arrayobj import populate_array
 
 types: Any = core.types
 
@@ -36,3 +38,22 @@ def borrowed(typing: Any, arrays: Any) -> Any:
         return context.make_tuple(builder, signature.return_type, parts)
 
     return arrays(arrays), build
+
+
+@intrinsic
+def borrowed_block(typing: Any, flat: Any, begin: Any, shape: Any) -> Any:
+    """C-ordered array of a shape (a tuple) in a flat one, from `begin` on; `reshape` would cost 20 ns."""
+    kind = types.Array(flat.dtype, len(shape), "C")
+
+    def build(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        source = context.make_array(signature.args[0])(context, builder, args[0])
+        lengths = cgutils.unpack_tuple(builder, args[2])
+        strides = [source.itemsize]
+        for length in lengths[:0:-1]:
+            strides.insert(0, builder.mul(strides[0], length))
+        out = context.make_array(kind)(context, builder)
+        data = builder.gep(source.data, [args[1]])
+        populate_array(out, data, lengths, strides, source.itemsize, None)
+        return out._getvalue()
+
+    return kind(flat, begin, shape), build

@@ -22,6 +22,8 @@ from dvf_ig.kernels.vectors import Vector, dot
 from dvf_ig.kernels.warp import Slope, known_share, output_through, warp_at, warped_vector
 from dvf_ig.kernels.worst_phase import worst_phase_force
 
+from .borrowed import borrowed_block
+
 NO_RATE = (0.0, 0.0, 0.0)
 """Phase, its rate and its standard deviation where a wall at its worst phase does not depend on them."""
 
@@ -66,9 +68,7 @@ def _structure(bound: Any, i: int) -> Any:
     """Coefficients (n, cx, cy, cz) of the structure of fixture `i`."""
     of = bound.settings[0].fixtures
     shape = of.structure_shape[i]
-    begin = of.structure_begin[i]
-    end = begin + shape[0] * shape[1] * shape[2] * shape[3]
-    return bound.structures[begin:end].reshape((shape[0], shape[1], shape[2], shape[3]))
+    return borrowed_block(bound.structures, of.structure_begin[i], (shape[0], shape[1], shape[2], shape[3]))
 
 
 @inlined

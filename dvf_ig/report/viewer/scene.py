@@ -219,7 +219,8 @@ def _fixture_surfaces(
         of = one.structure or model
         if of not in surfaces:
             surfaces[of] = cycle_surface(of.reference, STRUCTURE_PITCH_MM)
-            out.append(_surface(of.surface_name, "structure", _through_cycle(surfaces[of], of, model)))
+            if of.surface_name != model.surface_name:
+                out.append(_surface(of.surface_name, "structure", _through_cycle(surfaces[of], of, model)))
         if one.path is not None:
             continue
         level = shown_level_mm(one.law)

@@ -5,7 +5,7 @@ surface represents the atrium's wall, which the phantom's surface does not tell 
 the operators' task and the scenario of `synth scenario --preset atrial`.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from skimage.measure import marching_cubes
@@ -18,11 +18,21 @@ from dvf_ig.core import (
     FloatArray,
     InvalidInputError,
     Mesh,
-    Scenario,
     SurfaceSeries,
+    ToolTruth,
     read_only_arrays,
 )
-from dvf_ig.guidance import Evaluator, FixtureOptions, FixtureSet, PathTarget, Sigmoid
+from dvf_ig.guidance import (
+    DEVICES,
+    Evaluator,
+    FixtureOptions,
+    FixtureSet,
+    Gaussian,
+    PathTarget,
+    Sigmoid,
+)
+from dvf_ig.guidance.devices.simulated import FASTEST_MM_S
+from dvf_ig.guidance.laws import gaussian_steepness
 from dvf_ig.preop import model_from_surfaces, model_of_still
 from dvf_ig.study.operators.closed_loop import (
     ACCESS,
@@ -39,7 +49,6 @@ from dvf_ig.study.operators.tasks import (
     CUT,
     LONGEST_CUT_S,
     CuttingTask,
-    tracking_law,
 )
 
 LESION_MM = 30.0
@@ -129,11 +138,20 @@ def lesion_fixtures(
     model: DvfModel, drawn_mm: FloatArray, oesophagus: DvfModel
 ) -> tuple[FixtureOptions, FixtureOptions]:
     """Guide to the line (n, 3), drawn at end-diastole and beating with the model; forbid the oesophagus."""
-    path = PathTarget.beating(model, drawn_mm)
+    path, (pull, wall) = PathTarget.beating(model, drawn_mm), lesion_laws()
     return (
-        FixtureOptions(tracking_law(), path=path, name="line", structure=model),
-        FixtureOptions(replace(cutting_law(), depth_mm=-MARGIN_MM), name="oesophagus", structure=oesophagus),
+        FixtureOptions(pull, path=path, name="lesion", structure=model),
+        FixtureOptions(wall, name="oesophagus", structure=oesophagus),
     )
+
+
+def lesion_laws() -> tuple[Gaussian, Sigmoid]:
+    """The steepest guidance and forbidden region that every simulated device renders."""
+    cap_n = Sigmoid().cap_n
+    limits = [device.limits(fastest_mm_s=FASTEST_MM_S) for device in DEVICES.values()]
+    stiffest = (1.0 - 1e-9) * min(one.allowed_stiffness_n_per_mm for one in limits)
+    pull = Gaussian(gaussian_steepness(0.5) * cap_n / stiffest, 0.5, cap_n)
+    return pull, Sigmoid(4.0 * stiffest / cap_n, cap_n, -MARGIN_MM)
 
 
 def lesion_measures(lesion: Lesion) -> dict[str, float]:
@@ -156,17 +174,16 @@ DRAWN_MM = 2.0
 NEWTON_STEPS = 8
 
 
-def scenario_fixtures(scenario: Scenario, surface: SurfaceSeries) -> FixtureSet:
-    """The lesion's fixtures where the scenario's tool touches the heart.
+def scenario_fixtures(tool: ToolTruth, surface: SurfaceSeries) -> FixtureSet:
+    """The lesion's fixtures where a scenario's tool touches the heart.
 
     Args:
-        scenario: with its truth; in contact its tool slides along one line.
+        tool: true contact of the tool, which slides along one line.
         surface: of the heart at the time of the MR, with vertices that correspond from phase to phase.
     Raises:
         InvalidInputError: the tool never touches the heart.
     """
-    tool = None if scenario.truth is None else scenario.truth.tool
-    if tool is None or not (tool.distance_mm > 0.0).any():
+    if not (tool.distance_mm > 0.0).any():
         raise InvalidInputError("the tool does not touch the heart; make the scenario longer: --seconds 60")
     model = model_from_surfaces(surface)
     touched = tool.tip_mr_mm[tool.distance_mm > 0.0]
@@ -185,8 +202,8 @@ def _on_surface(model: DvfModel, xyz_mm: FloatArray) -> tuple[FloatArray, FloatA
     evaluator, phase = Evaluator(model, Sigmoid()), float(model.timing.fractions[model.ed_phase])
     gradient = np.zeros_like(xyz_mm)
     for _ in range(NEWTON_STEPS):
-        found = evaluator.force(xyz_mm, phase)
-        gradient = found.gradient
-        xyz_mm = xyz_mm - (found.distance_mm / (gradient**2).sum(axis=1))[:, None] * gradient
+        samples = evaluator.force(xyz_mm, phase)
+        gradient = samples.gradient
+        xyz_mm = xyz_mm - (samples.distance_mm / (gradient**2).sum(axis=1))[:, None] * gradient
     normal = -gradient.mean(axis=0)
     return xyz_mm, normal / np.linalg.norm(normal)

@@ -181,14 +181,14 @@ def _of_task(task: str) -> list[str]:
         ]
     law = tracking_law()
     if task == "lesion":
-        t = lesion
+        t, (pull, wall) = lesion, lesion.lesion_laws()
         return [
             f"Lesion: {t.LESION_MM:g} mm of the beating surface at up to {tasks.CUT_SPEED_MM_S:g} mm/s; "
             "guidance to the line as drawn at end-diastole, beating with the model, "
-            f"δ {law.delta_mm:.2f} mm, m {law.m:g}, {law.cap_n:g} N; behind it a still oesophagus of radius "
-            f"{t.TUBE_MM:g} mm, {t.GAP_MM:g} mm from the line at its closest, forbidden from "
-            f"{t.MARGIN_MM:g} mm before its surface on; the heart's outer surface represents an atrium's "
-            "wall, which the phantom lacks."
+            f"δ {pull.delta_mm:.2f} mm, m {pull.m:g}, {pull.cap_n:g} N; behind it a still oesophagus of "
+            f"radius {t.TUBE_MM:g} mm, {t.GAP_MM:g} mm from the line at its closest, forbidden with γ "
+            f"{wall.gamma_per_mm:.2f}/mm from {t.MARGIN_MM:g} mm before its surface on; the heart's outer "
+            "surface represents an atrium's wall, which the phantom lacks."
         ]
     return [
         f"Tracking: {tasks.CYCLES} cycles at one of the automatic kind's places, drawn by the operator's "

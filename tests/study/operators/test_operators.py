@@ -1,12 +1,14 @@
 """Operators on a small beating ball: the force keeps them out; what is wrong with it leads them astray."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from toy_sphere import sphere
 
 from data_synth.operator.contact import MovingSurface
 from data_synth.operator.contact_sites import Site
-from dvf_ig.core import CycleTiming, FloatArray, SurfaceSeries
+from dvf_ig.core import CycleTiming, FloatArray, InvalidInputError, SurfaceSeries, ToolTruth
 from dvf_ig.guidance import Evaluator, Gaussian, Sigmoid
 from dvf_ig.preop import ModelOptions, model_from_surfaces
 from dvf_ig.study.operators import lesion, paper, pellets
@@ -120,6 +122,28 @@ def test_a_lesion_stays_near_its_beating_line_and_clear_of_the_oesophagus(heart:
     places = site.point_mm - np.array([[5.0], [6.5], [8.0]]) * normal
     found = Evaluator(wall.structure, wall.law).force(places, 0.2).distance_mm
     np.testing.assert_allclose(-found, tube.distance_mm(places), atol=0.1)
+
+
+def test_a_scenario_s_lesion_is_where_its_tool_slides() -> None:
+    """On a small ball that beats: the line on its surface, the tube GAP_MM behind it at end-systole."""
+    vertices, triangles = sphere(RADIUS_MM, 3, CENTER)
+    beating = np.stack([vertices, CENTER + (RADIUS_MM - 3.0) / RADIUS_MM * (vertices - CENTER)])
+    timing = CycleTiming(np.array([0.0, 0.5]), 0.8)
+    surface = SurfaceSeries("EPICARDIAL", "mr", beating, triangles, timing, "ball")
+    angle, none = np.linspace(-0.3, 0.3, 41), np.zeros(41)
+    slide = CENTER + (RADIUS_MM - 1.0) * np.column_stack([np.cos(angle), np.sin(angle), none])
+    tool = ToolTruth(np.arange(41.0), slide, none, none, none + 1.0, np.zeros((41, 3)))
+    guide, wall = lesion.scenario_fixtures(tool, surface).fixtures
+    assert guide.path is not None
+    assert wall.structure is not None
+    drawn = guide.path.points_mm[0]
+    np.testing.assert_allclose(np.linalg.norm(drawn - CENTER, axis=1), RADIUS_MM, atol=0.3)
+    assert np.linalg.norm(drawn[-1] - drawn[0]) == pytest.approx(lesion.LESION_MM, abs=2.0)
+    tube = Evaluator(wall.structure, wall.law)
+    nearest = max(tube.force(points, 0.0).distance_mm.max() for points in guide.path.points_mm)
+    assert -nearest == pytest.approx(lesion.GAP_MM, abs=0.4)
+    with pytest.raises(InvalidInputError, match="does not touch"):
+        lesion.scenario_fixtures(replace(tool, distance_mm=none - 1.0), surface)
 
 
 def test_pellets_are_removed_through_the_fulcrum(heart: OperatingHeart) -> None:
