@@ -178,8 +178,8 @@ def _refused_stiffness(classes: tuple[TissueClass, ...], device: DeviceLimits) -
         ratio = min(stiff.stiffness_n_per_mm, allowed) / min(soft.stiffness_n_per_mm, allowed)
         if ratio < STIFFNESS_RATIO:
             out.append(
-                f"{stiff.name} cannot be distinguished from {soft.name} by stiffness on the {name}: {ratio:.2f} times "
-                f"as stiff, needed {STIFFNESS_RATIO:g}"
+                f"{stiff.name} cannot be distinguished from {soft.name} by stiffness on the {name}: "
+                f"{ratio:.2f} times as stiff, needed {STIFFNESS_RATIO:g}"
             )
     return out
 

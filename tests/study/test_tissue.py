@@ -5,7 +5,7 @@ import pytest
 
 from dvf_ig.guidance import SupervisorState
 from dvf_ig.guidance.tissue import TISSUES
-from dvf_ig.study.tissue import BEATING_MM, press, rest, tissue_wall, correct_share
+from dvf_ig.study.tissue import BEATING_MM, correct_share, press, rest, tissue_wall
 
 SOFT, STIFF = TISSUES[1], TISSUES[4]
 
