@@ -15,7 +15,7 @@ def test_a_device_renders_the_commanded_stiffness_and_operators_tell_it() -> Non
     for one, pressed in zip((SOFT, STIFF), presses, strict=True):
         assert pressed.stiffness_n_per_mm == pytest.approx(one.stiffness_n_per_mm, rel=0.1)
     rng = np.random.default_rng(1)
-    assert correct_share(*presses, 200, rng) > 0.95
+    assert correct_share(presses[0], presses[1], 200, rng) > 0.95
     assert 0.3 < correct_share(presses[0], presses[0], 200, rng) < 0.7
 
 

@@ -219,7 +219,7 @@ def test_labels_tint_the_ultrasound_and_are_named() -> None:
     assert figure is not None
     assert len(figure.axes) == 6
     assert [text.get_text() for text in figure.legends[0].get_texts()][2:] == ["atrial wall"]
-    tint = figure.axes[4].images[1].get_array()
+    tint = np.asarray(figure.axes[4].images[1].get_array())
     assert tint[30, 10, 3] > 0.0
     assert not tint[10, :, 3].any()
     assert len(figure.axes[5].images) == 1
