@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from dvf_ig.core import DvfModel, FloatArray, Grid, Rigid, Tissue, Volume, Warp
+from dvf_ig.core import DvfModel, FloatArray, Grid, Rigid, Tissue, Volume, Warp, read_only_arrays
 from dvf_ig.core.space.warp import CELLS, knots
 from dvf_ig.guidance import DEVICES
 from dvf_ig.guidance.device import COMMON_DEVICE, MM_PER_M
@@ -63,6 +63,7 @@ def tissue_wall(names: Iterable[str], amplitude_mm: float = 0.0) -> DvfModel:
     return replace(model, tissue=Tissue(labels, listed, tuple(motion)))
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class Press:
     """One press: depth of the tip below the surface and force of the hand, with the servo's record.
