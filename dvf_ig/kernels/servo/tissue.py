@@ -5,7 +5,7 @@ map it to the material at end-diastole, X. With depth p, its rate ṗ, and k, b,
 
     F_n = k p (1 + τ w(X)) + b ṗ, never negative,    F_t = −k_t e, |F_t| ≤ μ F_n
 
-e leads from an anchor in the material to X, turned from end-diastole to now to first order; where it is too
+e leads from an anchor in the material to X, turned from end-diastole to now to first order; if it is too
 long the anchor slides after. Sticking, so, holds to the beating surface.
 
 Source: Salisbury and Tarr 1997 (friction of a proxy); Hayward and Armstrong 2000 (the sliding anchor).
