@@ -19,7 +19,7 @@ class Tissue:
     Attributes:
         labels: uint8, 0 is background.
         names: value and anatomical name of each label.
-        motion: one pull-back for each phase of the model: what lies at q belongs to q − m(q) at end-diastole.
+        motion: one pull-back for each phase of the model: material at q was at q − m(q) at end-diastole.
     Raises:
         InvalidInputError: labels of another type; FrameMismatchError: a motion in another frame.
     """
@@ -35,7 +35,7 @@ class Tissue:
             require_same_frame(self.labels.grid.frame, warp.frame, "motion of tissue")
 
     def material_mm(self, xyz_mm: FloatArray, model_phase: float, timing: CycleTiming) -> FloatArray:
-        """Map (n, 3) places at a phase of the cycle to where their material is at end-diastole."""
+        """Map (n, 3) places at a phase of the cycle to their material at end-diastole."""
         first, second, share = timing.bracket(model_phase)
         before, after = (self.motion[i].at(xyz_mm)[0] for i in (first, second))
         return np.asarray(xyz_mm - (1.0 - share) * before - share * after)

@@ -1,4 +1,4 @@
-"""Softness, damping, friction and texture of tissues, and what of them a haptic device renders.
+"""Softness, damping, friction and texture of tissues, and which of them a haptic device renders.
 
 A mode for training and planning (Ren 2008, Section VIII): what is felt is by a table, not by the patient.
 """
@@ -22,7 +22,7 @@ TIP_RADIUS_MM = 2.0
 PRESS_MM = 2.0
 """Depth at which classes are compared."""
 STIFFNESS_RATIO, FRICTION_RATIO = 1.5, 2.0
-"""Smallest ratio of neighbouring stiffnesses that can be told apart; of a friction to the device's own."""
+"""Smallest ratio of neighbouring stiffnesses that can be distinguished; of a friction to the device's own."""
 STICK_SHARE = 0.5
 """Stiffness of sticking friction, as a share of what the device renders."""
 FEEL_CAP_N = 0.6
@@ -178,8 +178,8 @@ def _refused_stiffness(classes: tuple[TissueClass, ...], device: DeviceLimits) -
         ratio = min(stiff.stiffness_n_per_mm, allowed) / min(soft.stiffness_n_per_mm, allowed)
         if ratio < STIFFNESS_RATIO:
             out.append(
-                f"{stiff.name} cannot be told from {soft.name} by stiffness on the {name}: {ratio:.2f} times "
-                f"as stiff, needed {STIFFNESS_RATIO:g}"
+                f"{stiff.name} cannot be distinguished from {soft.name} by stiffness on the {name}: "
+                f"{ratio:.2f} times as stiff, needed {STIFFNESS_RATIO:g}"
             )
     return out
 
@@ -188,16 +188,16 @@ def _rendered(one: TissueClass, device: DeviceLimits, refused: list[str]) -> tup
     """Return k, b, μ and τ that the device renders; adds a sentence on those that its own friction hides."""
     stiffness = min(one.stiffness_n_per_mm, device.allowed_stiffness_n_per_mm)
     press_n, hidden_n = stiffness * PRESS_MM, FRICTION_RATIO * device.friction_n
-    kept = []
+    shares = []
     for what, share in (("friction", one.friction), ("texture", one.texture)):
         size_n = share * press_n
-        kept.append(share if size_n >= hidden_n else 0.0)
+        shares.append(share if size_n >= hidden_n else 0.0)
         if 0.0 < size_n < hidden_n:
             refused.append(
                 f"the {what} of {one.name} cannot be rendered on the {device.name or 'device'}: "
                 f"{size_n:.2g} N at {PRESS_MM:g} mm, its own friction is {device.friction_n:.2g} N"
             )
-    return stiffness, one.damping_n_s_per_m / MM_PER_M, *kept
+    return stiffness, one.damping_n_s_per_m / MM_PER_M, *shares
 
 
 def feel_fixtures(model: DvfModel, device: DeviceLimits) -> Fixtures:

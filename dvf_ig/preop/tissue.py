@@ -35,7 +35,7 @@ def tissue_of_cine(
 
     Args:
         labels: of the phase `phase`; reference: the organ's surface in every phase.
-        moves: one for each phase: (n, 3) places at `phase` to where their material is then.
+        moves: one for each phase: (n, 3) places at `phase` to that material's places then.
     """
 
     def back(i: int, places_mm: FloatArray) -> FloatArray:

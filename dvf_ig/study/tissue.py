@@ -1,4 +1,4 @@
-"""Press every kind of tissue with simulated devices: stiffness commanded and rendered, tissues told apart.
+"""Press every kind of tissue with simulated devices: stiffness commanded and rendered, tissues distinguished.
 
 A slow hand presses a wall of one tissue, still and beating, with a simulated PHANToM Premium and Omni. The
 rendered stiffness is the slope of the hand's own force over the tip's depth while it presses: friction of the
@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from dvf_ig.core import DvfModel, FloatArray, Grid, Rigid, Tissue, Volume, Warp
+from dvf_ig.core import DvfModel, FloatArray, Grid, Rigid, Tissue, Volume, Warp, read_only_arrays
 from dvf_ig.core.space.warp import CELLS, knots
 from dvf_ig.guidance import DEVICES
 from dvf_ig.guidance.device import COMMON_DEVICE, MM_PER_M
@@ -35,7 +35,7 @@ MEASURED_MM, BELOW_CAP = (1.0, 5.0), 0.9
 HAND_STIFFNESS_N_PER_M, HAND_DAMPING_N_S_PER_M = 600.0, 6.0
 BLOCK_TICKS = 5
 BEATING_MM = 5.0
-TOLD_RATIO, TOLD_SHARE = 2.0, 0.95
+APART_RATIO, APART_SHARE = 2.0, 0.95
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,6 +63,7 @@ def tissue_wall(names: Iterable[str], amplitude_mm: float = 0.0) -> DvfModel:
     return replace(model, tissue=Tissue(labels, listed, tuple(motion)))
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class Press:
     """One press: depth of the tip below the surface and force of the hand, with the servo's record.
@@ -148,7 +149,7 @@ class _Feeling:
         return ServoRecord(np.concatenate(self._rows))
 
 
-def told_share(soft: Press, stiff: Press, operators: int, rng: np.random.Generator) -> float:
+def correct_share(soft: Press, stiff: Press, operators: int, rng: np.random.Generator) -> float:
     """Compute the share of operators who call the stiffer of two tissues so.
 
     Both are pressed equally deep, to DEEPEST_MM or where the stiffer nears the largest force.
@@ -174,29 +175,29 @@ def run(settings: TissueSettings, driver: Driver) -> Result:
         rendered += [_rendered(name, one, presses[one]) for one in TISSUES]
         for soft, stiff in combinations(TISSUES, 2):
             ratio = stiff.stiffness_n_per_mm / soft.stiffness_n_per_mm
-            if ratio >= TOLD_RATIO:
-                share = told_share(presses[soft], presses[stiff], settings.operators, rng)
+            if ratio >= APART_RATIO:
+                share = correct_share(presses[soft], presses[stiff], settings.operators, rng)
                 pairs.append(
                     {
                         "device": name,
                         "soft": soft.name,
                         "stiff": stiff.name,
                         "ratio": ratio,
-                        "told_share": share,
+                        "correct_share": share,
                     }
                 )
     fields = {
         "rendered": rendered,
         "pairs": pairs,
-        "told_share": {name: _mean(pairs, name) for name in DEVICES},
-        "pairs_told": {name: _mean(pairs, name, TOLD_SHARE) for name in DEVICES},
+        "correct_share": {name: _mean(pairs, name) for name in DEVICES},
+        "pairs_apart": {name: _mean(pairs, name, APART_SHARE) for name in DEVICES},
     }
     return Result(fields, [*_rendered_rows(rendered), *_pair_rows(fields)], {"tissue.json": fields})
 
 
 def _mean(pairs: Sequence[Mapping[str, Any]], device: str, least: float | None = None) -> float:
     """Average the shares of a device, or count those of at least `least`."""
-    shares = np.array([pair["told_share"] for pair in pairs if pair["device"] == device])
+    shares = np.array([pair["correct_share"] for pair in pairs if pair["device"] == device])
     return float((shares if least is None else shares >= least).mean())
 
 
@@ -207,7 +208,7 @@ def _rendered(name: str, one: TissueClass, still: Press) -> dict[str, Any]:
     return {
         "device": name,
         "tissue": one.name,
-        "asked_n_per_mm": one.stiffness_n_per_mm,
+        "table_n_per_mm": one.stiffness_n_per_mm,
         "commanded_n_per_mm": commanded,
         "rendered_n_per_mm": still.stiffness_n_per_mm,
         "error": still.stiffness_n_per_mm / commanded - 1.0,
@@ -226,13 +227,14 @@ def _rendered_rows(rendered: Sequence[Mapping[str, Any]]) -> Rows:
 
 
 def _pair_rows(fields: Mapping[str, Any]) -> Rows:
-    rows: Rows = [("device", "least told pair", "ratio", "operators right", "mean", "pairs told by 95 %")]
-    for name, mean in fields["told_share"].items():
+    rows: Rows = [("device", "pair least apart", "ratio", "operators right", "mean", "pairs apart by 95 %")]
+    for name, mean in fields["correct_share"].items():
         worst = min(
-            (pair for pair in fields["pairs"] if pair["device"] == name), key=lambda pair: pair["told_share"]
+            (pair for pair in fields["pairs"] if pair["device"] == name),
+            key=lambda pair: pair["correct_share"],
         )
         pair = f"{worst['soft']}, {worst['stiff']}"
-        shares = (f"{worst['told_share']:.1%}", f"{mean:.1%}", f"{fields['pairs_told'][name]:.0%}")
+        shares = (f"{worst['correct_share']:.1%}", f"{mean:.1%}", f"{fields['pairs_apart'][name]:.0%}")
         rows.append((name, pair, f"{worst['ratio']:.1f}", *shares))
     return rows
 

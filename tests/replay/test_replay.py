@@ -26,6 +26,7 @@ def test_estimates_are_within_their_errors(replay: Replay) -> None:
     assert result["probe_error_mm"] <= 0.7  # 0.54
     assert result["tip_error_mm"] <= 0.025  # 0.018
     assert result["force_error_n"]["median"] <= 0.1  # 0.112; this seed 0.082
+    assert result["label_dice"]["organ"] > 0.9
     assert result["nonfinite_ticks"] == 0
     assert result["force_n"]["max"] <= 0.6
 

@@ -13,7 +13,7 @@ from dvf_ig.io.writing.atomic import write_text
 
 VERSION = "Slicer5.0.3"
 """Oldest version with these nodes: sequences became part of Slicer with 5.0."""
-GREY = "vtkMRMLColorTableNodeGrey"
+GREY, LABELS = "vtkMRMLColorTableNodeGrey", "vtkMRMLColorTableNodeLabels"
 
 
 @dataclass(slots=True)
@@ -44,6 +44,15 @@ class SlicerScene:
         )
         references = {"display": display, "storage": storage, "transform": parent}
         return self._add("Volume", "vtkMRMLScalarVolumeNode", name, references, description)
+
+    def add_labels(self, name: str, file: str, *, description: str = "") -> str:
+        """Add a label image, whose outlines and colours Slicer lays over other images."""
+        storage = self._storage("VolumeArchetypeStorage", "vtkMRMLVolumeArchetypeStorageNode", name, file)
+        display = self._add(
+            "LabelMapVolumeDisplay", "vtkMRMLLabelMapVolumeDisplayNode", f"{name} display", {"color": LABELS}
+        )
+        references = {"display": display, "storage": storage}
+        return self._add("LabelMapVolume", "vtkMRMLLabelMapVolumeNode", name, references, description)
 
     def add_model(
         self, name: str, file: str, *, visible: bool, color: tuple[float, float, float], description: str = ""

@@ -5,7 +5,7 @@ map it to the material at end-diastole, X. With depth p, its rate ṗ, and k, b,
 
     F_n = k p (1 + τ w(X)) + b ṗ, never negative,    F_t = −k_t e, |F_t| ≤ μ F_n
 
-e leads from an anchor in the material to X, turned from end-diastole to now to first order; where it is too
+e leads from an anchor in the material to X, turned from end-diastole to now to first order; if it is too
 long the anchor slides after. Sticking, so, holds to the beating surface.
 
 Source: Salisbury and Tarr 1997 (friction of a proxy); Hayward and Armstrong 2000 (the sliding anchor).
@@ -13,8 +13,6 @@ Source: Salisbury and Tarr 1997 (friction of a proxy); Hayward and Armstrong 200
 
 import math
 from typing import Any
-
-import numpy as np
 
 from dvf_ig.core import FloatArray
 from dvf_ig.kernels import status as code
@@ -36,11 +34,11 @@ ONSET_MM = 0.5
 
 
 @inlined
-def _cell(mm: float, origin_mm: float, per_mm: float, last: int) -> tuple[Any, float]:
+def _cell(mm: float, origin_mm: float, per_mm: float, last: int) -> tuple[int, float]:
     """Find the voxel before a coordinate and the share of the next; beyond the grid its border's."""
     u = min(max((mm - origin_mm) * per_mm, 0.0), float(last))
     begin = min(int(u), last - 1)
-    return np.uintp(begin), u - begin
+    return begin, u - begin
 
 
 @inlined
@@ -50,17 +48,15 @@ def _properties(bound: Any, x: Vector) -> tuple[float, float, float, float]:
     i, u = _cell(x[0], of.label_origin_mm[0], of.label_per_mm, values.shape[0] - 1)
     j, v = _cell(x[1], of.label_origin_mm[1], of.label_per_mm, values.shape[1] - 1)
     k, w = _cell(x[2], of.label_origin_mm[2], of.label_per_mm, values.shape[2] - 1)
-    none, one = np.uintp(0), np.uintp(1)
     total = pack(0.0, 0.0, 0.0, 0.0)
     for a in range(2):
         along_x = u if a == 1 else 1.0 - u
         for b in range(2):
             weight = along_x * (v if b == 1 else 1.0 - v)
-            at_i, at_j = i + np.uintp(a), j + np.uintp(b)
-            total = fma(total, weight * (1.0 - w), load_row(values, at_i, at_j, k, none))
-            total = fma(total, weight * w, load_row(values, at_i, at_j, k + one, none))
-    k_mm, b_s, friction, texture = unpack(total)
-    return k_mm, b_s, friction, texture
+            total = fma(total, weight * (1.0 - w), load_row(values, i + a, j + b, k, 0))
+            total = fma(total, weight * w, load_row(values, i + a, j + b, k + 1, 0))
+    stiffness, damping, friction, texture = unpack(total)
+    return stiffness, damping, friction, texture
 
 
 @inlined
@@ -68,8 +64,8 @@ def _material(bound: Any, foot: Vector, phi: float) -> tuple[Vector, Any]:
     """Map a place of the model at a phase to the material, with the three rows (0, ∂m_c/∂x…) there."""
     motion, times = bound.tissue_motion, bound.packed[0]
     first, second, alpha, _ = phase_bracket(times, TIMES, len(motion), phi)
-    m0, x0, y0, z0 = spline_at(motion, np.uintp(first), bound.tissue[0], foot)
-    m1, x1, y1, z1 = spline_at(motion, np.uintp(second), bound.tissue[0], foot)
+    m0, x0, y0, z0 = spline_at(motion, first, bound.tissue[0], foot)
+    m1, x1, y1, z1 = spline_at(motion, second, bound.tissue[0], foot)
     mx, my, mz, _ = unpack(mixed(alpha, m0, m1))
     slopes = (unpack(mixed(alpha, x0, x1)), unpack(mixed(alpha, y0, y1)), unpack(mixed(alpha, z0, z1)))
     return (foot[0] - mx, foot[1] - my, foot[2] - mz), slopes
@@ -124,14 +120,14 @@ def tissue_force(bound: Any, scratch: Any, inputs: Any, t_s: float, xyz: FloatAr
     pose, phase = pose_at(p, t_s), phase_at(p, t_s)
     at = rotated_by(pose, (xyz[0], xyz[1], xyz[2]))
     at = (at[0] + pose[3][0], at[1] + pose[3][1], at[2] + pose[3][2])
-    variance, by_warp, share, slope_moving = 0.0, 0.0, 1.0, (0.0, 0.0, 0.0)
+    variance, by_warp, share = 0.0, 0.0, 1.0
     if p.warped != 0.0:
-        at, slope, variance, slope_moving = warp_at(scratch.warps, p, t_s, at)
+        at, slope, variance, moving = warp_at(scratch.warps, p, t_s, at)
         share = known_share(variance)
         status, d, g, rate = field_at(bound.linear, bound.packed[0], at, phase[0])
         if status == code.OK:
             distance_mm, gradient = through_warp(slope, d, g)
-            by_warp = dot(g, slope_moving)
+            by_warp = dot(g, moving)
     else:
         status, d, g, rate = field_at(bound.linear, bound.packed[0], at, phase[0])
         distance_mm, gradient = d, g
@@ -157,7 +153,7 @@ def tissue_force(bound: Any, scratch: Any, inputs: Any, t_s: float, xyz: FloatAr
     foot = (at[0] - back * g[0], at[1] - back * g[1], at[2] - back * g[2])
     x, slopes = _material(bound, foot, phase[0])
     stiffness, damping, friction, texture = _properties(bound, x)
-    depth = distance_mm / norm
+    depth = distance_mm / model_norm
     wave = 2.0 * math.pi / TEXTURE_MM
     rough = 1.0 + texture * (math.sin(wave * x[0]) + math.sin(wave * x[1]) + math.sin(wave * x[2])) / 3.0
     along = dot(turned_back, (m.tool_mm_s[0], m.tool_mm_s[1], m.tool_mm_s[2])) + sample.distance_rate_mm_s

@@ -162,6 +162,10 @@ def _patient(out: SceneFolder, model: DvfModel) -> None:
         )
         of_cycle = out.scene.add_sequence("mr cycle", sequence, index="phase", unit="RR")
         out.scene.add_browser("heart cycle", [(of_cycle, mr)], rate_hz=len(index) / preop.mr.timing.rr_s)
+    if model.tissue is not None:
+        labels, named = "labels.nrrd", ", ".join(f"{value} {name}" for value, name in model.tissue.names)
+        write_volume(model.tissue.labels, out.place(labels, "mr"))
+        out.scene.add_labels("labels", labels, description=f"end-diastole: {named}")
     for phase, (mesh, fraction) in enumerate(zip(model.reference, model.timing.fractions, strict=True)):
         unseen = model.unseen(phase)
         parts = [("heart", ~unseen, HEART_COLOR, "")]

@@ -43,7 +43,6 @@ from dvf_ig.study.operators.closed_loop import (
     moving_line,
     run_task,
 )
-from dvf_ig.study.operators.pellets import cutting_law
 from dvf_ig.study.operators.tasks import (
     ABOVE_MM,
     CUT,

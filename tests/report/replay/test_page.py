@@ -215,6 +215,20 @@ def test_surfaces_are_drawn_where_the_distance_is_zero() -> None:
     assert overlay_figure([]) is None
 
 
+def test_labels_tint_the_ultrasound_and_are_named() -> None:
+    labels = np.zeros((80, 60), np.uint8)
+    labels[20:40] = 5
+    names = ((5, "atrial_wall"), (6, "la_blood"))
+    figure = overlay_figure([replace(overlay(), labels=labels, label_names=names), overlay()])
+    assert figure is not None
+    assert len(figure.axes) == 6
+    assert [text.get_text() for text in figure.legends[0].get_texts()][2:] == ["atrial wall"]
+    tint = np.asarray(figure.axes[4].images[1].get_array())
+    assert tint[30, 10, 3] > 0.0
+    assert not tint[10, :, 3].any()
+    assert len(figure.axes[5].images) == 1
+
+
 def test_beats_are_told_apart_by_use() -> None:
     given = page()
     figure = pose_figure(given.beats, given.registrations, (0.0, 4.0))
