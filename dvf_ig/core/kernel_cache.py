@@ -51,7 +51,11 @@ def compile_callback(function: Callable[..., Any], sources: KernelSources, signa
     return callback
 
 
-class _Callback(CFunc):  # type: ignore[misc]
+class _Callback(CFunc):
+    """C callback that is compiled when its address is needed."""
+
+    _wrapper_address: Any
+
     @property
     def address(self) -> Any:
         if self._wrapper_address is None:
