@@ -87,10 +87,7 @@ class BoundaryProblem:
         points, target = boundary.points, boundary.target
         self.source, self.target = points.frame, target.frame
         self.points = OrientedPoints(
-            points.points_mm,
-            points.normals,
-            points.weights,
-            target.nearest_phase(points.model_phase),
+            points.points_mm, points.normals, points.weights, target.nearest_phase(points.model_phase)
         )
         self.splines = DistanceSplines(target.coefficients, target.knots_from_mm, target.polarity)
         self.center_mm = np.array(center_mm, dtype=np.float64)
@@ -206,11 +203,7 @@ class BoundaryFit:
 
 
 def fit_boundary(
-    boundary: Boundary,
-    start: Rigid,
-    center_mm: FloatArray,
-    *,
-    options: BoundaryFitOptions | None = None,
+    boundary: Boundary, start: Rigid, center_mm: FloatArray, *, options: BoundaryFitOptions | None = None
 ) -> BoundaryFit:
     """Register boundary points to the surface from one start.
 
