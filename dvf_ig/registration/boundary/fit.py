@@ -100,7 +100,8 @@ class BoundaryProblem:
     def sums(self, poses: FloatArray, offsets_mm: FloatArray, sigma_mm: float) -> FloatArray:
         """(m, SUMS) of `boundary_step_sums` at each of (m, 3, 4) poses."""
         out = np.empty((len(poses), SUMS))
-        for pose, offset_mm, sums in zip(poses, offsets_mm.tolist(), out, strict=True):
+        writable = np.array(poses)  # kernels are compiled again for read-only arrays
+        for pose, offset_mm, sums in zip(writable, offsets_mm.tolist(), out, strict=True):
             boundary_step_sums(
                 self.points, self.splines, pose, self.center_mm, HEART_RADIUS_MM, offset_mm, sigma_mm, sums
             )
