@@ -23,15 +23,7 @@ import numpy as np
 import pytest
 from live_toy import ORIGIN_S, arrivals_of
 from served_toy import serve_toy
-from toy_session import (
-    Streams,
-    compare_known,
-    ecg_events,
-    ecg_of,
-    frame_events,
-    register_known,
-    tool_events,
-)
+from toy_session import Streams, compare_known, ecg_events, ecg_of, frame_events, register_known, tool_events
 from waiting import heed_interrupts
 
 from dvf_ig.live.igtl import Image, Incoming, Message, Status, Text, Transform, WireError, encode
@@ -529,16 +521,7 @@ class Outcome:
 
 def run_fault(fault: Fault, folder: Path, messages: list[tuple[float, Message]]) -> Outcome:
     """Start the program, inject the fault and end it."""
-    arguments = [
-        sys.executable,
-        "-m",
-        "scripts.fuzz_live",
-        "serve",
-        "x",
-        "--listen",
-        "--port",
-        "0",
-    ]
+    arguments = [sys.executable, "-m", "scripts.fuzz_live", "serve", "x", "--listen", "--port", "0"]
     arguments += ["--page", "0"] if fault.page else []
     read_end, write_end = os.pipe()
     environment = {**os.environ, "PYTHONPATH": f"{ROOT}{os.pathsep}{ROOT / 'tests/toys'}"}

@@ -10,13 +10,7 @@ from typing import Literal
 import numpy as np
 import SimpleITK
 
-from data_synth import (
-    MOTIONS,
-    ScenarioSpec,
-    SecondWorldSpec,
-    phantom_scenario,
-    second_world_recording,
-)
+from data_synth import MOTIONS, ScenarioSpec, SecondWorldSpec, phantom_scenario, second_world_recording
 from data_synth.heart.anatomy import PhantomAnatomy, phantom_anatomy
 from data_synth.heart.motion_report import motion_report
 from data_synth.realism.gates import (

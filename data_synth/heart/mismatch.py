@@ -222,11 +222,7 @@ def _with_surgery(smooth: SmoothField, surgery: SurgicalField, nodes_mm: FloatAr
     relative = nodes_mm - smooth.center_mm
     shift, turn = _rigid_part(relative, surgery.at(relative))
     both = replace(
-        smooth,
-        shift_mm=smooth.shift_mm + shift,
-        turn_rad=smooth.turn_rad + turn,
-        rms_mm=1.0,
-        surgery=surgery,
+        smooth, shift_mm=smooth.shift_mm + shift, turn_rad=smooth.turn_rad + turn, rms_mm=1.0, surgery=surgery
     )
     return replace(both, rms_mm=float(np.sqrt((both.at(nodes_mm) ** 2).sum(axis=1).mean())))
 

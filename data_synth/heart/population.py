@@ -18,11 +18,7 @@ from dvf_ig.core import FloatArray
 
 from .heart_spec import HeartKind
 
-POPULATION: tuple[tuple[HeartKind, float], ...] = (
-    ("healthy", 0.6),
-    ("dilated", 0.2),
-    ("hypertrophic", 0.2),
-)
+POPULATION: tuple[tuple[HeartKind, float], ...] = (("healthy", 0.6), ("dilated", 0.2), ("hypertrophic", 0.2))
 """Shares of the kind "varied"."""
 
 

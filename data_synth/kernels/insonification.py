@@ -166,11 +166,7 @@ def _fibre_factor(
     drop_db = gx * gx + gy * gy + gz * gz
     if drop_db <= 0.0:
         return 1.0
-    dx, dy, dz = (
-        path[i + 1, 0] - path[i, 0],
-        path[i + 1, 1] - path[i, 1],
-        path[i + 1, 2] - path[i, 2],
-    )
+    dx, dy, dz = (path[i + 1, 0] - path[i, 0], path[i + 1, 1] - path[i, 1], path[i + 1, 2] - path[i, 2])
     along = gx * dx + gy * dy + gz * dz
     rest_db = drop_db - along * along / (dx * dx + dy * dy + dz * dz + 1e-12)
     return float(10.0 ** (-0.05 * rest_db))

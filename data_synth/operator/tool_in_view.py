@@ -50,10 +50,7 @@ class LookSpec:
 
 
 def looking_at(
-    path: PosePath,
-    tip_mm: Callable[[FloatArray], FloatArray],
-    spec: LookSpec,
-    rng: np.random.Generator,
+    path: PosePath, tip_mm: Callable[[FloatArray], FloatArray], spec: LookSpec, rng: np.random.Generator
 ) -> PosePath:
     """Interrupt a sweep, mr_from_plane, by looks at the tip.
 

@@ -177,11 +177,7 @@ def _random_view(probe_from_image: ImageMap, fan: Fan, spec: NWireSpec, rng: np.
     rotation = (facing * Rotation.from_euler("zxy", [turn, tilt, yaw])).as_matrix()
     apex_mm = fan.apex_px * probe_from_image.scale_mm_per_px
     seen_at = np.array(
-        [
-            apex_mm[0] + rng.uniform(-1, 1) * spec.lateral_mm,
-            apex_mm[1] + rng.uniform(*spec.top_depth_mm),
-            0.0,
-        ]
+        [apex_mm[0] + rng.uniform(-1, 1) * spec.lateral_mm, apex_mm[1] + rng.uniform(*spec.top_depth_mm), 0.0]
     )
     return Rigid("phantom", probe_from_image.rigid.source, rotation, middle - rotation @ seen_at)
 

@@ -17,14 +17,7 @@ from data_synth.seeds import child_rng, child_seed
 from data_synth.ultrasound.views import standard_view
 from data_synth.ultrasound.volume import MatrixProbe, shown_volume, simulate_pyramid
 from data_synth.ultrasound.volume_faults import degraded_pyramid
-from dvf_ig.core import (
-    FloatArray,
-    InvalidInputError,
-    Landmarks,
-    Preop,
-    Rigid,
-    TrackedVolume,
-)
+from dvf_ig.core import FloatArray, InvalidInputError, Landmarks, Preop, Rigid, TrackedVolume
 
 from .presets import PRESETS
 

@@ -10,12 +10,7 @@ from data_synth.heart.beating_anatomy import BeatingAnatomy
 from data_synth.heart.clock import HeartClock
 from data_synth.heart.tissue import Tissue
 from data_synth.operator.contact import MovingSurface
-from data_synth.operator.probe_path import (
-    CENTRAL_STANDOFF_MM,
-    STANDOFF_MM,
-    HeartOutline,
-    acoustic_window,
-)
+from data_synth.operator.probe_path import CENTRAL_STANDOFF_MM, STANDOFF_MM, HeartOutline, acoustic_window
 from data_synth.seeds import child_rng
 from data_synth.ultrasound.probe import SectorProbe
 from dvf_ig.core import FloatArray, ImageMap, read_only_arrays

@@ -6,11 +6,7 @@ from dvf_ig.core import FloatArray, Rigid
 
 
 def best_rigid(
-    source_mm: FloatArray,
-    target_mm: FloatArray,
-    target: str,
-    source: str,
-    weights: FloatArray | None = None,
+    source_mm: FloatArray, target_mm: FloatArray, target: str, source: str, weights: FloatArray | None = None
 ) -> Rigid:
     """Fit target_from_source to (n, 3) points by least squares.
 

@@ -54,11 +54,7 @@ class ImageSpec:
 
 
 def degraded(
-    images: NDArray[np.uint8],
-    probe: SectorProbe,
-    t_s: FloatArray,
-    spec: ImageSpec,
-    rng: np.random.Generator,
+    images: NDArray[np.uint8], probe: SectorProbe, t_s: FloatArray, spec: ImageSpec, rng: np.random.Generator
 ) -> NDArray[np.uint8]:
     """Add the faults of `spec` to (n, rows, columns) images; without any, return them unchanged.
 

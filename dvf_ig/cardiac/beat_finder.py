@@ -70,8 +70,9 @@ class BeatFinder:
     def __init__(self, rate_hz: float, leads: int, options: RPeakOptions, warm_up: int = 0) -> None:
         """Peaks within the first `warm_up` samples, the transient of the envelope's filters, are ignored."""
         self._warm_up = warm_up
-        self._rate = rate_hz
+        self._rate, self._second = rate_hz, round(rate_hz)
         self._options = options
+        self._close_samples = options.close_s * rate_hz
         self._levels = LeadLevels(rate_hz, leads, options.clip)
         self._learning: list[tuple[Sequence[float], Sequence[bool]]] = []
         self._learnt = False
@@ -110,13 +111,11 @@ class BeatFinder:
         beats: list[Complex] = []
         if height > self._top:
             self._top, self._top_at = height, self._now
-        elif (
-            height < self._options.close_share * self._top
-            or self._now - self._top_at > self._options.close_s * self._rate
-        ):
+        elif height < self._options.close_share * self._top or self._now - self._top_at > self._close_samples:
             self._classify(beats)
             self._top, self._top_at = height, self._now
-        self._search_back(beats)
+        if self._last is not None:
+            self._search_back(self._now - self._last, beats)
         return beats
 
     def _classify(self, beats: list[Complex]) -> None:
@@ -149,22 +148,19 @@ class BeatFinder:
         overdue = min(1.0, max(0.0, (since_s - rr_s) / rr_s))
         return options.share + (options.late_share - options.share) * overdue
 
-    def _search_back(self, beats: list[Complex]) -> None:
+    def _search_back(self, waited: int, beats: list[Complex]) -> None:
         """Accept the highest candidate when a beat is overdue; after 2 s lower the levels."""
-        if self._last is None:
-            return
-        waited = self._now - self._last
         options = self._options
         if self._candidates and waited > options.search_back_rr * self._rr:
-            late = [c for c in self._candidates if c.top - self._last > options.t_wave_s * self._rate]
+            last = self._now - waited
+            late = [c for c in self._candidates if c.top - last > options.t_wave_s * self._rate]
             best = max(late, key=lambda c: (c.height, c.top), default=None)
             if best is not None and best.height > max(options.search_back_share, self._min_height()):
                 self._accept(Complex(best.top, self._now, best.height), beats)
                 self._candidates.extend(
                     c for c in late if c.top > best.top + options.refractory_s * self._rate
                 )
-        second = round(self._rate)
-        if waited > 2 * second and waited % second == 0:
+        if waited > 2 * self._second and waited % self._second == 0:
             self._levels.decay()
 
     def _accept(self, beat: Complex, beats: list[Complex], *, regular: bool = True) -> None:

@@ -66,18 +66,19 @@ class LeadLevels:
         self._age += 1
         if self._age % self._period == 0:
             self._update_weights()
-        height = 0.0
-        for k in self._leads:
+        height, off_samples, relearning, noise = 0.0, self._off_samples, self._relearning, self._noise
+        for k, value in enumerate(row):
             if off[k]:
-                self._off_samples[k] += 1
+                off_samples[k] += 1
                 continue
-            if self._off_samples[k] or self._relearning[k]:
-                self._returned(k, row[k])
-                if self._relearning[k]:
+            if off_samples[k] or relearning[k]:
+                self._returned(k, value)
+                if relearning[k]:
                     continue
-            value = min(row[k], self._clip * self._level[k])
-            self._noise[k] *= self._up if value > self._noise[k] else self._down
-            height += self._weights[k] * value
+            most = self._clip * self._level[k]
+            clipped = most if most < value else value
+            noise[k] *= self._up if clipped > noise[k] else self._down
+            height += self._weights[k] * clipped
         return height
 
     def _returned(self, k: int, value: float) -> None:

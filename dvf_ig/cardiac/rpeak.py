@@ -196,7 +196,9 @@ class RPeakDetector:
         peaks: list[RPeak] = []
         for row, flags in zip(envelope.tolist(), off.tolist(), strict=True):
             self._count += 1
-            peaks += [self._peak(beat) for beat in self._finder.step(row, flags)]
+            beats = self._finder.step(row, flags)
+            if beats:
+                peaks += map(self._peak, beats)
         self._locator.discard_old()
         return peaks
 

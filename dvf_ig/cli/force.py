@@ -51,8 +51,7 @@ def force(
     blend: BlendOption = None,
     fixtures: FixturesFileOption = None,
     free_zone_mm: Annotated[
-        float | None,
-        typer.Option("--free-zone-mm", help="Guidance: choose --delta and --m for this zone …"),
+        float | None, typer.Option("--free-zone-mm", help="Guidance: choose --delta and --m for this zone …")
     ] = None,
     detection_threshold_n: Annotated[
         float,

@@ -31,8 +31,7 @@ def gate(
     ] = None,
     predictor: Annotated[str, typer.Option("--predictor", help="RR predictor: ar8, ewma or last.")] = "ar8",
     delay_s: Annotated[
-        float | None,
-        typer.Option("--delay-s", help="trigger:FILE only: time from R to the trigger (s)."),
+        float | None, typer.Option("--delay-s", help="trigger:FILE only: time from R to the trigger (s).")
     ] = None,
     respiration: Annotated[
         str | None,

@@ -39,8 +39,7 @@ def replay(
         ),
     ],
     session: Annotated[
-        Path,
-        typer.Argument(metavar="SESSION", help=f"{SESSION.capitalize()}; or a session's LOG.mcap."),
+        Path, typer.Argument(metavar="SESSION", help=f"{SESSION.capitalize()}; or a session's LOG.mcap.")
     ],
     model: ModelOption = None,
     law: LawOption = None,

@@ -13,10 +13,7 @@ from .shell import JsonFlag, ThreadsOption, command, emit, output_file, wrote
 def view(
     run: Annotated[
         Path,
-        typer.Argument(
-            metavar="RUN",
-            help="Folder that `dvf-ig replay … -o RUN` wrote; or a model (.npz).",
-        ),
+        typer.Argument(metavar="RUN", help="Folder that `dvf-ig replay … -o RUN` wrote; or a model (.npz)."),
     ],
     out: Annotated[
         Path | None,
@@ -68,7 +65,7 @@ def view(
             "frames": 0 if frames is None else len(frames["images"]),
         }
         rows = [
-            ("page", f"{result['megabytes']:.1f} MB, {result['seconds']:.0f} s, {result['frames']} frames"),
+            ("page", f"{result['megabytes']:.1f} MB, {result['seconds']:.0f} s, {result['frames']} frames")
         ]
         emit(result, rows, as_json=as_json)
         typer.echo(origin, err=True)

@@ -52,6 +52,8 @@ def compile_callback(function: Callable[..., Any], sources: KernelSources, signa
 
 
 class _Callback(CFunc):
+    """C callback that is compiled when its address is needed."""
+
     _wrapper_address: Any
 
     @property
@@ -99,7 +101,7 @@ class _Kernel(CPUDispatcher):  # type: ignore[misc]
         return template, signature, arguments, {}
 
     def get_overload(self, sig: Any) -> Any:
-        """Return what stands for the code of a call by another kernel."""
+        """Return the key under which numba looks up the code for a call by another kernel."""
         arguments, _ = sigutils.normalize_signature(sig)
         return self._parts[tuple(arguments)].library
 

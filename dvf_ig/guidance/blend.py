@@ -18,11 +18,7 @@ Blend = Literal["force", "distance", "periodic"]
 """`force`: blend two phases' forces (eq. 10, corrected). `distance`: blend d and ∇d, then apply one law.
 `periodic`: as `distance`, but d is a cubic periodic spline of phase, without a kink at frame switches."""
 
-BLEND_CODES: dict[Blend, int] = {
-    "force": BLEND_FORCE,
-    "distance": BLEND_DISTANCE,
-    "periodic": BLEND_PERIODIC,
-}
+BLEND_CODES: dict[Blend, int] = {"force": BLEND_FORCE, "distance": BLEND_DISTANCE, "periodic": BLEND_PERIODIC}
 
 
 def static_force(law: Law, distance_mm: FloatArray, gradient: FloatArray) -> FloatArray:
@@ -46,10 +42,7 @@ def blend_forces(first_n: FloatArray, second_n: FloatArray, alpha: FloatArray) -
 
 
 def blend_distances(
-    law: Law,
-    first: tuple[FloatArray, FloatArray],
-    second: tuple[FloatArray, FloatArray],
-    alpha: FloatArray,
+    law: Law, first: tuple[FloatArray, FloatArray], second: tuple[FloatArray, FloatArray], alpha: FloatArray
 ) -> FloatArray:
     """(n, 3) force of the blended field; each phase is ((n,) distance, (n, 3) gradient).
 

@@ -57,8 +57,7 @@ class Disagreement(Enum):
         "it is in m; check that this is the recording of the tool at work",
     )
     TOOL_IS_PROBE = Rule(
-        True,
-        "its poses are those of the ultrasound probe, number for number; give the poses of the tool",
+        True, "its poses are those of the ultrasound probe, number for number; give the poses of the tool"
     )
     PROBE_AND_TOOL_EXCHANGED = Rule(
         True,
@@ -81,8 +80,7 @@ class Disagreement(Enum):
         "it again (dvf-ig calibrate pivot)",
     )
     TIP_NEAR_MARKER = Rule(
-        False,
-        "the tip lies {mm:.2g} mm from the tool's marker: check that it was not calibrated in m",
+        False, "the tip lies {mm:.2g} mm from the tool's marker: check that it was not calibrated in m"
     )
     IMAGE_FAR_FROM_PROBE = Rule(
         False,
@@ -100,12 +98,10 @@ class Disagreement(Enum):
         "check that this is one patient",
     )
     MR_IS_LABELS = Rule(
-        True,
-        "the grey levels (mr) and the labels are the same image; give the MR or CT itself as mr",
+        True, "the grey levels (mr) and the labels are the same image; give the MR or CT itself as mr"
     )
     LABELS_ABSENT = Rule(
-        False,
-        "the labels {values} are named, but no voxel of any phase has them; check the values",
+        False, "the labels {values} are named, but no voxel of any phase has them; check the values"
     )
     LANDMARKS_ARE_THE_SAME = Rule(
         True,
@@ -113,8 +109,7 @@ class Disagreement(Enum):
         "to one set; give the points as the tracker measured them",
     )
     LANDMARKS_NOT_IN_MM = Rule(
-        True,
-        "by how far these landmarks are apart they are in {unit}, not mm; export them again in mm",
+        True, "by how far these landmarks are apart they are in {unit}, not mm; export them again in mm"
     )
     NAMES_EXCHANGED = Rule(
         True,
@@ -204,8 +199,7 @@ class Disagreement(Enum):
         "again",
     )
     CINE_ORDER_UNUSUAL = Rule(
-        False,
-        "{order}; check that the cine's phases are in the order from one R peak to the next",
+        False, "{order}; check that the cine's phases are in the order from one R peak to the next"
     )
     MR_OF_OTHER_ORDER = Rule(
         True,

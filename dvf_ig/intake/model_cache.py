@@ -69,10 +69,7 @@ class CachedModel:
 
 
 def cached_model(
-    preop: Preop,
-    *,
-    options: "ModelOptions | None" = None,
-    progress: Callable[[float], None] | None = None,
+    preop: Preop, *, options: "ModelOptions | None" = None, progress: Callable[[float], None] | None = None
 ) -> CachedModel:
     """Return the patient's model from the cache, or build and store it.
 

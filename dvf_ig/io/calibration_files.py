@@ -126,11 +126,7 @@ def read_tip(path: Path | str, tool: str | None = None, *, allow_refused: bool =
 
 
 def read_probe(
-    path: Path | str,
-    sensor: str = "probe",
-    *,
-    turned_from: str | None = None,
-    allow_refused: bool = False,
+    path: Path | str, sensor: str = "probe", *, turned_from: str | None = None, allow_refused: bool = False
 ) -> ImageMap:
     """Read probe_from_image of images in MF: JSON of `calibrate probe`, or ImageToProbe of a PLUS file.
 

@@ -69,11 +69,7 @@ def fuse(problem: Problem, refined: Refined) -> Fused:
 
 
 def _match(
-    problem: Problem,
-    refined: Refined,
-    seen: Boundary | None,
-    boundary: BoundaryFit | None,
-    chart: PoseChart,
+    problem: Problem, refined: Refined, seen: Boundary | None, boundary: BoundaryFit | None, chart: PoseChart
 ) -> BlockedMatch:
     """LC2 and the boundary of every block of space."""
     points = None

@@ -71,13 +71,7 @@ class RegistrationOptions:
 SWEEP = RegistrationOptions(density_width_mm=DENSITY_WIDTH_MM, limits=SLICE_LIMITS, kind="sweep")
 """Search and limits for tracked frames against grey levels of MR."""
 VOLUMES = RegistrationOptions(
-    starts=8,
-    spread_mm=12.0,
-    candidates=2,
-    times_seen=3,
-    bound_mm=120.0,
-    limits=VOLUME_LIMITS,
-    kind="volumes",
+    starts=8, spread_mm=12.0, candidates=2, times_seen=3, bound_mm=120.0, limits=VOLUME_LIMITS, kind="volumes"
 )
 """Search and limits for gated volumes against smoothed grey levels of MR."""
 

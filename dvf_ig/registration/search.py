@@ -66,10 +66,7 @@ def find_candidates(
 
 
 def _boundary_fits(
-    boundary: Boundary,
-    problem: Problem,
-    start: Rigid,
-    rng: np.random.Generator,
+    boundary: Boundary, problem: Problem, start: Rigid, rng: np.random.Generator
 ) -> tuple[Rigid, ...]:
     """Return the start, and the best distinct fits of the boundary from it and displaced copies of it."""
     fits = boundary_starts(

@@ -5,24 +5,9 @@ from typing import Any
 import numpy as np
 
 from dvf_ig.cardiac.respiration import SurrogateScale, learn_scale
-from dvf_ig.core import (
-    DvfModel,
-    FloatArray,
-    ImageMap,
-    Respiration,
-    Scenario,
-    Signal,
-)
+from dvf_ig.core import DvfModel, FloatArray, ImageMap, Respiration, Scenario, Signal
 from dvf_ig.core.arrays import AnyArray
-from dvf_ig.guidance import (
-    Confinement,
-    FixtureOptions,
-    FixtureSet,
-    Gaussian,
-    Law,
-    PathTarget,
-    Sigmoid,
-)
+from dvf_ig.guidance import Confinement, FixtureOptions, FixtureSet, Gaussian, Law, PathTarget, Sigmoid
 from dvf_ig.guidance.device import COMMON_DEVICE
 from dvf_ig.intake.fixtures import DeviceConfig
 from dvf_ig.report.viewer import (

@@ -233,12 +233,7 @@ def slices_of(
         frames.model_phase[used],
         frames.event_s[used],
     )
-    return prepare_slices(
-        tracked,
-        mask,
-        recording.calibrations.probe_from_image,
-        pitch_mm=pitch_mm,
-    )
+    return prepare_slices(tracked, mask, recording.calibrations.probe_from_image, pitch_mm=pitch_mm)
 
 
 # ------------------------------------------------------------------ probe motion

@@ -20,14 +20,7 @@ from math import inf
 
 import numpy as np
 
-from dvf_ig.core import (
-    HEART_RADIUS_MM,
-    PoseMotion,
-    Rigid,
-    Stop,
-    WarpMotion,
-    mean_displacement_mm,
-)
+from dvf_ig.core import HEART_RADIUS_MM, PoseMotion, Rigid, Stop, WarpMotion, mean_displacement_mm
 from dvf_ig.registration import (
     TARGET_RADIUS_MM,
     BeatMeasurement,
@@ -38,17 +31,7 @@ from dvf_ig.registration import (
 
 from .beat_evaluation import BeatEvaluation
 from .history import PoseUpdate, RegistrationDecision
-from .pose_states import (
-    Candidate,
-    Confirmation,
-    InUse,
-    NoPose,
-    Pose,
-    Suspended,
-    Trial,
-    Waiting,
-    suspended,
-)
+from .pose_states import Candidate, Confirmation, InUse, NoPose, Pose, Suspended, Trial, Waiting, suspended
 from .reasons import Doubt, DoubtCause, Refusal, Refused
 from .ultrasound_registration import RegistrationRecord
 

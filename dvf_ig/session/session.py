@@ -29,16 +29,7 @@ from dvf_ig.registration import SliceThreads
 from .arrived_ultrasound import ArrivedUltrasound, FrameBuffer
 from .breathing import BreathingTracker
 from .clocks import HeartClock, SourceClocks
-from .events import (
-    EcgSamples,
-    Event,
-    Landmark,
-    Rearm,
-    RespirationSample,
-    ToolPose,
-    TrackedFrame,
-    Trigger,
-)
+from .events import EcgSamples, Event, Landmark, Rearm, RespirationSample, ToolPose, TrackedFrame, Trigger
 from .history import SessionHistory
 from .margins import MarginTracker
 from .pose_tracker import PoseTracker
@@ -107,10 +98,7 @@ class Session:
         return self
 
     def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._threads.__exit__(kind, error, trace)
 

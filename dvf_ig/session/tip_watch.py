@@ -7,14 +7,7 @@ import numpy as np
 
 from dvf_ig.core import Fan, FloatArray, PoseStream, TrackedSequence
 from dvf_ig.core.recordings.stream import MAX_GAP_S
-from dvf_ig.registration import (
-    TipPatches,
-    TipSighting,
-    TipView,
-    patch_around,
-    sighting,
-    tip_view,
-)
+from dvf_ig.registration import TipPatches, TipSighting, TipView, patch_around, sighting, tip_view
 
 from .arrived_ultrasound import KEEP_S as FRAMES_KEPT_S
 from .arrived_ultrasound import FrameBuffer

@@ -66,10 +66,7 @@ class RegistrationRequest:
     peaks: tuple[RPeak, ...]
 
     def record(
-        self,
-        frames: GatedFrames | None,
-        result: RegistrationResult | None = None,
-        failure: str | None = None,
+        self, frames: GatedFrames | None, result: RegistrationResult | None = None, failure: str | None = None
     ) -> "RegistrationRecord":
         """Record the outcome, not in use yet."""
         return RegistrationRecord(self.from_s, self.until_s, inf, frames, result, failure)

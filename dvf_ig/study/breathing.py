@@ -143,13 +143,7 @@ def breathing_world(spec: BreathSpec, until_s: float, seed: int) -> tuple[Breath
     return breathing, recorded_breathing(breathing, still, until_s, rng)["respiration"]
 
 
-def follow(
-    spec: BreathSpec,
-    until_s: float,
-    seed: int,
-    late_s: float = 0.0,
-    log: Log = no_log,
-) -> Followed:
+def follow(spec: BreathSpec, until_s: float, seed: int, late_s: float = 0.0, log: Log = no_log) -> Followed:
     """Follow a breath that a channel records; beats are measured from FIRST_BEAT_S on."""
     breathing, recorded = breathing_world(spec, until_s, seed)
     recorded = Respiration(recorded.t_s + late_s, recorded.values, recorded.name)
@@ -171,11 +165,7 @@ def follow(
 
 
 def follow_by_ecg(
-    spec: BreathSpec,
-    until_s: float,
-    seed: int,
-    rhythm: RhythmSpec = SINUS,
-    log: Log = no_log,
+    spec: BreathSpec, until_s: float, seed: int, rhythm: RhythmSpec = SINUS, log: Log = no_log
 ) -> Followed:
     """Follow a breath, or a heart without one, that the ECG alone shows; beats are measured from 10 s on."""
     rng = np.random.default_rng(seed)

@@ -189,12 +189,7 @@ def _wall(
 def _latency_trial(truth: GroundTruth, probe: SectorProbe, rng: np.random.Generator) -> dict[str, Any]:
     options = Preset()
     recording = watertank_recording(
-        truth.probe_from_image,
-        probe.fan,
-        truth.lag_s,
-        options.watertank_tracker,
-        options.watertank,
-        rng,
+        truth.probe_from_image, probe.fan, truth.lag_s, options.watertank_tracker, options.watertank, rng
     )
     result = accepted(estimate_latency(recording))
     low, high = result.interval_s

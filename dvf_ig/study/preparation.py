@@ -19,16 +19,7 @@ import numpy as np
 from data_synth.heart.heart_spec import HeartSpec
 from data_synth.scenario.presets import ScenarioSpec
 from data_synth.scenario.recording import phantom_scenario
-from dvf_ig.core import (
-    DvfIgError,
-    DvfModel,
-    Landmarks,
-    Points,
-    PoseStream,
-    Rigid,
-    Scenario,
-    VolumeSeries,
-)
+from dvf_ig.core import DvfIgError, DvfModel, Landmarks, Points, PoseStream, Rigid, Scenario, VolumeSeries
 from dvf_ig.intake.calibrations import calibrate, calibrated
 from dvf_ig.intake.fit import fit_of
 from dvf_ig.intake.model_cache import cached_model

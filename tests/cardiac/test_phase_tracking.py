@@ -61,8 +61,7 @@ def test_a_lead_may_rest_between_beats(bpm: int, step_mv: float) -> None:
 
 
 @pytest.mark.parametrize(
-    ("value", "reason"),
-    [(0.003, "lead off (flat line)"), (5.0, "saturation"), (np.nan, "samples missing")],
+    ("value", "reason"), [(0.003, "lead off (flat line)"), (5.0, "saturation"), (np.nan, "samples missing")]
 )
 def test_reasons_of_invalid_segments(value: float, reason: str) -> None:
     """An unplugged lead is off after 0.2 s, noisy or clean, and the reason says how."""

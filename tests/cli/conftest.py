@@ -20,6 +20,7 @@ def pages_without_pictures(request: pytest.FixtureRequest, monkeypatch: pytest.M
 
     if "drawn" not in request.fixturenames:
         monkeypatch.setattr("dvf_ig.report.motion.motion_figure", lambda *_: Figure())
+        monkeypatch.setattr("dvf_ig.report.style.png_bytes", lambda *_: b"\x89PNG")
         for name in (
             "report.registration.page._planes",
             "report.registration.page._shape",

@@ -78,11 +78,7 @@ def test_retiming_is_given_once() -> None:
     ],
 )
 def test_a_replay_is_given_what_the_user_asked_for(
-    options: tuple[str, ...],
-    fixtures: FixtureSet,
-    mode: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    options: tuple[str, ...], fixtures: FixtureSet, mode: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     file = tmp_path / "fixtures.yaml"
     text = "{cap_n: 0.5, retiming: uniform, fixtures: [{law: guidance, name: guide}]}"
@@ -96,10 +92,7 @@ def test_a_replay_is_given_what_the_user_asked_for(
         given.update(arguments)
         raise InvalidInputError("asked")
 
-    monkeypatch.setattr(
-        "dvf_ig.cli.replay.read_agreeing",
-        lambda *_: (files, ()),
-    )
+    monkeypatch.setattr("dvf_ig.cli.replay.read_agreeing", lambda *_: (files, ()))
     monkeypatch.setattr("dvf_ig.cli.replay.patient_model", lambda *_: (None, ""))
     monkeypatch.setattr("dvf_ig.replay.run_replay", asked)
     words = [str(file) if word == "FILE" else word for word in options]

@@ -360,11 +360,7 @@ def test_a_cross_wire_as_two_text_tables(cross_wire: tuple[Path, Path], tmp_path
     for table_of_points in (points, pixels):
         apart = found(*command, tmp_path / "poses.txt", "--points", table_of_points)
         assert apart["sensor_frame"] == whole["sensor_frame"] == "probe"
-        np.testing.assert_allclose(
-            apart["sensor_from_image"],
-            whole["sensor_from_image"],
-            atol=1e-6,
-        )
+        np.testing.assert_allclose(apart["sensor_from_image"], whole["sensor_from_image"], atol=1e-6)
     pixels.write_text("u,v\n1,2\n")
     assert "needed frame, column1_px" in refused(*command, tmp_path / "poses.txt", "--points", pixels)
     refused(*command, tmp_path / "poses.txt")

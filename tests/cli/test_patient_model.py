@@ -10,9 +10,7 @@ from dvf_ig.io import model_digest, write_model
 
 
 def test_built_then_cached_then_given(
-    beating_sphere: SurfaceSeries,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    beating_sphere: SurfaceSeries, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("DVF_IG_CACHE", str(tmp_path))
     preop = Preop(beating_sphere.patient_id, surfaces=(beating_sphere,), surface=beating_sphere.name)

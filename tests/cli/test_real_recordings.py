@@ -112,6 +112,7 @@ def test_a_third_of_the_poses_off_is_found_and_the_tip_accepted(data_dir: Path, 
     assert out.with_suffix(".xml").is_file()
 
 
+@pytest.mark.usefixtures("drawn")
 def test_a_recording_over_the_gate_still_shows_what_it_gives(data_dir: Path, tmp_path: Path) -> None:
     """Tip, residual, picture and JSON, and exit 7; the gate is moved knowingly."""
     poses, out = data_dir / "lsqrrecipes" / "pivotCalibrationData.txt", tmp_path / "tip.json"

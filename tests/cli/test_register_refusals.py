@@ -137,11 +137,7 @@ def test_the_option_config_is_answered_with_the_argument(command: str, lab: Path
 INITS: dict[str, tuple[tuple[str, ...], int, str]] = {
     "nothing": ((), 2, "give --us SWEEP, or --us-volume FILE@PHASE"),
     "a word as rate": (("--us", "sweep.igs.mha", "--rate", "often"), 2, "'--rate'"),
-    "a rate of no ECG": (
-        ("--us", "sweep.igs.mha", "--rate", "250"),
-        3,
-        "--rate needs another option",
-    ),
+    "a rate of no ECG": (("--us", "sweep.igs.mha", "--rate", "250"), 3, "--rate needs another option"),
     "labels of a model": (
         ("--us", "sweep.igs.mha", "--model", "heart.npz", "--cavity", "3"),
         3,
@@ -194,10 +190,7 @@ MISPLACED: dict[str, tuple[dict[str, Any], str]] = {
         at("ultrasound.file", "swep.igs.mha"),
         "lacks swep.igs.mha (ultrasound.file), which session.yaml names",
     ),
-    "a home that no shell saw": (
-        at("ecg", "csv:~/ecg.csv"),
-        "lacks ~/ecg.csv (ecg.file), which",
-    ),
+    "a home that no shell saw": (at("ecg", "csv:~/ecg.csv"), "lacks ~/ecg.csv (ecg.file), which"),
     "a sequence as model": (
         at("preop.model", "sweep.igs.mha"),
         "preop.model: sweep.igs.mha is not a model file; build one with",

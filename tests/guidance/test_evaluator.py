@@ -8,14 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dvf_ig.core import DvfModel, FrameMismatchError, InvalidInputError, Rigid
-from dvf_ig.guidance import (
-    DeviceLimits,
-    Evaluator,
-    Gaussian,
-    Sigmoid,
-    Status,
-    static_force,
-)
+from dvf_ig.guidance import DeviceLimits, Evaluator, Gaussian, Sigmoid, Status, static_force
 from dvf_ig.guidance.blend import blend_distances, blend_forces
 from dvf_ig.kernels.dynamic import force_tick
 from dvf_ig.kernels.spline import spline_batch

@@ -9,13 +9,7 @@ from toy_ball import CENTERS, RADII, ball_model
 
 from dvf_ig.core import InvalidInputError, Rigid, SeenPart
 from dvf_ig.guidance import Confinement, Evaluator, Fixtures, FixtureSet, Gaussian, Sigmoid, Status
-from dvf_ig.guidance.margins import (
-    MarginOptions,
-    distance_sigma,
-    isotropic,
-    next_margin_mm,
-    widened,
-)
+from dvf_ig.guidance.margins import MarginOptions, distance_sigma, isotropic, next_margin_mm, widened
 from dvf_ig.kernels.worst_phase import SMOOTHING_MM
 
 IN_MODEL = Rigid.identity("mr", "mr")

@@ -192,8 +192,7 @@ def swept(parts: SessionFiles) -> SessionFiles:
     images = textures(0.1 * x_mm(t_s - parts.latency), 0.1)
     moving = replace(probe, translations_mm=shifts_mm)
     return replace(
-        parts,
-        sweep=replace(parts.sweep, probe=moving, recorded=replace(parts.sweep.recorded, images=images)),
+        parts, sweep=replace(parts.sweep, probe=moving, recorded=replace(parts.sweep.recorded, images=images))
     )
 
 
@@ -282,11 +281,7 @@ CASES: dict[str, tuple[Change, Disagreement, str]] = {
     "a tool of another tracker": (tool(by_mm=900.0), Disagreement.TOOL_OFF_HEART, "tool"),
     "a tool away from the heart": (tool(by_mm=150.0), Disagreement.TOOL_FAR_FROM_HEART, "tool"),
     "the probe as tool": (tool_is("probe"), Disagreement.TOOL_IS_PROBE, "tool"),
-    "probe and tool exchanged": (
-        exchanged,
-        Disagreement.PROBE_AND_TOOL_EXCHANGED,
-        "ultrasound.probe_name",
-    ),
+    "probe and tool exchanged": (exchanged, Disagreement.PROBE_AND_TOOL_EXCHANGED, "ultrasound.probe_name"),
     "the pivoting as tool": (tool_is("pivot"), Disagreement.TOOL_IS_PIVOT, "tool"),
     "a tool's stamps in ms": (milliseconds, Disagreement.STAMPS_NOT_IN_S, "tool"),
     "a probe in m": (probe(1e-3), Disagreement.POSES_NOT_IN_MM, "ultrasound"),
@@ -294,11 +289,7 @@ CASES: dict[str, tuple[Change, Disagreement, str]] = {
     "a tip in m": (tip(0.0, 0.0, 0.15), Disagreement.TIP_NOT_IN_MM, "calibration.tip"),
     "a tip near its marker": (tip(0.0, 0.0, 1.5), Disagreement.TIP_NEAR_MARKER, "calibration.tip"),
     "an image far from its probe": (image_moved, Disagreement.IMAGE_FAR_FROM_PROBE, "calibration.probe"),
-    "another calibration in the recording": (
-        recorded_map,
-        Disagreement.OTHER_IMAGE_MAP,
-        "calibration.probe",
-    ),
+    "another calibration in the recording": (recorded_map, Disagreement.OTHER_IMAGE_MAP, "calibration.probe"),
     "a start of another day": (start_at(-700.0), Disagreement.IMAGES_OFF_HEART, "start.transform"),
     "landmarks of another heart": (landmarks(900.0), Disagreement.LANDMARKS_OFF_HEART, "start.landmarks_mr"),
     "landmarks of another patient": (
@@ -307,20 +298,12 @@ CASES: dict[str, tuple[Change, Disagreement, str]] = {
         "start.landmarks_mr",
     ),
     "a label that is not there": (absent_label, Disagreement.LABELS_ABSENT, "preop.labels"),
-    "one set of landmarks": (
-        same_landmarks,
-        Disagreement.LANDMARKS_ARE_THE_SAME,
-        "start.landmarks_tracker",
-    ),
+    "one set of landmarks": (same_landmarks, Disagreement.LANDMARKS_ARE_THE_SAME, "start.landmarks_tracker"),
     "a rate three times too high": (slow_heart, Disagreement.ECG_OF_ANOTHER_RATE, "ecg"),
     "an ECG that is late": (beating(-0.3), Disagreement.ECG_LATE, "ecg"),
     "an ECG that may be late": (beating(-0.3, noise=0.7), Disagreement.ECG_PERHAPS_LATE, "ecg"),
     "an ECG whose clock drifts": (beating(-0.154, drift=-0.02, noise=0.45), Disagreement.ECG_DRIFTS, "ecg"),
-    "an ECG of another sampling rate": (
-        beating(-0.154, drift=-0.025),
-        Disagreement.ECG_CLOCK_WRONG,
-        "ecg",
-    ),
+    "an ECG of another sampling rate": (beating(-0.154, drift=-0.025), Disagreement.ECG_CLOCK_WRONG, "ecg"),
     "an ECG of another recording": (beating(beats=1), Disagreement.ECG_OF_ANOTHER_RECORDING, "ecg"),
     "a latency of the wrong sign": (
         lambda parts: replace(beating()(parts), latency=0.065),
@@ -447,11 +430,7 @@ WAYS = {
     "a foreign ECG of the same rate": ("an ECG of another recording",),
     "names of landmarks exchanged": ("names of landmarks exchanged",),
     "metres": ("a heart in m", "a tool in m", "a probe in m", "a tip in m", "landmarks in m"),
-    "inverse transforms": (
-        "the start's inverse",
-        "the poses' inverses",
-        "the probe calibration's inverse",
-    ),
+    "inverse transforms": ("the start's inverse", "the poses' inverses", "the probe calibration's inverse"),
     "the wrong sign of the latency": ("a latency of the wrong sign",),
     "another day's start": ("a start of another day",),
     "RAS in place of LPS": ("a start in RAS",),

@@ -88,10 +88,7 @@ def make_nwire(rng: np.random.Generator) -> NWireRecording:
 def make_truth(rng: np.random.Generator) -> ScenarioTruth:
     t_s = np.sort(rng.uniform(0, 9, 7))
     return ScenarioTruth(
-        mr_from_tracker=(
-            (0.0, make_rigid(rng, "mr", "tracker")),
-            (4.5, make_rigid(rng, "mr", "tracker")),
-        ),
+        mr_from_tracker=((0.0, make_rigid(rng, "mr", "tracker")), (4.5, make_rigid(rng, "mr", "tracker"))),
         probe_from_image=ImageMap(make_rigid(rng, "probe", "image"), rng.uniform(0.1, 0.4, 2)),
         tip=Points("tool", rng.normal(size=(1, 3)) * 90),
         lag_s=-0.0648266,

@@ -18,9 +18,30 @@ from numba.extending import _Intrinsic
 
 import data_synth.kernels
 import dvf_ig.kernels
+from dvf_ig.kernels.compiled import kernel
 
 REPO = Path(dvf_ig.__file__).parent.parent
 COMPILED = (CFunc, Dispatcher, _Intrinsic)
+
+
+@kernel
+def half(x):
+    if x < 0.0:
+        raise ValueError("negative")
+    return 0.5 * x
+
+
+@kernel
+def quarter(x):
+    return half(half(x))
+
+
+def test_a_kernel_is_a_part_of_its_callers_and_compiled_alone_only_for_python():
+    assert quarter(8.0) == 2.0
+    assert not half.overloads  # type: ignore[attr-defined]
+    with pytest.raises(ValueError, match="negative"):
+        quarter(-8.0)
+    assert half(3.0) == 1.5
 
 
 def child(*arguments, folder, **environment):

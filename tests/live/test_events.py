@@ -184,12 +184,7 @@ def test_image_whose_pose_never_comes_has_none():
 
 @pytest.mark.parametrize(
     ("sent", "expected"),
-    [
-        ("MF", PICTURE),
-        ("UF", PICTURE[:, ::-1]),
-        ("MN", PICTURE[::-1]),
-        ("UN", PICTURE[::-1, ::-1]),
-    ],
+    [("MF", PICTURE), ("UF", PICTURE[:, ::-1]), ("MN", PICTURE[::-1]), ("UN", PICTURE[::-1, ::-1])],
 )
 def test_images_are_turned_as_the_probe_was_calibrated(sent, expected):
     names = DeviceNames("P", "T", "Image_Tracker", flips=flips_between(sent, "MF"))

@@ -15,16 +15,7 @@ from toy_session import CENTER, GUIDED_S, HOME, compare_breathing, run, toy_setu
 
 from dvf_ig.guidance import Hazard, Status, SupervisorState
 from dvf_ig.guidance.servo.inputs import VALID_FOR_S
-from dvf_ig.live.igtl import (
-    Message,
-    StatusCode,
-    Text,
-    Transform,
-    WireError,
-    WireProblem,
-    decode,
-    encode,
-)
+from dvf_ig.live.igtl import Message, StatusCode, Text, Transform, WireError, WireProblem, decode, encode
 from dvf_ig.live.igtl import Status as StatusMessage
 from dvf_ig.live.link import Arrival
 from dvf_ig.live.loop import LiveLoop

@@ -28,13 +28,7 @@ from toy_session import (
 from waiting import WITHIN_S
 
 from dvf_ig.core import ImageMap, OutputError, Preop, Rigid, UnreadableFileError
-from dvf_ig.guidance import (
-    DeviceLimits,
-    FixtureOptions,
-    FixtureSet,
-    Gaussian,
-    PathTarget,
-)
+from dvf_ig.guidance import DeviceLimits, FixtureOptions, FixtureSet, Gaussian, PathTarget
 from dvf_ig.guidance.margins import MarginOptions
 from dvf_ig.intake.live import BreathMarkerConfig, EcgFieldConfig, LiveConfig
 from dvf_ig.intake.parts import SessionFiles

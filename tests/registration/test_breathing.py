@@ -214,10 +214,7 @@ def test_a_shift_of_the_patient_is_no_breath_and_breathing_is_found_across_it() 
             moved = shifted(8.0 * (t_s > 30.0) + breath_mm * np.sin(np.pi * t_s / 4.3) ** 2)
             offset = moved + 0.6 * rng.standard_normal(6)
             measured = SimpleNamespace(
-                pose=HOME,
-                informative=True,
-                information=np.eye(6) / 0.36,
-                offset_information_mm=offset / 0.36,
+                pose=HOME, informative=True, information=np.eye(6) / 0.36, offset_information_mm=offset / 0.36
             )
             watch.add(t_s, cast("BeatMeasurement", measured), np.zeros((3, 3)))
             if k == 38:

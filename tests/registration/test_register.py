@@ -11,15 +11,7 @@ import numpy as np
 import pytest
 from toy_heart import CENTER_MM, toy_mr, toy_pose, toy_slices
 
-from dvf_ig.core import (
-    Landmarks,
-    Points,
-    Rigid,
-    Stop,
-    VolumeSeries,
-    Warp,
-    summarise_errors,
-)
+from dvf_ig.core import Landmarks, Points, Rigid, Stop, VolumeSeries, Warp, summarise_errors
 from dvf_ig.registration import (
     BLOOD,
     WALL,

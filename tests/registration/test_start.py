@@ -66,8 +66,7 @@ def test_landmark_start_recovers_the_pose_and_reports_residuals() -> None:
     mr = np.array([[0.0, 0, 0], [60, 0, 10], [0, 50, 20], [10, -20, 70]])
     tracker = toy_pose().inverse().apply_array(mr)
     start = start_from_landmarks(
-        Landmarks(names, Points("mr", mr)),
-        Landmarks(names[::-1], Points("tracker", tracker[::-1])),
+        Landmarks(names, Points("mr", mr)), Landmarks(names[::-1], Points("tracker", tracker[::-1]))
     )
     np.testing.assert_allclose(start.mr_from_tracker.matrix, toy_pose().matrix, atol=1e-9)
     assert start.residuals_mm.max() < 1e-9

@@ -49,8 +49,7 @@ def test_ticks_go_on_while_ecg_and_either_of_tool_and_probe_are_recorded(scenari
 
 
 @pytest.mark.parametrize(
-    "scenario",
-    [recorded(tool=(1000.0, 1020.0)), recorded(tool=(19.5, 40.0)), recorded(tool=(0.0, 0.9))],
+    "scenario", [recorded(tool=(1000.0, 1020.0)), recorded(tool=(19.5, 40.0)), recorded(tool=(0.0, 0.9))]
 )
 def test_clocks_that_hardly_overlap_are_refused(scenario) -> None:
     with pytest.raises(NoOverlapError, match="share less than a second; they must be on one clock"):

@@ -144,9 +144,7 @@ def test_a_breathing_heart_is_scored_where_it_is_at_the_moment() -> None:
     truth.mr_from_tracker_at = lambda _: true
     down = np.array([0.0, 0.0, -10.0])
     truth.breathing = BreathingTruth(
-        np.array([0.0, 1.0]),
-        np.zeros((2, 3, 4)),
-        np.stack([TARGETS, TARGETS + down]),
+        np.array([0.0, 1.0]), np.zeros((2, 3, 4)), np.stack([TARGETS, TARGETS + down])
     )
     resting = np.tile(true.matrix[:3], (3, 1, 1))
     np.testing.assert_allclose(

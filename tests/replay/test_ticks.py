@@ -2,15 +2,7 @@
 
 import numpy as np
 import pytest
-from toy_session import (
-    GUIDED_S,
-    compare_known,
-    register_known,
-    run,
-    ticks,
-    toy_setup,
-    toy_streams,
-)
+from toy_session import GUIDED_S, compare_known, register_known, run, ticks, toy_setup, toy_streams
 
 from dvf_ig.guidance import Status
 from dvf_ig.replay.ticks import TickRecorder, Ticks

@@ -41,15 +41,7 @@ def source_of(
         buffer.push(frame)
     calibrations = replace(setup.calibrations, lag_s=lag_s)
     return ArrivedUltrasound(
-        buffer,
-        toy_heart(),
-        calibrations,
-        fan,
-        "two-segment",
-        0,
-        lambda: 0.0,
-        SliceThreads(),
-        executor,
+        buffer, toy_heart(), calibrations, fan, "two-segment", 0, lambda: 0.0, SliceThreads(), executor
     )
 
 

@@ -135,11 +135,7 @@ def ten_phases(model: DvfModel | None, sides_mm: FloatArray, timing: CycleTiming
 
 FLIP = np.diag([-1.0, -1.0, 1.0])
 CASES: dict[str, tuple[Change, Disagreement, str]] = {
-    "the start's inverse": (
-        start(np.eye(3), -RIGHT_MM),
-        Disagreement.INVERSE_START,
-        "start.transform",
-    ),
+    "the start's inverse": (start(np.eye(3), -RIGHT_MM), Disagreement.INVERSE_START, "start.transform"),
     "the poses' inverses": (
         in_sequence(start(np.eye(3), RIGHT_MM), inverse_poses),
         Disagreement.INVERSE_POSES,

@@ -22,8 +22,7 @@ def hand_eye(
     hand: Annotated[str | None, typer.Option("--hand", help="Frame of the hand in a sequence.")] = None,
     target: Annotated[str | None, typer.Option("--target", help="Frame of the target in a sequence.")] = None,
     method: Annotated[
-        str,
-        typer.Option("--method", help="Start: tsai, park, horaud, andreff, daniilidis, shah or li."),
+        str, typer.Option("--method", help="Start: tsai, park, horaud, andreff, daniilidis, shah or li.")
     ] = "park",
     output: OutputOption = None,
     seed: SeedOption = 0,

@@ -133,10 +133,7 @@ def _rows(
 ) -> list[tuple[str, str]]:
     rows = [
         ("transform", fit.target_from_source.name),
-        (
-            "residual",
-            f"{fit.rms_mm:.3f} mm RMS, {fit.mean_mm:.3f} mean, {max(fit.residuals_mm):.3f} max",
-        ),
+        ("residual", f"{fit.rms_mm:.3f} mm RMS, {fit.mean_mm:.3f} mean, {max(fit.residuals_mm):.3f} max"),
     ]
     errors = zip(phantom.names, fit.residuals_mm, fit.leave_one_out_mm, samples, strict=True)
     for name, residual, without, count in errors:

@@ -85,10 +85,7 @@ def _rows(fit: "LatencyResult") -> list[tuple[str, str]]:
     return [
         ("lag", _lag_text(fit)),
         ("halves", ", ".join(f"{1000 * v:+.1f}" for v in fit.halves_s) + " ms"),
-        (
-            "wander",
-            f"{1000 * fit.wander_s:.1f} ms (SD of the lags of {len(fit.period_lags_s)} movements)",
-        ),
+        ("wander", f"{1000 * fit.wander_s:.1f} ms (SD of the lags of {len(fit.period_lags_s)} movements)"),
         ("correlation", f"{fit.correlation:.3f}; {second}"),
         ("movements", f"{fit.periods:.1f}"),
     ]

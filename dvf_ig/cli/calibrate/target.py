@@ -104,11 +104,7 @@ def _wall(seen: PosesAndPoints, second: PosesAndPoints | None, options: Any, rng
     fit = calibrate_wall(*seen, rng=rng, options=options)
     checked = None if second is None else validate_wall(fit.probe_from_image, *second)[0]
     plane, frame = fit.target, seen[0].target
-    place = {
-        "wall_normal": plane.normal.tolist(),
-        "wall_offset_mm": plane.offset_mm,
-        "target_frame": frame,
-    }
+    place = {"wall_normal": plane.normal.tolist(), "wall_offset_mm": plane.offset_mm, "target_frame": frame}
     shown = f"{vector(plane.normal.tolist())} · x = {plane.offset_mm:.3f} mm in '{frame}'"
     return fit, checked, place, [("wall", shown)]
 

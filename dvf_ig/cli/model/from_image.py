@@ -116,11 +116,7 @@ def _images(request: BuildRequest, path: Path) -> tuple[BuildRequest, VolumeSeri
 
 
 def _sized(
-    request: BuildRequest,
-    image: VolumeSeries,
-    preop: Preop,
-    labels: Volume,
-    truth: VolumeSeries | None,
+    request: BuildRequest, image: VolumeSeries, preop: Preop, labels: Volume, truth: VolumeSeries | None
 ) -> tuple[VolumeSeries, Preop, Volume, VolumeSeries | None]:
     """Replace the header's voxel size of image and labels by the given one."""
     from dvf_ig.preop import with_voxel_size

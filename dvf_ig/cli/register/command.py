@@ -138,8 +138,7 @@ def register(
         ),
     ],
     session: Annotated[
-        Path | None,
-        typer.Argument(metavar="SESSION", help=f"{SESSION.capitalize()}; or give an image pair."),
+        Path | None, typer.Argument(metavar="SESSION", help=f"{SESSION.capitalize()}; or give an image pair.")
     ] = None,
     model: ModelOption = None,
     fixed: Annotated[

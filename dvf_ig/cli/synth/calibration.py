@@ -143,12 +143,7 @@ def _watertank(truth: "GroundTruth", out: Path, rng: "np.random.Generator") -> R
 
     options = Preset()
     recording, video = watertank_images(
-        truth.probe_from_image,
-        SectorProbe(),
-        truth.lag_s,
-        options.watertank_tracker,
-        options.watertank,
-        rng,
+        truth.probe_from_image, SectorProbe(), truth.lag_s, options.watertank_tracker, options.watertank, rng
     )
     write_poses(recording.tracker_from_probe, out / "tracker.igs.mha")
     write_sequence(video, out / "video.igs.mha")

@@ -27,8 +27,7 @@ def us(
         ),
     ],
     probe: Annotated[
-        str | None,
-        typer.Option("--probe", help="epicardial, apical, tee, curvilinear, ice or matrix (3-D)."),
+        str | None, typer.Option("--probe", help="epicardial, apical, tee, curvilinear, ice or matrix (3-D).")
     ] = None,
     tissues: Annotated[
         Path | None,
@@ -108,11 +107,7 @@ def _tissues(path: Path | None) -> "dict[int, Tissue] | None":
 
 
 def _pose(
-    anatomy: "LabelAnatomy",
-    view: str | None,
-    eye: Triple | None,
-    towards: Triple | None,
-    roll_deg: float,
+    anatomy: "LabelAnatomy", view: str | None, eye: Triple | None, towards: Triple | None, roll_deg: float
 ) -> "Rigid":
     """Choose mr_from_plane of the requested view or position."""
     import numpy as np

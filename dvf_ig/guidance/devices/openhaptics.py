@@ -155,10 +155,7 @@ def _limits(library: ctypes.CDLL, name: str) -> DeviceLimits | None:
         return None
     stiffness, force_n = stated
     return DeviceLimits(
-        rate_hz=SCHEDULER_HZ,
-        stiffness_n_per_m=MM_PER_M * stiffness,
-        continuous_force_n=force_n,
-        name=name,
+        rate_hz=SCHEDULER_HZ, stiffness_n_per_m=MM_PER_M * stiffness, continuous_force_n=force_n, name=name
     )
 
 

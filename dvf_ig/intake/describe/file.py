@@ -48,13 +48,7 @@ from .anatomy import (
     transform_facts,
 )
 from .own import RUN, SESSION, json_facts, log_facts, run_facts, session_facts, yaml_facts
-from .sequence import (
-    clock_facts,
-    sequence_facts,
-    sequence_file_facts,
-    signal_facts,
-    stream_facts,
-)
+from .sequence import clock_facts, sequence_facts, sequence_file_facts, signal_facts, stream_facts
 
 Facts = dict[str, Any]
 TABLES = (".txt", ".csv", ".tsv")

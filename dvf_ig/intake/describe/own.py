@@ -9,13 +9,7 @@ from dvf_ig.intake.fixtures import read_fixtures
 from dvf_ig.intake.scenario import CONFIG
 from dvf_ig.intake.schema import SCHEMA, is_there, named_files
 from dvf_ig.intake.session import open_session, read_session
-from dvf_ig.io.calibration_files import (
-    read_hand_eye,
-    read_lag,
-    read_landmark_map,
-    read_probe,
-    read_tip,
-)
+from dvf_ig.io.calibration_files import read_hand_eye, read_lag, read_landmark_map, read_probe, read_tip
 from dvf_ig.io.image.seeds import KINDS, read_seeds
 from dvf_ig.io.image.timing import timing_from_document
 from dvf_ig.io.json_file import read_json

@@ -9,14 +9,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from dvf_ig.core import (
-    FloatArray,
-    PoseStream,
-    Respiration,
-    Signal,
-    TrackedSequence,
-    UnreadableFileError,
-)
+from dvf_ig.core import FloatArray, PoseStream, Respiration, Signal, TrackedSequence, UnreadableFileError
 from dvf_ig.intake.findings import Disagreement, Finding, finding
 from dvf_ig.intake.live_record import Arrived, LiveRecord
 from dvf_ig.io import limits

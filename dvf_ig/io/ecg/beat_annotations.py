@@ -16,15 +16,7 @@ from .wfdb_header import read_rate_and_length
 
 BEAT_SYMBOLS = frozenset("NLRBAaJSVrFejnE/fQ?")
 """Annotation codes that mark a heart beat (PhysioNet, "WFDB annotation codes")."""
-_CODES = {
-    **dict(enumerate("NLRaVFJASEj/Q", start=1)),
-    25: "B",
-    30: "?",
-    34: "e",
-    35: "n",
-    38: "f",
-    41: "r",
-}
+_CODES = {**dict(enumerate("NLRaVFJASEj/Q", start=1)), 25: "B", 30: "?", 34: "e", 35: "n", 38: "f", 41: "r"}
 """Beat symbols by annotation code. Source: WFDB, ecgcodes.h."""
 _SKIP, _TEXT = 59, 63
 

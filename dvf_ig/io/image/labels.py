@@ -209,8 +209,7 @@ def merged_segments(path: Path, layers: AnyArray, segments: tuple[Segment, ...])
     for value, segment in zip(values, segments, strict=True):
         if not 0 <= segment.layer < len(layers):
             raise InvalidInputError(
-                f"{path}: segment '{segment.name}' is in layer {segment.layer}, not stored",
-                path=path,
+                f"{path}: segment '{segment.name}' is in layer {segment.layer}, not stored", path=path
             )
         inside = layers[segment.layer] == segment.value
         if out[inside].any():

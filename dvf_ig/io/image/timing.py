@@ -20,12 +20,7 @@ _SAME = 0.02
 
 
 def read_timing(
-    path: Path | str | None,
-    *,
-    folder: Path,
-    phases: int,
-    image: str | None = None,
-    rr_s: float | None = None,
+    path: Path | str | None, *, folder: Path, phases: int, image: str | None = None, rr_s: float | None = None
 ) -> CycleTiming:
     """Read the timing of `phases` phases.
 

@@ -9,12 +9,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import IO, Any
 
-from dvf_ig.core.errors import (
-    InvalidInputError,
-    MissingDependencyError,
-    UnreadableFileError,
-    install_extra,
-)
+from dvf_ig.core.errors import InvalidInputError, MissingDependencyError, UnreadableFileError, install_extra
 from dvf_ig.io import limits
 from dvf_ig.io.reading import reading
 from dvf_ig.io.writing.atomic import atomic_file

@@ -34,11 +34,7 @@ def _block_sum(grey: NDArray[np.uint8], mask: NDArray[np.uint8], low: Corner, st
 
 @kernel
 def pool_blocks(
-    grey: NDArray[np.uint8],
-    mask: NDArray[np.uint8],
-    step: int,
-    every: int,
-    out: NDArray[np.float32],
+    grey: NDArray[np.uint8], mask: NDArray[np.uint8], step: int, every: int, out: NDArray[np.float32]
 ) -> None:
     """Average `grey` over each block of step³ voxels; NaN if one of them is outside the mask.
 

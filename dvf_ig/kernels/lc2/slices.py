@@ -161,11 +161,7 @@ def fetch_ahead(channels: NDArray[np.float32], phase: int, matrix: Floats, row: 
 
 @kernel
 def sample_channels(
-    channels: NDArray[np.float32],
-    phase: int,
-    matrix: Floats,
-    runs: Ints,
-    samples: Floats,
+    channels: NDArray[np.float32], phase: int, matrix: Floats, runs: Ints, samples: Floats
 ) -> int:
     """Interpolate both channels at every pixel of one slice; outside the volume the border value.
 

@@ -131,12 +131,7 @@ def blurred(
 
 
 def _level(
-    fixed: AnyArray,
-    moving: AnyArray,
-    mask: BoolArray,
-    whole: Lattice,
-    observable: BoolArray,
-    blur_mm: float,
+    fixed: AnyArray, moving: AnyArray, mask: BoolArray, whole: Lattice, observable: BoolArray, blur_mm: float
 ) -> _Level:
     spacing = whole.grid.spacing_mm
     step = np.where(observable, np.rint(blur_mm / spacing), 1.0)

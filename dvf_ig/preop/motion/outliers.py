@@ -56,10 +56,7 @@ class ReplacedPhase:
 
 
 def replace_outliers(
-    deformations: Sequence[AnyDeformation],
-    grey: AnyArray,
-    mask: BoolArray,
-    ed_phase: int,
+    deformations: Sequence[AnyDeformation], grey: AnyArray, mask: BoolArray, ed_phase: int
 ) -> tuple[tuple[AnyDeformation, ...], tuple[ReplacedPhase, ...]]:
     """Replace deformations that cannot be right by interpolation in time, and list the replaced phases.
 

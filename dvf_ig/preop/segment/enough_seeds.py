@@ -180,11 +180,7 @@ def _without(seeds: Seeds, part: int) -> Seeds:
 
 def _missing(seeds: Seeds, grid: Grid, axis: int, k: int) -> str:
     """Describe the seeds of each name to add in slice k: up to ENOUGH, and at least one."""
-    seeded = {
-        "heart": seeds.heart,
-        "cavity": seeds.cavity,
-        "background": seeds.background,
-    }
+    seeded = {"heart": seeds.heart, "cavity": seeds.cavity, "background": seeds.background}
     counts = {
         name: max(1, ENOUGH[name] - int(np.count_nonzero(_slices(points, grid, axis) == k)))
         for name, points in seeded.items()

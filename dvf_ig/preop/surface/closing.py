@@ -9,14 +9,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from dvf_ig.core import (
-    BoolArray,
-    FloatArray,
-    IntArray,
-    InvalidInputError,
-    SurfaceSeries,
-    read_only_arrays,
-)
+from dvf_ig.core import BoolArray, FloatArray, IntArray, InvalidInputError, SurfaceSeries, read_only_arrays
 from dvf_ig.core.space.mesh import enclosed_volume_mm3
 
 from .topology import boundary_loops, connected_components_of, consistently_oriented, count_edges

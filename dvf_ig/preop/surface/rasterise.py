@@ -4,15 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from dvf_ig.core import (
-    BoolArray,
-    CycleTiming,
-    Grid,
-    InvalidInputError,
-    Mesh,
-    SurfaceSeries,
-    VolumeSeries,
-)
+from dvf_ig.core import BoolArray, CycleTiming, Grid, InvalidInputError, Mesh, SurfaceSeries, VolumeSeries
 from dvf_ig.core.space.frames import require_same_frame
 from dvf_ig.preop.distance.signed import inside_mask
 
@@ -24,10 +16,7 @@ OUTER = "EPICARDIAL"
 
 
 def rasterise(
-    surfaces: Mapping[str, SurfaceSeries],
-    grid: Grid,
-    *,
-    progress: Callable[[float], None] | None = None,
+    surfaces: Mapping[str, SurfaceSeries], grid: Grid, *, progress: Callable[[float], None] | None = None
 ) -> VolumeSeries:
     """Label voxel centres (uint8): 0 background, 1 wall, 2 blood.
 

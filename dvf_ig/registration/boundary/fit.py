@@ -87,10 +87,7 @@ class BoundaryProblem:
         points, target = boundary.points, boundary.target
         self.source, self.target = points.frame, target.frame
         self.points = OrientedPoints(
-            points.points_mm,
-            points.normals,
-            points.weights,
-            target.nearest_phase(points.model_phase),
+            points.points_mm, points.normals, points.weights, target.nearest_phase(points.model_phase)
         )
         self.splines = DistanceSplines(target.coefficients, target.knots_from_mm, target.polarity)
         self.center_mm = np.array(center_mm, dtype=np.float64)
@@ -103,7 +100,8 @@ class BoundaryProblem:
     def sums(self, poses: FloatArray, offsets_mm: FloatArray, sigma_mm: float) -> FloatArray:
         """(m, SUMS) of `boundary_step_sums` at each of (m, 3, 4) poses."""
         out = np.empty((len(poses), SUMS))
-        for pose, offset_mm, sums in zip(poses, offsets_mm.tolist(), out, strict=True):
+        writable = np.array(poses)  # kernels are compiled again for read-only arrays
+        for pose, offset_mm, sums in zip(writable, offsets_mm.tolist(), out, strict=True):
             boundary_step_sums(
                 self.points, self.splines, pose, self.center_mm, HEART_RADIUS_MM, offset_mm, sigma_mm, sums
             )
@@ -206,11 +204,7 @@ class BoundaryFit:
 
 
 def fit_boundary(
-    boundary: Boundary,
-    start: Rigid,
-    center_mm: FloatArray,
-    *,
-    options: BoundaryFitOptions | None = None,
+    boundary: Boundary, start: Rigid, center_mm: FloatArray, *, options: BoundaryFitOptions | None = None
 ) -> BoundaryFit:
     """Register boundary points to the surface from one start.
 

@@ -68,10 +68,7 @@ class SliceThreads:
         return self
 
     def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._pool.shutdown()
         self.count = 1
@@ -221,13 +218,7 @@ class Lc2:
         self._slice_pixels = slices.masks.sum(axis=(1, 2)).astype(np.float64)
         self._patch_pixels = (2 * radius + 1) ** 2
         self._patched = PatchedSlices(
-            pixels.values,
-            pixels.first,
-            pixels.runs,
-            patches.first,
-            patches.centers,
-            patches.moments,
-            radius,
+            pixels.values, pixels.first, pixels.runs, patches.first, patches.centers, patches.moments, radius
         )
         self._scratch = _scratch(
             self._patched, slices.masks.shape[2], 1 if threads is None else threads.count

@@ -148,15 +148,10 @@ def slice_parts(slices: PatchedSlices, owner: IntArray, part: IntArray) -> Slice
     first_patch = np.searchsorted(part[order], np.arange(len(owner) + 1))
     centers = np.ascontiguousarray(slices.centers[order])
     first_run, runs = _covered_runs(slices, owner, part[order], centers)
-    cut = PatchedSlices(
-        slices.pixels,
-        first_run,
-        runs,
-        first_patch,
-        centers,
-        np.ascontiguousarray(slices.moments[order]),
-        slices.radius,
-    )
+    moments = np.ascontiguousarray(slices.moments[order])
+    for array in (first_run, runs, first_patch, centers, moments):
+        array.setflags(write=False)  # as those of whole slices, so that kernels are compiled once for both
+    cut = PatchedSlices(slices.pixels, first_run, runs, first_patch, centers, moments, slices.radius)
     first_part = np.searchsorted(owner, np.arange(len(slices.first_run)))
     return SliceParts(first_part, order - slices.first_patch[owner[part[order]]], cut)
 

@@ -100,11 +100,7 @@ class TrackedImages:
 
 
 def prepare_slices(
-    tracked: TrackedImages,
-    mask: BoolArray,
-    probe_from_image: ImageMap,
-    *,
-    pitch_mm: float,
+    tracked: TrackedImages, mask: BoolArray, probe_from_image: ImageMap, *, pitch_mm: float
 ) -> SliceSet:
     """Average images down to `pitch_mm` and place them in the frame "tracker".
 

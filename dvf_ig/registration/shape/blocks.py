@@ -125,6 +125,7 @@ class BlockedBoundary:
         problem = self._problem
         points = problem.points
         moved = points.points + (shift_mm @ pose.rotation)[self._group]
+        moved.setflags(write=False)  # as the points of the whole boundary: one compiled kernel for both
         sums = np.empty((len(self.cell), SUMS))
         for out, begin, end in zip(sums, self._ends, self._ends[1:], strict=False):
             part = OrientedPoints(

@@ -257,11 +257,7 @@ def _halves(problem: ShapeProblem, best: ShapePosterior, noise: float) -> Halves
 
 
 def _change(
-    target: BoundaryTarget,
-    problem: ShapeProblem,
-    modes: ShapeModes,
-    best: ShapePosterior,
-    evidence: float,
+    target: BoundaryTarget, problem: ShapeProblem, modes: ShapeModes, best: ShapePosterior, evidence: float
 ) -> ShapeChange:
     """Evaluate the fit on the knots, and at the seen walls."""
     pulled, variance = _field(modes, best, problem.places_mm, problem.outward)
@@ -294,11 +290,7 @@ def _field(
 
 
 def _known_along(
-    modes: ShapeModes,
-    best: ShapePosterior,
-    places_mm: FloatArray,
-    normals: FloatArray,
-    moved: FloatArray,
+    modes: ShapeModes, best: ShapePosterior, places_mm: FloatArray, normals: FloatArray, moved: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """(n, k) F and (n,) v: the errors of q − m(q) along normals have the covariance F Fᵀ + diag(v).
 

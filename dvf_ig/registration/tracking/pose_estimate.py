@@ -229,12 +229,7 @@ class PoseEstimate:
         if warp is not None:  # the walls are where the registration saw them
             warp = warp.at_pose(registered.pose, pose)
         there = replace(
-            self,
-            pose=pose,
-            covariance_mm2=random,
-            shared_mm2=shared,
-            warp=warp,
-            walls=registered.walls,
+            self, pose=pose, covariance_mm2=random, shared_mm2=shared, warp=warp, walls=registered.walls
         )
         if registered.shape_step is self.shape_step:
             return there

@@ -13,13 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dvf_ig.core import (
-    DvfModel,
-    FloatArray,
-    InvalidInputError,
-    Scenario,
-    TriggerTimes,
-)
+from dvf_ig.core import DvfModel, FloatArray, InvalidInputError, Scenario, TriggerTimes
 from dvf_ig.core.arrays import AnyArray
 from dvf_ig.intake.calibrations import calibrate
 from dvf_ig.intake.session_log.document import (

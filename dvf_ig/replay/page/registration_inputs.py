@@ -146,10 +146,7 @@ TRACKER, PREOPERATIVE = "the tracker", "the pre-operative image"
 
 
 def frames_shown(
-    result: RegistrationResult,
-    frames: GatedFrames,
-    recording: UltrasoundRecording,
-    scenario: Scenario,
+    result: RegistrationResult, frames: GatedFrames, recording: UltrasoundRecording, scenario: Scenario
 ) -> ShownInput:
     """Show the gated, tracked frames of a scenario."""
     heart, mr, name = recording.heart, scenario.preop.mr, scenario.name

@@ -156,11 +156,7 @@ def _findings(result: RegistrationResult) -> list[tuple[str, str, str]]:
             f"{result.moved_mm:.1f} mm, turned by {turned_deg:.1f}°",
             f"from the start pose to the registered one; mean over a ball of {HEART_RADIUS_MM:g} mm radius",
         ),
-        (
-            "standard deviation",
-            _deviations(result),
-            "L–R, A–P, S–I; by the similarity's curvature",
-        ),
+        ("standard deviation", _deviations(result), "L–R, A–P, S–I; by the similarity's curvature"),
         (
             "least constrained",
             least_constrained_direction(result.covariance).sentence(),

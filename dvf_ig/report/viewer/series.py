@@ -119,7 +119,4 @@ def _signal(signal: SampledSignal | None) -> dict[str, Any] | None:
     every = max(1, int(1.0 / (SIGNAL_RATE_HZ * float(np.median(np.diff(signal.t_s)))) + 1e-6))
     t_s, values = signal.t_s[::every], signal.values[::every]
     largest = float(np.nanmax(np.abs(values), initial=0.0)) or 1.0
-    return {
-        "t_s": packed_times(t_s),
-        "values": packed(values, largest / SIGNAL_STEPS, delta=True),
-    }
+    return {"t_s": packed_times(t_s), "values": packed(values, largest / SIGNAL_STEPS, delta=True)}

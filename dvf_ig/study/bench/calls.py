@@ -197,11 +197,7 @@ def first_call_seconds() -> float:
 
 
 def _static_rows(
-    model: DvfModel,
-    path: FloatArray,
-    scattered: FloatArray,
-    exact_mm: FloatArray,
-    options: BenchOptions,
+    model: DvfModel, path: FloatArray, scattered: FloatArray, exact_mm: FloatArray, options: BenchOptions
 ) -> tuple[list[Row], FloatArray]:
     """Distance and gradient at end-diastole, and the signed error of each point's distance."""
     n, phase = len(path), model.ed_phase
@@ -236,11 +232,7 @@ def _static_rows(
 
 
 def _dynamic_rows(
-    model: DvfModel,
-    path: FloatArray,
-    scattered: FloatArray,
-    exact_mm: FloatArray,
-    options: BenchOptions,
+    model: DvfModel, path: FloatArray, scattered: FloatArray, exact_mm: FloatArray, options: BenchOptions
 ) -> Iterator[Row]:
     """Force from tracker position and phase; the error is that of the distance at end-diastole."""
     phi = (np.arange(len(path)) / (RATE_HZ * CYCLE_S)) % 1.0

@@ -175,10 +175,7 @@ def bench_setup(
 
 
 def run_session(
-    setup: SessionSetup,
-    recorded: Round,
-    seconds: float,
-    progress: Callable[[float], None] | None = None,
+    setup: SessionSetup, recorded: Round, seconds: float, progress: Callable[[float], None] | None = None
 ) -> SessionBench:
     """Push a recording round after round through a session whose caller does all the work.
 

@@ -228,12 +228,7 @@ def leaving(beyond_mm: float) -> TipChange:
         over_s = min(beyond_mm / LEAVING_MM_S, 0.5 * (when.end_s - when.begin_s))
         far = BOX_MM + LEAVING_MM_S * over_s
         from_s = BOX_MM / LEAVING_MM_S
-        knots_s = [
-            when.begin_s - from_s,
-            when.begin_s + over_s,
-            when.end_s - over_s,
-            when.end_s + from_s,
-        ]
+        knots_s = [when.begin_s - from_s, when.begin_s + over_s, when.end_s - over_s, when.end_s + from_s]
 
         def tip(t_s: FloatArray) -> FloatArray:
             at = circling(t_s)

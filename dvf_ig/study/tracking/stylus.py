@@ -187,12 +187,7 @@ def held_styli(devices: Sequence[SimulatedDevice], blends: Sequence[Blend]) -> l
     return out
 
 
-def hold_stylus(
-    surface: BeatingSurface,
-    stylus: HeldStylus,
-    *,
-    cycles: int = 30,
-) -> StylusRun:
+def hold_stylus(surface: BeatingSurface, stylus: HeldStylus, *, cycles: int = 30) -> StylusRun:
     """Let the fixture hold the device to the surface for some cycles, at each place.
 
     Raises:

@@ -234,8 +234,7 @@ def _compare(samples: Samples, degree: int, max_iterations: int, clock: Clock) -
             ),
         ),
         timed(
-            CONJUGATE,
-            lambda record: train_scattered(network, points, values.ravel(), on_iteration=record),
+            CONJUGATE, lambda record: train_scattered(network, points, values.ravel(), on_iteration=record)
         ),
         timed(EXACT, lambda _: train_separable(network, positions, values)),
     )

@@ -61,9 +61,7 @@ def synthetic() -> tuple[NWireRecording, TrackedSequence]:
     return nwire_images(truth.probe_from_image, SectorProbe(), Preset().nwire_tracker, spec, rng)
 
 
-def test_synthetic_images_at_unknown_pixel_size(
-    synthetic: tuple[NWireRecording, TrackedSequence],
-) -> None:
+def test_synthetic_images_at_unknown_pixel_size(synthetic: tuple[NWireRecording, TrackedSequence]) -> None:
     truth, sequence = synthetic
     assert sequence.images is not None
     found = segment_wires(still(sequence.images[:8].copy()), truth.phantom)

@@ -14,10 +14,7 @@ from dvf_ig.core import FloatArray, InvalidInputError
 
 SIGHT = np.array([0.0, 0.0, 1.0])
 QUIET = OperatorSpec(
-    hand=HandDynamics(0.01, 3.0, 1000.0),
-    depth_noise_mm=0.0,
-    sideways_noise_mm=0.0,
-    tremor_rms_mm=0.0,
+    hand=HandDynamics(0.01, 3.0, 1000.0), depth_noise_mm=0.0, sideways_noise_mm=0.0, tremor_rms_mm=0.0
 )
 """A light and stiff hand that sees exactly: what is left is delay and crossover."""
 CALL = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_void_p, ctypes.c_int64, ctypes.c_void_p)

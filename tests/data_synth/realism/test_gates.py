@@ -38,8 +38,7 @@ def test_blood_is_fully_developed_speckle_too() -> None:
 
 
 @pytest.mark.parametrize(
-    "measured",
-    [realism.contrast_gates, realism.attenuation_gates, realism.point_gates, block_matching_gates],
+    "measured", [realism.contrast_gates, realism.attenuation_gates, realism.point_gates, block_matching_gates]
 )
 def test_physics(measured: Callable[[], list[Gate]]) -> None:
     assert failed(measured()) == []

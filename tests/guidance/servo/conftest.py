@@ -6,15 +6,7 @@ import numpy as np
 import pytest
 
 from dvf_ig.core import PhaseForecast, PhaseState, PoseMotion, RetimingCurve, Rigid
-from dvf_ig.guidance import (
-    Confinement,
-    FixtureOptions,
-    Fixtures,
-    FixtureSet,
-    Gaussian,
-    PoseAndPhase,
-    Sigmoid,
-)
+from dvf_ig.guidance import Confinement, FixtureOptions, Fixtures, FixtureSet, Gaussian, PoseAndPhase, Sigmoid
 
 RATE_HZ = 1000.0
 PATIENT_S = 10.0

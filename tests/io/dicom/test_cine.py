@@ -364,10 +364,7 @@ def moved_slice(data: Any, number: int, phase: int) -> None:
 @pytest.mark.filterwarnings("ignore:Invalid value for VR DS")
 @pytest.mark.usefixtures("quick")
 def test_what_is_no_stack_is_refused_in_one_sentence(
-    tmp_path: Path,
-    change: Change | None,
-    leave_out: tuple[tuple[int, int], ...],
-    message: str | None,
+    tmp_path: Path, change: Change | None, leave_out: tuple[tuple[int, int], ...], message: str | None
 ) -> None:
     written = write(tmp_path / "cine", change, leave_out)
     if message is None:

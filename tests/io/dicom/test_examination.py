@@ -106,10 +106,7 @@ def test_inspect_says_and_draws_where_the_slices_lie(folder: Path, tmp_path: Pat
     }
     assert {
         name.split(" ", 1)[1]: one["angle_to_slices_deg"] for name, one in facts["long_axis"].items()
-    } == {
-        "view a": pytest.approx(90.0),
-        "view b": pytest.approx(90.0),
-    }
+    } == {"view a": pytest.approx(90.0), "view b": pytest.approx(90.0)}
     assert any("whole without it" in one["reason"] for one in facts["left_out"].values())
     assert picture.read_bytes().startswith(b"\x89PNG")
     refused = CliRunner().invoke(app, ["inspect", __file__, "-o", str(picture)])

@@ -114,11 +114,7 @@ def clock(t_s: float, form: str, *, hour: int = 13) -> str:
 
 TABLES: dict[str, tuple[str, Callable[[float, float], str], float]] = {
     "Timestamp, ECG": ("Timestamp,ECG", lambda t, v: f"{t:.3f},{v}", 0.0),
-    "ms; decimal commas": (
-        "Time (ms);ECG (mV)",
-        lambda t, v: f"{1000 * t:.0f};{v}".replace(".", ","),
-        0.0,
-    ),
+    "ms; decimal commas": ("Time (ms);ECG (mV)", lambda t, v: f"{1000 * t:.0f};{v}".replace(".", ","), 0.0),
     "time of day": ("Time,ECG", lambda t, v: f"{clock(t, '%H:%M:%S.%f')},{v}", 50395.0),
     "time of day; decimal commas": (
         "Uhrzeit;EKG",

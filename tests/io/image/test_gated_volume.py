@@ -11,13 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from dvf_ig.core import AnyArray, Grid, InvalidInputError, TrackedVolume, UnreadableFileError, Volume
 from dvf_ig.intake import describe
-from dvf_ig.io import (
-    GatedVolumeFile,
-    gated_volume_files,
-    read_gated_volumes,
-    sequence_volumes,
-    write_volume,
-)
+from dvf_ig.io import GatedVolumeFile, gated_volume_files, read_gated_volumes, sequence_volumes, write_volume
 from dvf_ig.io.image.gated_volume import insonified_voxels
 
 SHAPE = (30, 34, 26)

@@ -46,11 +46,7 @@ def restarted(path: Path) -> Path:
     ],
 )
 def test_a_recording_ends_where_its_clock_restarts(
-    tmp_path: Path,
-    caplog: pytest.LogCaptureFixture,
-    stamps: list[float],
-    kept: list[float],
-    frame: int,
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, stamps: list[float], kept: list[float], frame: int
 ) -> None:
     path = tmp_path / "a.igs.mha"
     whole = stream(np.arange(len(stamps)))
@@ -72,10 +68,7 @@ def test_a_recording_ends_where_its_clock_restarts(
     ]
 
 
-@given(
-    period_s=st.floats(0.01, 0.1),
-    jitter=st.lists(st.floats(0.0, 0.099), min_size=2, max_size=30),
-)
+@given(period_s=st.floats(0.01, 0.1), jitter=st.lists(st.floats(0.0, 0.099), min_size=2, max_size=30))
 def test_no_jitter_below_the_limit_ends_a_recording(period_s: float, jitter: list[float]) -> None:
     t_s = period_s * np.arange(len(jitter)) + np.array(jitter)
     assert clock_restart(t_s) is None

@@ -7,13 +7,7 @@ import numpy as np
 import pytest
 
 from dvf_ig.registration import Evidence, ImageStatistics
-from dvf_ig.registration.evidence.assessment import (
-    FEATURES,
-    Table,
-    assess,
-    features_of,
-    table_of,
-)
+from dvf_ig.registration.evidence.assessment import FEATURES, Table, assess, features_of, table_of
 
 STATISTICS = ImageStatistics(0.3, 0.8, 0.8, 0.9, 48.0, 30.0, 25.0, 0.55, 0.9, 300.0)
 GOOD = Evidence(z_score=11.0, split_half_mm=0.4, phase_mm=0.6, half_volume_mm=0.6, boundary_mm=1.0)

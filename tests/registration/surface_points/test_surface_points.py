@@ -4,14 +4,7 @@ import sys
 
 import numpy as np
 import pytest
-from toy_touched import (
-    beating_model,
-    grid_targets,
-    heart_center_mm,
-    pose_off,
-    random_pose,
-    touched_points,
-)
+from toy_touched import beating_model, grid_targets, heart_center_mm, pose_off, random_pose, touched_points
 
 from dvf_ig.core import (
     CycleTiming,
