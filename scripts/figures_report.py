@@ -198,6 +198,8 @@ def _level(surface: BeatingSurface) -> tuple[float, FloatArray]:
 
 def _slices(surface: BeatingSurface, anatomy: PhantomAnatomy) -> dict[str, Figure]:
     preop = cine_preop(anatomy, np.random.default_rng(HEART_SEED), MrProtocol(phases=2))
+    assert preop.mr is not None
+    assert preop.labels is not None
     grid, (level, contour) = preop.mr.grid, _level(surface)
     pitch = float(grid.spacing_mm[0])
     k = round((level - float(grid.origin_mm[2])) / pitch)
@@ -448,7 +450,8 @@ def _speed(surface: BeatingSurface) -> tuple[FloatArray, FloatArray]:
 
 
 def _tracking(automatic: StylusRun) -> list[tuple[str, ...]]:
-    surface, rows = surface_of(HEART_SEED), [("mean error over all places", "here", "Ren 2008")]
+    surface = surface_of(HEART_SEED)
+    rows: list[tuple[str, ...]] = [("mean error over all places", "here", "Ren 2008")]
     for device in DEVICES.values():
         for compensate in (False, True):
             stylus = with_fixture(device, "force", compensate=compensate)
