@@ -235,7 +235,7 @@ def _pellets(heart: OperatingHeart, task: str) -> Figure:
     above_mm = 1.0  # half of a pellet is seen where it lies on the surface
     pellets = np.array([site.point_mm + above_mm * site.normal for site in trial.pellets.sites])
     if loop.fulcrum is None:
-        along = np.linspace(0.0, 90.0, 2)[:, None] * trial.pellets.sites[0].normal
+        along = np.linspace(0.0, 45.0, 2)[:, None] * trial.pellets.sites[0].normal
         tool, title = pellets[0] + along, "Ten pellets to push 5 mm into the heart"
     else:
         beyond = loop.fulcrum.point_mm + 0.3 * (loop.fulcrum.point_mm - pellets[0])
@@ -267,7 +267,7 @@ def _held(surface: BeatingSurface, automatic: StylusRun) -> Figure:
         segments = plane_section(vertices[truth.triangles], 2, 1e-4)[..., :2]
         in_plane = axes[:2] @ (tip - first)
         sections.append(Section(f"{100 * phase:.0f} % of the beat", segments + in_plane, in_plane))
-    tool = np.array([first, first + 70.0 * outward])
+    tool = np.array([first, first + 45.0 * outward])
     view = HeartView(truth.at(0.0), truth.triangles, _aside(outward), np.empty((0, 3)), tool)
     return held_figure(view, sections, "Held to the beating surface by the dynamic fixture alone")
 
