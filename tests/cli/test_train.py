@@ -123,18 +123,21 @@ def test_the_page_shows_pellets_and_no_number_that_helps(heart: OperatingHeart) 
     class Player:
         tip_mm = np.array([1.0, 2.0, 3.0])
 
-    feed = practice.TrainingFeed(heart, practice.Practice("dissection", sight="side-by-side"))
+    feed = practice.TrainingFeed(heart, practice.Practice("cutting", sight="side-by-side"))
     scene = json.loads(b"".join(feed.scene()))
     assert scene["training"]["sight"] == "side-by-side"
     assert scene["fixtures"] == []
     assert feed.next_event() is None
-    loop, task = pellets.pellet_trial(heart, "dissection", closed_loop.Condition(""), 1)
-    feed.begin(loop, task, "dissection, with force")
+    loop, task = pellets.pellet_trial(heart, "cutting", closed_loop.Condition(""), 1)
+    feed.begin(loop, task, "cutting, with force")
     task.done = 4
     feed.observe(0.25, Player(), Tool())
     event = json.loads(feed.next_event() or "")
     assert len(event["pellets"]) == 6
     np.testing.assert_allclose(event["pellets"][0], task.pellets.target_mm(4, 0.25 / 0.6), atol=1e-3)
+    waiting = np.array(event["pellets"][1:])
+    depth_mm = heart.truth.distance(waiting, np.full(5, 0.25 / 0.6))[0]
+    assert np.abs(depth_mm).max() < 0.5, "those that wait lie on the surface"
     assert "distance_mm" not in event
     assert not any(name.startswith("force") for name in event)
     assert ["pellet", "5 of 10"] in event["rows"]
