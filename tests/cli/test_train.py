@@ -98,6 +98,13 @@ def test_a_person_plays_with_a_vendor_s_device(
     assert all(3.0 < line["pellet_depths_mm"][0] < 7.0 for line in practice.read_log(tmp_path))
 
 
+def test_an_unknown_device_exits_3_before_the_heart_is_prepared(tmp_path: Path) -> None:
+    done = CliRunner().invoke(app, ["train", "cutting", "--device", "simulated:falcon", "-o", str(tmp_path)])
+    assert done.exit_code == 3
+    assert "needed one of" in done.output
+    assert "preparing" not in done.output
+
+
 def test_the_order_of_the_arms_is_drawn_by_the_seed() -> None:
     first = {practice.Practice("cutting", seed=seed).arms(0)[0].haptic for seed in range(8)}
     assert first == {True, False}

@@ -192,7 +192,7 @@ def practise(heart: OperatingHeart, practice: Practice, show: "TrainingFeed", te
         for order, condition in enumerate(practice.arms(number)):
             line, trace = _play(heart, practice, condition, number, show, tell)
             line["order"] = order
-            stem = f"{practice.task}-{practice.person}-{SIGHTS[practice.sight]}-{number}-{order}"
+            stem = f"{1 + len(read_log(out)):03d}-{practice.task}-{practice.person}"
             line["course"] = "".join(c if c.isalnum() or c in "-_" else "_" for c in stem) + ".csv"
             write_text(out / line["course"], _csv(trace))
             with (out / LOG).open("a", encoding="utf-8") as log:
