@@ -73,7 +73,7 @@ def test_a_simulated_operator_plays_both_arms_and_is_in_the_table(tmp_path: Path
 def test_a_person_plays_with_a_vendor_s_device(
     heart: OperatingHeart, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The fake device is pushed some 5 mm into the heart and drawn back, once with force and once without."""
+    """The fake device is pushed 7 to 10 mm into the heart and drawn back, once with force and once without."""
     library = compiled("fake_dhd", tmp_path, "libdhd.so")
     monkeypatch.setattr("dvf_ig.guidance.devices.force_dimension.LIBRARY", str(library))
     monkeypatch.delenv("FORCEDIM_SDK", raising=False)
@@ -84,8 +84,8 @@ def test_a_person_plays_with_a_vendor_s_device(
     inwards = -rotation.T @ task.pellets.sites[0].normal
 
     def push() -> None:
-        for share in np.sin(np.linspace(0.0, np.pi, 500)):
-            state.numbers[POSITION : POSITION + 3] = 1e-3 * 14.0 * share * inwards
+        for share in np.sin(np.linspace(0.0, np.pi, 700)):
+            state.numbers[POSITION : POSITION + 3] = 1e-3 * 18.0 * share * inwards
             time.sleep(0.001)
 
     monkeypatch.setattr(practice, "await_button", lambda _: threading.Thread(target=push).start())
@@ -95,7 +95,7 @@ def test_a_person_plays_with_a_vendor_s_device(
     forces = {line["condition"]: line["measures"]["largest_force_n"] for line in practice.read_log(tmp_path)}
     assert forces[f"mono, {NO_HAPTICS}"] < 1e-6
     assert 0.02 < forces["mono, visual + haptic"] <= 0.6
-    assert all(3.0 < line["pellet_depths_mm"][0] < 7.0 for line in practice.read_log(tmp_path))
+    assert all(6.5 < line["pellet_depths_mm"][0] < 10.5 for line in practice.read_log(tmp_path))
 
 
 def test_an_unknown_device_exits_3_before_the_heart_is_prepared(tmp_path: Path) -> None:
