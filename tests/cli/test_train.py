@@ -73,7 +73,7 @@ def test_a_simulated_operator_plays_both_arms_and_is_in_the_table(tmp_path: Path
 def test_a_person_plays_with_a_vendor_s_device(
     heart: OperatingHeart, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The fake device is pushed 7 to 10 mm into the heart and drawn back, once with force and once without."""
+    """The fake device is pushed 7 to 10 mm into the heart and drawn back, with force and without."""
     library = compiled("fake_dhd", tmp_path, "libdhd.so")
     monkeypatch.setattr("dvf_ig.guidance.devices.force_dimension.LIBRARY", str(library))
     monkeypatch.delenv("FORCEDIM_SDK", raising=False)
