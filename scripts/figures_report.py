@@ -354,15 +354,15 @@ def _means(subjects: Subjects) -> FloatArray:
 def _meaning_of_depths(still: Subjects, beating: Subjects) -> list[str]:
     here, moving, people = _means(still), _means(beating), paper.DEPTH_MM.mean(axis=0)
     return [
-        f"Without force, the variation of 40 other operators is fitted to people's, {people[1, 1]:.2f} mm; "
+        f"Without force, the variation of 40 other operators is fitted: {people[1, 1]:.2f} mm; "
         f"of these it is {here[1, 1]:.2f} mm. All else is predicted.",
         f"Their mean without force is {here[1, 0] - paper.WANTED_MM:+.2f} mm off the wanted depth, people's "
         f"{people[1, 0] - paper.WANTED_MM:+.2f} mm: a pellet stays where the tip was deepest, and an operator "
-        "who moves to the depth in one go and holds does not stop short of it, as cautious people do.",
+        "who moves to the depth in one go and holds does not stop short, as cautious people do.",
         f"With force they push to {here[0, 0]:.2f} ± {here[0, 1]:.2f} mm, people to {people[0, 0]:.2f} ± "
         f"{people[0, 1]:.2f} mm. In both the force ends the excess; an operator draws back after half a "
-        "second wherever the tip seems to be. People may push on until they feel the wall: that would explain "
-        "why fewer of the people's pellets end too high.",
+        "second wherever the tip seems to be. People may push on until they feel the wall: that would "
+        "explain why fewer of the people's pellets end too high.",
         f"On a beating heart: {moving[0, 0]:.2f} ± {moving[0, 1]:.2f} mm with and {moving[1, 0]:.2f} ± "
         f"{moving[1, 1]:.2f} mm without force; the paper's people cut a heart that stood still.",
     ]
