@@ -357,7 +357,7 @@ def _meaning_of_depths(still: Subjects, beating: Subjects) -> list[str]:
         f"Without force, the variation of 40 other operators is fitted: {people[1, 1]:.2f} mm; "
         f"of these it is {here[1, 1]:.2f} mm. All else is predicted.",
         f"Their mean without force is {here[1, 0] - paper.WANTED_MM:+.2f} mm off the wanted depth, people's "
-        f"{people[1, 0] - paper.WANTED_MM:+.2f} mm: a pellet stays where the tip was deepest, and an operator "
+        f"{people[1, 0] - paper.WANTED_MM:+.2f} mm: a pellet stays where the tip was deepest, and one "
         "who moves to the depth in one go and holds does not stop short, as cautious people do.",
         f"With force they push to {here[0, 0]:.2f} ± {here[0, 1]:.2f} mm, people to {people[0, 0]:.2f} ± "
         f"{people[0, 1]:.2f} mm. In both the force ends the excess; an operator draws back after half a "
