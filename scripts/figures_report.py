@@ -198,6 +198,8 @@ def _level(surface: BeatingSurface) -> tuple[float, FloatArray]:
 
 def _slices(surface: BeatingSurface, anatomy: PhantomAnatomy) -> dict[str, Figure]:
     preop = cine_preop(anatomy, np.random.default_rng(HEART_SEED), MrProtocol(phases=2))
+    assert preop.mr is not None
+    assert preop.labels is not None
     grid, (level, contour) = preop.mr.grid, _level(surface)
     pitch = float(grid.spacing_mm[0])
     k = round((level - float(grid.origin_mm[2])) / pitch)
@@ -233,7 +235,7 @@ def _pellets(heart: OperatingHeart, task: str) -> Figure:
     above_mm = 1.0  # half of a pellet is seen where it lies on the surface
     pellets = np.array([site.point_mm + above_mm * site.normal for site in trial.pellets.sites])
     if loop.fulcrum is None:
-        along = np.linspace(0.0, 90.0, 2)[:, None] * trial.pellets.sites[0].normal
+        along = np.linspace(0.0, 45.0, 2)[:, None] * trial.pellets.sites[0].normal
         tool, title = pellets[0] + along, "Ten pellets to push 5 mm into the heart"
     else:
         beyond = loop.fulcrum.point_mm + 0.3 * (loop.fulcrum.point_mm - pellets[0])
@@ -265,7 +267,7 @@ def _held(surface: BeatingSurface, automatic: StylusRun) -> Figure:
         segments = plane_section(vertices[truth.triangles], 2, 1e-4)[..., :2]
         in_plane = axes[:2] @ (tip - first)
         sections.append(Section(f"{100 * phase:.0f} % of the beat", segments + in_plane, in_plane))
-    tool = np.array([first, first + 70.0 * outward])
+    tool = np.array([first, first + 45.0 * outward])
     view = HeartView(truth.at(0.0), truth.triangles, _aside(outward), np.empty((0, 3)), tool)
     return held_figure(view, sections, "Held to the beating surface by the dynamic fixture alone")
 
@@ -352,17 +354,15 @@ def _means(subjects: Subjects) -> FloatArray:
 def _meaning_of_depths(still: Subjects, beating: Subjects) -> list[str]:
     here, moving, people = _means(still), _means(beating), paper.DEPTH_MM.mean(axis=0)
     return [
-        f"Without force, the variation is fitted to the people's ({people[1, 1]:.2f} mm; on these operators "
-        f"{here[1, 1]:.2f} mm); all else is predicted.",
+        f"Without force, the variation of 40 other operators is fitted: {people[1, 1]:.2f} mm; "
+        f"of these it is {here[1, 1]:.2f} mm. All else is predicted.",
         f"Their mean without force is {here[1, 0] - paper.WANTED_MM:+.2f} mm off the wanted depth, people's "
-        f"{people[1, 0] - paper.WANTED_MM:+.2f} mm: a pellet stays where the tip was deepest, and an "
-        f"operator who "
-        "moves to the depth in one go and holds there does not stop short of it, as cautious people do.",
+        f"{people[1, 0] - paper.WANTED_MM:+.2f} mm: a pellet stays where the tip was deepest, and one "
+        "who moves to the depth in one go and holds does not stop short, as cautious people do.",
         f"With force they push to {here[0, 0]:.2f} ± {here[0, 1]:.2f} mm, people to {people[0, 0]:.2f} ± "
         f"{people[0, 1]:.2f} mm. In both the force ends the excess; an operator draws back after half a "
-        f"second "
-        "wherever the tip seems to be, a person pushes on until the wall is felt: hence more shallow "
-        "pellets here.",
+        "second wherever the tip seems to be. People may push on until they feel the wall: that would "
+        "explain why fewer of the people's pellets end too high.",
         f"On a beating heart: {moving[0, 0]:.2f} ± {moving[0, 1]:.2f} mm with and {moving[1, 0]:.2f} ± "
         f"{moving[1, 1]:.2f} mm without force; the paper's people cut a heart that stood still.",
     ]

@@ -52,12 +52,14 @@ def train(
     the table of all persons in OUT has the paper's rows as well (Table I; Tables III and IV).
     """
     with command():
+        from dvf_ig.guidance.devices import open_device
         from dvf_ig.live.page import PageServer
         from dvf_ig.live.priority import answering_soon
         from dvf_ig.study.operators.closed_loop import operating_heart
         from dvf_ig.study.operators.practice import LOG, Practice, TrainingFeed, practise, read_log
         from dvf_ig.study.operators.tables import training_tables
 
+        open_device(device).close()  # one that is missing is named before anything else
         practice = Practice(task.value, device, person or device, seed, trials, sight.value)
         out.mkdir(parents=True, exist_ok=True)
         typer.echo("preparing the beating heart (half a minute)", err=True)

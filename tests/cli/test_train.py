@@ -73,7 +73,7 @@ def test_a_simulated_operator_plays_both_arms_and_is_in_the_table(tmp_path: Path
 def test_a_person_plays_with_a_vendor_s_device(
     heart: OperatingHeart, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The fake device is pushed some 5 mm into the heart and drawn back, once with force and once without."""
+    """The fake device is pushed 7 to 10 mm into the heart and drawn back, with force and without."""
     library = compiled("fake_dhd", tmp_path, "libdhd.so")
     monkeypatch.setattr("dvf_ig.guidance.devices.force_dimension.LIBRARY", str(library))
     monkeypatch.delenv("FORCEDIM_SDK", raising=False)
@@ -84,8 +84,8 @@ def test_a_person_plays_with_a_vendor_s_device(
     inwards = -rotation.T @ task.pellets.sites[0].normal
 
     def push() -> None:
-        for share in np.sin(np.linspace(0.0, np.pi, 500)):
-            state.numbers[POSITION : POSITION + 3] = 1e-3 * 14.0 * share * inwards
+        for share in np.sin(np.linspace(0.0, np.pi, 700)):
+            state.numbers[POSITION : POSITION + 3] = 1e-3 * 18.0 * share * inwards
             time.sleep(0.001)
 
     monkeypatch.setattr(practice, "await_button", lambda _: threading.Thread(target=push).start())
@@ -95,7 +95,14 @@ def test_a_person_plays_with_a_vendor_s_device(
     forces = {line["condition"]: line["measures"]["largest_force_n"] for line in practice.read_log(tmp_path)}
     assert forces[f"mono, {NO_HAPTICS}"] < 1e-6
     assert 0.02 < forces["mono, visual + haptic"] <= 0.6
-    assert all(3.0 < line["pellet_depths_mm"][0] < 7.0 for line in practice.read_log(tmp_path))
+    assert all(6.5 < line["pellet_depths_mm"][0] < 10.5 for line in practice.read_log(tmp_path))
+
+
+def test_an_unknown_device_exits_3_before_the_heart_is_prepared(tmp_path: Path) -> None:
+    done = CliRunner().invoke(app, ["train", "cutting", "--device", "simulated:falcon", "-o", str(tmp_path)])
+    assert done.exit_code == 3
+    assert "needed one of" in done.output
+    assert "preparing" not in done.output
 
 
 def test_the_order_of_the_arms_is_drawn_by_the_seed() -> None:
@@ -123,18 +130,21 @@ def test_the_page_shows_pellets_and_no_number_that_helps(heart: OperatingHeart) 
     class Player:
         tip_mm = np.array([1.0, 2.0, 3.0])
 
-    feed = practice.TrainingFeed(heart, practice.Practice("dissection", sight="side-by-side"))
+    feed = practice.TrainingFeed(heart, practice.Practice("cutting", sight="side-by-side"))
     scene = json.loads(b"".join(feed.scene()))
     assert scene["training"]["sight"] == "side-by-side"
     assert scene["fixtures"] == []
     assert feed.next_event() is None
-    loop, task = pellets.pellet_trial(heart, "dissection", closed_loop.Condition(""), 1)
-    feed.begin(loop, task, "dissection, with force")
+    loop, task = pellets.pellet_trial(heart, "cutting", closed_loop.Condition(""), 1)
+    feed.begin(loop, task, "cutting, with force")
     task.done = 4
     feed.observe(0.25, Player(), Tool())
     event = json.loads(feed.next_event() or "")
     assert len(event["pellets"]) == 6
     np.testing.assert_allclose(event["pellets"][0], task.pellets.target_mm(4, 0.25 / 0.6), atol=1e-3)
+    waiting = np.array(event["pellets"][1:])
+    depth_mm = heart.truth.distance(waiting, np.full(5, 0.25 / 0.6))[0]
+    assert np.abs(depth_mm).max() < 0.5, "those that wait lie on the surface"
     assert "distance_mm" not in event
     assert not any(name.startswith("force") for name in event)
     assert ["pellet", "5 of 10"] in event["rows"]

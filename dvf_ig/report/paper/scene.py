@@ -72,7 +72,7 @@ def held_figure(view: HeartView, sections: Sequence[Section], title: str) -> Fig
         axis.plot(*section.tip_mm, "o", ms=8, mfc="white", mec=color, mew=2.5, label=section.name, zorder=3)
     axis.set(xlim=(-SECTION_MM, SECTION_MM), ylim=(-SECTION_MM, SECTION_MM), aspect="equal")
     axis.set(xlabel="along the surface, mm", ylabel="outwards, mm")
-    axis.legend(frameon=False, fontsize=9, loc="upper right")
+    axis.legend(frameon=False, fontsize=9, loc="lower left")
     axis.set_title("section through the tip: surface and tip through the beat", fontsize=10)
     open_frame(axis)
     figure.suptitle(title, fontsize=11)
@@ -109,6 +109,7 @@ def _draw(axis: Any, view: HeartView) -> None:
         ylim=(middle[1] - half, middle[1] + half),
         zlim=(middle[2] - half, middle[2] + half),
     )
-    axis.set_box_aspect((1.0, 1.0, 1.0), zoom=1.5)
+    axis.set_proj_type("ortho")
+    axis.set_box_aspect((1.0, 1.0, 1.0), zoom=1.4)
     axis.set_axis_off()
     axis.view_init(elev=float(np.rad2deg(np.arcsin(z))), azim=float(np.rad2deg(np.arctan2(y, x))))

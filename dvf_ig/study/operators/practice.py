@@ -192,7 +192,7 @@ def practise(heart: OperatingHeart, practice: Practice, show: "TrainingFeed", te
         for order, condition in enumerate(practice.arms(number)):
             line, trace = _play(heart, practice, condition, number, show, tell)
             line["order"] = order
-            stem = f"{practice.task}-{practice.person}-{SIGHTS[practice.sight]}-{number}-{order}"
+            stem = f"{1 + len(read_log(out)):03d}-{practice.task}-{practice.person}"
             line["course"] = "".join(c if c.isalnum() or c in "-_" else "_" for c in stem) + ".csv"
             write_text(out / line["course"], _csv(trace))
             with (out / LOG).open("a", encoding="utf-8") as log:
@@ -344,7 +344,14 @@ class TrainingFeed:
         t_s, tip_mm, loop, task, state, reasons = self._newest
         phase = loop.heart.phase(loop.condition, t_s)
         moving, count = task.pellets.moving, task.done
-        shaft = loop.fulcrum.point_mm - tip_mm if loop.fulcrum is not None else -loop.sight
+        if loop.fulcrum is not None:
+            shaft = loop.fulcrum.point_mm - tip_mm
+        else:  # seen a little from the side, so that it does not hide its tip
+            toward, up = view_of(loop)
+            shaft = toward + np.cross(up, toward)
+        places = moving.points(phase)[count:]
+        if loop.target_depth_mm > 0.0:  # those that wait lie on the surface
+            places[1:] += loop.target_depth_mm * np.array([s.normal for s in task.pellets.sites[count + 1 :]])
         event = {
             "t_s": round(self._last_s, 3),
             "phi": phase,
@@ -357,7 +364,7 @@ class TrainingFeed:
             "supervisor": state.name.lower(),
             "hazards": "",
             "reasons": list(reasons),
-            "pellets": [p.round(3).tolist() for p in moving.points(phase)[count:]],
+            "pellets": places.round(3).tolist(),
             "rows": [
                 ["task", self._title],
                 ["pellet", f"{min(count + 1, PELLETS)} of {PELLETS}"],

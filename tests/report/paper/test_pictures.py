@@ -1,5 +1,7 @@
 """Slices, scenes and tracking errors: what must be in the pictures, read from what was drawn."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -26,10 +28,10 @@ def test_dilation_counts_faces_and_is_zero_between_voxels() -> None:
 def test_a_slice_has_its_contour_and_arrows() -> None:
     contour = np.array([[[0.0, 0.0], [1.0, 1.0]]])
     shown = Slice(np.eye(4), (0.0, 2.0, 2.0, 0.0), contour)
-    figure = slice_figure(shown, "t", "f", force=(np.zeros((1, 2)), np.array([[0.3, 0.0]])))
+    figure: Any = slice_figure(shown, "t", "f", force=(np.zeros((1, 2)), np.array([[0.3, 0.0]])))
     axis = figure.axes[0]
     assert len(axis.collections) == 2
-    assert axis.images[0].get_extent() == [0.0, 2.0, 2.0, 0.0]
+    assert tuple(axis.images[0].get_extent()) == (0.0, 2.0, 2.0, 0.0)
     assert len(figure.axes) == 2, "a grey scale"
 
 
@@ -37,7 +39,8 @@ def test_a_scene_draws_the_side_that_faces_the_eye() -> None:
     vertices = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
     triangles = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
     view = HeartView(vertices, triangles, np.array([1.0, 0, 0]), np.ones((3, 3)), np.ones((2, 3)))
-    (axis,) = scene_figure(view, "t").axes
+    figure: Any = scene_figure(view, "t")
+    (axis,) = figure.axes
     heart, pellets, tip = axis.collections
     assert len(heart.get_facecolors()) == 3, "all but the one that faces away"
     assert len(pellets._offsets3d[0]) == 3
@@ -50,14 +53,14 @@ def test_a_section_shows_surface_and_tip_at_each_time() -> None:
     sections = [
         Section(name, np.zeros((2, 2, 2)), np.array([0.0, y])) for name, y in (("a", 0.0), ("b", 3.0))
     ]
-    axis = held_figure(view, sections, "t").axes[1]
+    axis: Any = held_figure(view, sections, "t").axes[1]
     assert [line.get_ydata()[0] for line in axis.lines] == [0.0, 3.0]
     assert len(axis.collections) == 2
 
 
 def test_tracking_errors_state_both_means() -> None:
     t_s = np.arange(100) / 10
-    figure = tracking_errors_figure(t_s, 0.2 * np.sin(t_s), "t", 0.29)
+    figure: Any = tracking_errors_figure(t_s, 0.2 * np.sin(t_s), "t", 0.29)
     left, right = figure.axes
     assert sum(bar.get_height() for bar in left.patches) == pytest.approx(100.0)
     assert [text.get_text() for text in left.get_legend().get_texts()] == [

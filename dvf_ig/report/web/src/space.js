@@ -150,6 +150,7 @@ export class Space {
 
   /** The view of a training, which cannot be turned: the place of the eye is part of the task. */
   train({ toward, up, sight, pellets }) {
+    this.resize();
     this.pellets = Array.from({ length: pellets }, () => this.added(pellet()));
     this.open = false;
     this.orbit(new Vector3(...up));
@@ -157,7 +158,8 @@ export class Space {
     const direction = new Vector3(...toward);
     this.controls.target.copy(this.center);
     this.camera.position.copy(this.center).addScaledVector(direction, EYES_AWAY_MM);
-    this.camera.fov = (2 * Math.atan((0.95 * this.radius) / EYES_AWAY_MM) * 180) / Math.PI;
+    const narrow = Math.min(1, sight === "side-by-side" ? this.camera.aspect / 2 : this.camera.aspect);
+    this.camera.fov = (2 * Math.atan((0.95 * this.radius) / narrow / EYES_AWAY_MM) * 180) / Math.PI;
     this.camera.focus = EYES_AWAY_MM - this.radius / 2;
     this.camera.updateProjectionMatrix();
     this.controls.update();
