@@ -8,7 +8,7 @@ import numpy as np
 
 from dvf_ig.cardiac import RetimeMode, RPeak
 from dvf_ig.core import DvfIgError, Fan, InvalidInputError, PoseStream, Rigid, TrackedSequence
-from dvf_ig.registration import SliceThreads
+from dvf_ig.registration import PoseEstimate, SliceThreads
 
 from .beat_evaluation import ComparedBeat, compare_beat
 from .breathing import BreathingTracker
@@ -140,13 +140,14 @@ class ArrivedUltrasound:
         return self.executor.submit(lambda: self._register(recording, frames, request))
 
     def beat(
-        self, peaks: tuple[RPeak, ...], known_s: float, pose: Rigid | None, *, in_use: bool
+        self, peaks: tuple[RPeak, ...], known_s: float, tested: PoseEstimate | None, *, in_use: bool
     ) -> Job[ComparedBeat]:
-        """Prepare the last beat's slices and compare them with a pose when the executor has time."""
+        """Prepare the last beat's slices and compare them with an estimate when the executor has time."""
+        pose = None if tested is None else tested.matched_pose
         recording = self._recording(peaks, peaks[-2].t_s, known_s, pose)
         if recording is None:
             return answered(ComparedBeat(None, None, irregular=False))
-        return self.executor.submit(lambda: self._compare(recording, pose, in_use=in_use))
+        return self.executor.submit(lambda: self._compare(recording, tested, in_use=in_use))
 
     def _register(
         self, recording: UltrasoundRecording, frames: GatedFrames, request: RegistrationRequest
@@ -165,10 +166,12 @@ class ArrivedUltrasound:
             return request.record(frames, failure=str(error))
         return request.record(frames, result)
 
-    def _compare(self, recording: UltrasoundRecording, pose: Rigid | None, *, in_use: bool) -> ComparedBeat:
-        """Compare a beat with a pose; unfit images, such as black ones, confirm nothing."""
+    def _compare(
+        self, recording: UltrasoundRecording, tested: PoseEstimate | None, *, in_use: bool
+    ) -> ComparedBeat:
+        """Compare a beat with an estimate; unfit images, such as black ones, confirm nothing."""
         try:
-            return compare_beat(recording, pose, self.clock, self.threads, in_use=in_use)
+            return compare_beat(recording, tested, self.clock, self.threads, in_use=in_use)
         except _FAILURES:
             return ComparedBeat(None, None, irregular=False)
 

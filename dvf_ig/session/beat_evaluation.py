@@ -127,14 +127,12 @@ class BeatSlices:
 
 
 def evaluation_of(beat: "ComparableBeat", tested: PoseEstimate, *, in_use: bool) -> BeatEvaluation | None:
-    """Compare a beat with an estimate, at the pose where its images should match."""
-    evaluation = beat.evaluate_beat(tested.matched_pose, tested.center_mm, in_use=in_use)
-    return None if evaluation is None else at_pose(evaluation, tested)
-
-
-def at_pose(evaluation: BeatEvaluation, tested: PoseEstimate) -> BeatEvaluation:
-    """Convert an evaluation at the matched pose of an estimate to its pose."""
-    return replace(evaluation, measurement=evaluation.measurement.of(tested))
+    """Compare a beat with an estimate, where its images should match, and state it of the estimate's pose."""
+    pose, variance_mm2 = tested.matched_in(beat.view_mm)
+    evaluation = beat.evaluate_beat(pose, tested.center_mm, in_use=in_use)
+    if evaluation is None:
+        return None
+    return replace(evaluation, measurement=evaluation.measurement.of(tested, variance_mm2))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -172,6 +170,9 @@ class ComparableBeat(Protocol):
     @property
     def end_s(self) -> float: ...
 
+    @property
+    def view_mm(self) -> FloatArray: ...
+
     def evaluate_beat(self, pose: Rigid, center_mm: FloatArray, *, in_use: bool) -> BeatEvaluation | None:
         """Compare the beat with a pose; None if they hardly overlap."""
         ...
@@ -179,39 +180,40 @@ class ComparableBeat(Protocol):
 
 def compare_beat(
     recording: UltrasoundRecording,
-    pose: Rigid | None,
+    tested: PoseEstimate | None,
     clock: Callable[[], float],
     threads: SliceThreads,
     *,
     in_use: bool,
 ) -> ComparedBeat:
-    """Compare the beat that the last R peak ended with a pose, unless that is None."""
+    """Compare the beat that the last R peak ended with an estimate, unless that is None."""
     beat, irregular = _prepared(recording, clock, threads)
     evaluation = None
-    if beat is not None and pose is not None:
-        evaluation = beat.evaluate_beat(pose, recording.heart.center_mm, in_use=in_use)
+    if beat is not None and tested is not None:
+        evaluation = evaluation_of(beat, tested, in_use=in_use)
     in_breathing = None
-    if recording.breathing is not None and pose is not None:
+    if recording.breathing is not None and tested is not None:
         if evaluation is not None and beat is not None and recording.breathing.learnt:
             in_breathing = BreathEvaluation(evaluation.measurement, recording.breathing.part(beat.numbers))
         else:
-            in_breathing = _in_breathing(recording, pose, clock, threads)
+            in_breathing = _in_breathing(recording, tested, clock, threads)
     return ComparedBeat(beat, evaluation, irregular, in_breathing)
 
 
 def _in_breathing(
-    recording: UltrasoundRecording, pose: Rigid, clock: Callable[[], float], threads: SliceThreads
+    recording: UltrasoundRecording, tested: PoseEstimate, clock: Callable[[], float], threads: SliceThreads
 ) -> BreathEvaluation | None:
-    """Compare all frames of the beat with a pose; None if they are too few, or hardly overlap."""
+    """Compare all frames of the beat with an estimate; None if they are too few, or hardly overlap."""
     if recording.breathing is None:
         return None
     beat, _ = _prepared(recording, clock, threads, every_breath=True)
     if beat is None:
         return None
-    measurement = beat.measure(pose, recording.heart.center_mm)
+    pose, variance_mm2 = tested.matched_in(beat.view_mm)
+    measurement = beat.measure(pose, tested.center_mm)
     if measurement is None:
         return None
-    return BreathEvaluation(measurement, recording.breathing.part(beat.numbers))
+    return BreathEvaluation(measurement.of(tested, variance_mm2), recording.breathing.part(beat.numbers))
 
 
 def _prepared(

@@ -16,7 +16,7 @@ from dvf_ig.core import FloatArray, PoseMotion, Rigid, WarpMotion
 from dvf_ig.registration import PoseEstimate, RegistrationResult, TipSighting
 from dvf_ig.registration.unfollowed_breathing import LEAST_BEATS
 
-from .beat_evaluation import BeatEvaluation, ComparableBeat, at_pose, evaluation_of
+from .beat_evaluation import BeatEvaluation, ComparableBeat, evaluation_of
 from .breathing import BreathingTracker
 from .events import Landmark
 from .history import RegistrationDecision, SessionHistory
@@ -225,8 +225,6 @@ class PoseTracker:
             return
         if compared.slices is not None and finished.tested is not estimate:
             evaluation = self._evaluate(compared.slices, estimate)
-        elif evaluation is not None:
-            evaluation = at_pose(evaluation, estimate)
         if evaluation is None and not compared.irregular:
             self._apply(BeatMissed())
         self._take_evaluation(evaluation, now_s)

@@ -120,18 +120,23 @@ class NoForce(Enum):
         "the tool was at a part of the heart that no MR slice shows in {share:.0%} of the ticks: check "
         "where slices lie (dvf-ig view MODEL) and work there, or build the model from MR of the whole heart"
     )
+    UNSURE_SHAPE = (
+        "the heart has changed its shape, and ultrasound has not shown the wall at the tool well enough in "
+        "{share:.0%} of the ticks: image that wall too"
+    )
     FAULT = (
         "numbers were not finite in {share:.0%} of the ticks: check poses, tip and model for damaged values"
     )
 
 
-def no_force(counts: Mapping[Status, int], *, posed: bool, reason: str | None) -> str | None:
+def no_force(counts: Mapping[Status, int], *, posed: bool, reason: str | None, whole: bool) -> str | None:
     """The sentence of the status that most ticks had once there was a pose; None if a tick was valid.
 
     Args:
         counts: how many ticks had each status.
         posed: whether a pose was ever in use.
         reason: how the last registration ended; None without one.
+        whole: the model knows all of the heart, so that a change of shape alone hides a wall.
     """
     if counts.get(Status.OK, 0) or not sum(counts.values()):
         return None
@@ -141,4 +146,5 @@ def no_force(counts: Mapping[Status, int], *, posed: bool, reason: str | None) -
     most = max(sorted(ticks), key=ticks.__getitem__)
     share = ticks[most] / sum(ticks.values())
     last = reason or "none, the recording is too short"
-    return NoForce[most.name].value.format(share=share, reason=last)
+    cause = NoForce.UNSURE_SHAPE if most is Status.UNSEEN and whole else NoForce[most.name]
+    return cause.value.format(share=share, reason=last)

@@ -16,7 +16,6 @@ from types import TracebackType
 from typing import Generic, Protocol, TypeVar
 
 from dvf_ig.cardiac import RPeak
-from dvf_ig.core import Rigid
 from dvf_ig.registration import PoseEstimate
 
 from .beat_evaluation import BEAT_COMPUTE_S, ComparedBeat
@@ -136,9 +135,9 @@ class UltrasoundSource(Protocol):
         ...
 
     def beat(
-        self, peaks: tuple[RPeak, ...], known_s: float, pose: Rigid | None, *, in_use: bool
+        self, peaks: tuple[RPeak, ...], known_s: float, tested: PoseEstimate | None, *, in_use: bool
     ) -> Job[ComparedBeat]:
-        """Compare the beat that the last R peak ended with a pose, unless that is None."""
+        """Compare the beat that the last R peak ended with an estimate, unless that is None."""
         ...
 
 
@@ -251,8 +250,7 @@ class WorkQueue:
         beat = self._beats[0]
         detected_s = beat.peaks[-1].detected_at_s
         if beat.job is None:
-            pose = None if tested is None else tested.matched_pose
-            beat.tested, beat.job = tested, self._source.beat(beat.peaks, now_s, pose, in_use=in_use)
+            beat.tested, beat.job = tested, self._source.beat(beat.peaks, now_s, tested, in_use=in_use)
             beat.next_s = max(now_s, detected_s + BEAT_COMPUTE_S)
             return None
         if now_s >= detected_s + LATEST_BEAT_S:

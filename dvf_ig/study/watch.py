@@ -180,6 +180,10 @@ class DisplacedBeat:
     def end_s(self) -> float:
         return self.beat.end_s
 
+    @property
+    def view_mm(self) -> FloatArray:
+        return self.beat.view_mm
+
     def evaluate_beat(self, pose: Rigid, center_mm: FloatArray, *, in_use: bool) -> BeatEvaluation | None:
         """See `ComparableBeat`."""
         back = moved(pose, -self.shift_mm)

@@ -9,15 +9,16 @@ import pytest
 from toy_session import CENTER, HOME, LAG_S, RR_S, frame_events, toy_heart, toy_setup
 
 from dvf_ig.cardiac import RPeak
-from dvf_ig.core import Fan, FloatArray, InvalidInputError, Rigid
+from dvf_ig.core import Fan, FloatArray, InvalidInputError
 from dvf_ig.core.space.rigid import is_rigid
-from dvf_ig.registration import SliceThreads
+from dvf_ig.registration import PoseEstimate, SliceThreads
 from dvf_ig.session import TrackedFrame
 from dvf_ig.session.arrived_ultrasound import AROUND_S, KEEP_S, SETTLED_IMAGES, ArrivedUltrasound, FrameBuffer
 from dvf_ig.session.ultrasound_registration import RegistrationRequest
 from dvf_ig.session.work import InlineExecutor, Job
 
 T = TypeVar("T")
+AT_HOME = PoseEstimate(HOME, np.eye(6), CENTER, np.eye(6))
 PEAKS = tuple(RPeak(0.4 + RR_S * k, 0.52 + RR_S * k, 1.0) for k in range(14))
 
 
@@ -97,7 +98,7 @@ def test_what_needs_no_work_is_answered_at_once_with_its_reason() -> None:
     assert few.result is None
     assert few.frames is not None
     assert "needed at least 16" in few.frames.shortage
-    beat = source_of([], executor, fan=SETUP.fan).beat(PEAKS[:3], 3.0, HOME, in_use=True).result()
+    beat = source_of([], executor, fan=SETUP.fan).beat(PEAKS[:3], 3.0, AT_HOME, in_use=True).result()
     assert (beat.slices, beat.evaluation, beat.irregular) == (None, None, False)
     assert not executor.submitted
 
@@ -114,12 +115,12 @@ def test_a_registration_that_fails_is_answered_with_the_sentence(known_ultrasoun
 
 
 @pytest.mark.parametrize("fan", [SETUP.fan, None], ids=["known sector", "sector from the images"])
-@pytest.mark.parametrize("pose", [HOME, None], ids=["pose", "no pose"])
-def test_black_images_neither_confirm_nor_end_anything(fan: Fan | None, pose: Rigid | None) -> None:
+@pytest.mark.parametrize("tested", [AT_HOME, None], ids=["pose", "no pose"])
+def test_black_images_neither_confirm_nor_end_anything(fan: Fan | None, tested: PoseEstimate | None) -> None:
     """With the method itself: nothing to register and nothing to compare, in a sentence or in silence."""
     black = [replace(f, image=np.zeros((24, 24), dtype=np.uint8)) for f in frame_events(10.0)]
     source = source_of(black, Counting(), fan=fan)
-    beat = source.beat(PEAKS[:6], 5.0, pose, in_use=pose is not None).result()
+    beat = source.beat(PEAKS[:6], 5.0, tested, in_use=tested is not None).result()
     assert beat.evaluation is None or beat.evaluation.measurement.log_likelihood_ratio == 0.0
     answer = source.register(request(2.0, 6.0), 6.35).result()
     assert answer.result is None or not answer.result.stop.usable
@@ -133,7 +134,7 @@ def test_a_beat_takes_the_frames_between_its_peaks() -> None:
 
     executor = Counting()
     source = source_of(frame_events(10.0, patient=patient), executor, fan=SETUP.fan)
-    compared = source.beat(PEAKS[:6], PEAKS[5].detected_at_s + 0.05, HOME, in_use=True).result()
+    compared = source.beat(PEAKS[:6], PEAKS[5].detected_at_s + 0.05, AT_HOME, in_use=True).result()
     assert len(executor.submitted) == 1
     assert compared.evaluation is not None
     best = compared.evaluation.measurement.best

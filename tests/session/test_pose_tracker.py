@@ -12,12 +12,12 @@ from known_patient import DETECTION_S, Patient, known_beat, registration, still
 from dvf_ig.cardiac import RPeak
 from dvf_ig.core import FloatArray, PoseMotion, Rigid, Stop, mean_displacement_mm
 from dvf_ig.core.space.pose_motion import UPDATE_MM_PER_S
-from dvf_ig.registration import Gated, PoseChart
+from dvf_ig.registration import Gated, PoseChart, PoseEstimate
 from dvf_ig.replay.result.pose import drift_mm_per_min, suspensions
 from dvf_ig.session import DoubtCause, Job, Landmark, PoseUpdate, Refusal, SessionHistory
 from dvf_ig.session import RegistrationRecord as Record
 from dvf_ig.session import RegistrationRequest as Request
-from dvf_ig.session.beat_evaluation import BEAT_COMPUTE_S, ComparedBeat
+from dvf_ig.session.beat_evaluation import BEAT_COMPUTE_S, ComparedBeat, evaluation_of
 from dvf_ig.session.gated_frames import GatedFrames
 from dvf_ig.session.pose_states import MAX_AGE_S, MAX_MISSED_BEATS
 from dvf_ig.session.pose_tracker import PoseTracker
@@ -89,13 +89,13 @@ class Ultrasound:
         return self.jobs[-1]
 
     def beat(
-        self, peaks: tuple[RPeak, ...], known_s: float, pose: Rigid | None, *, in_use: bool
+        self, peaks: tuple[RPeak, ...], known_s: float, tested: PoseEstimate | None, *, in_use: bool
     ) -> Job[ComparedBeat]:
         begin_s, end_s = peaks[-2].t_s, peaks[-1].t_s
         compared = ComparedBeat(None, None, irregular=False)
         if begin_s < self.blind_from_s:
             beat = known_beat(begin_s, end_s, pose_at(self.patient, (begin_s + end_s) / 2))
-            evaluation = None if pose is None else beat.evaluate_beat(pose, CENTER, in_use=in_use)
+            evaluation = None if tested is None else evaluation_of(beat, tested, in_use=in_use)
             compared = ComparedBeat(beat, evaluation, irregular=False)
         return Simulated(lambda: self.now_s, known_s + self.beat_seconds, compared)
 

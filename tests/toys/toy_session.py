@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from toy_ball import CENTERS, ball_model
 
 from dvf_ig.core import BoolArray, Fan, FloatArray, Grid, ImageMap, NoOverlapError, Points, Rigid
-from dvf_ig.registration import ModelChannels, PoseChart, RegistrationResult
+from dvf_ig.registration import ModelChannels, PoseChart, PoseEstimate, RegistrationResult
 from dvf_ig.session import (
     CalibrationsInUse,
     EcgSamples,
@@ -32,7 +32,7 @@ from dvf_ig.session import (
     TrackedFrame,
     UltrasoundRecording,
 )
-from dvf_ig.session.beat_evaluation import BreathEvaluation, ComparedBeat
+from dvf_ig.session.beat_evaluation import BreathEvaluation, ComparedBeat, evaluation_of
 from dvf_ig.study.faults.streams import KnownBeat
 
 RR_S, ECG_HZ, FRAME_HZ, TOOL_HZ, TICK_S = 0.8, 250.0, 20.0, 100.0, 0.01
@@ -221,7 +221,7 @@ def register_known(
 
 
 def compare_known(
-    recording: UltrasoundRecording, pose: Rigid | None, *_: object, in_use: bool
+    recording: UltrasoundRecording, tested: PoseEstimate | None, *_: object, in_use: bool
 ) -> ComparedBeat:
     """In place of `compare_beat`: the mean of what the beat's frames say; black ones say nothing."""
     begin, end = recording.peaks[-2:]
@@ -231,17 +231,17 @@ def compare_known(
     if here.sum() < FEWEST:
         return ComparedBeat(None, None, irregular=False)
     beat = known_beat(begin.t_s, end.t_s, _pose_at(recording.images[here, 0, 0].astype(np.float64)))
-    compared = None if pose is None else beat.evaluate_beat(pose, CENTER, in_use=in_use)
+    compared = None if tested is None else evaluation_of(beat, tested, in_use=in_use)
     return ComparedBeat(beat, compared, irregular=False)
 
 
 def compare_breathing(
-    recording: UltrasoundRecording, pose: Rigid | None, *given: object, in_use: bool
+    recording: UltrasoundRecording, tested: PoseEstimate | None, *given: object, in_use: bool
 ) -> ComparedBeat:
     """As `compare_known`, with what the frames are known to have moved in the breath taken out."""
     breath = recording.breathing
-    if breath is None or pose is None:
-        return compare_known(recording, pose, *given, in_use=in_use)
+    if breath is None or tested is None:
+        return compare_known(recording, tested, *given, in_use=in_use)
     begin, end = recording.peaks[-2:]
     event_s = recording.ultrasound.t_s + recording.calibrations.lag_s
     here = (event_s >= begin.t_s) & (event_s < end.t_s)
@@ -251,10 +251,10 @@ def compare_breathing(
         return known_beat(begin.t_s, end.t_s, _pose_at(shown)) if len(shown) >= FEWEST else None
 
     usable, every = beat(here & breath.usable), here & np.isfinite(breath.features).all(axis=1)
-    evaluation = None if usable is None else usable.evaluate_beat(pose, CENTER, in_use=in_use)
+    evaluation = None if usable is None else evaluation_of(usable, tested, in_use=in_use)
     whole, learnt = beat(every), None
     if whole is not None:
-        of_whole = whole.evaluate_beat(pose, CENTER, in_use=in_use).measurement
+        of_whole = whole.evaluate_beat(tested.pose, CENTER, in_use=in_use).measurement
         learnt = BreathEvaluation(of_whole, breath.part(np.flatnonzero(every)))
     return ComparedBeat(usable, evaluation, usable is None, learnt)
 

@@ -202,7 +202,8 @@ def _serve(
         result["record"] = {"folder": str(out), "lost": record.lost, "failure": failure}
     last = history.last_registration
     reason = None if last is None else last.reason
-    silent = no_force(summary.by_status, posed=bool(history.updates), reason=reason)
+    whole = ready.setup.heart.model.seen is None
+    silent = no_force(summary.by_status, posed=bool(history.updates), reason=reason, whole=whole)
     emit(result, summary.table(result), as_json=as_json)
     if silent is not None:
         warn(f"no force was given: {silent}")

@@ -25,6 +25,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.optimize import minimize_scalar
+from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from dvf_ig.core import (
@@ -67,6 +68,9 @@ TARGET_RADIUS_MM = 82.0
 83 mm in tuning hearts 101 to 104. A turn moves them by 2.05 times what it moves points at HEART_RADIUS_MM."""
 MEAN_SQUARE_OF_COORDINATES = np.array([2 / 3 * (TARGET_RADIUS_MM / HEART_RADIUS_MM) ** 2] * 3 + [1.0] * 3)
 """Mean square distance over the targets for a unit of each coordinate."""
+PLACES = np.linspace(-1.0, 1.0, 9)
+"""Places across and down a plane, in half widths and depths, at which its change of shape is evaluated."""
+LEAST_VARIANCE_MM2 = 0.1
 LARGEST = 1e12
 """Of any number of a beat, in s, mm and 1/mm²: larger ones are no measurement, and their squares overflow."""
 BEAT_OPTIMISER = OptimiserOptions(steps=10, cap_mm=5.0, tolerance_mm=0.1)
@@ -107,6 +111,17 @@ def split_intersection(
 
     random, shared = map(fused, first_mm2, second_mm2)
     return (1.0 - weight) * (other_gain @ offset_mm), (random, shared)
+
+
+def _nearest_rigid(places_mm: FloatArray, moved_mm: FloatArray, weights: FloatArray, frame: str) -> Rigid:
+    """Fit the rigid motion that takes (n, 3) places nearest to where they go, by (n,) weights of sum 1.
+
+    Source: Kabsch 1976.
+    """
+    middle, moved_middle = weights @ places_mm, weights @ moved_mm
+    turn, _ = Rotation.align_vectors(moved_mm - moved_middle, places_mm - middle, weights=weights)
+    rotation = turn.as_matrix()
+    return Rigid(frame, frame, rotation, moved_middle - rotation @ middle)
 
 
 @read_only_arrays
@@ -169,6 +184,29 @@ class PoseEstimate:
     def matched_pose(self) -> Rigid:
         """Where images of a heart at this pose match best."""
         return self.pose if self.shape_step is None else self.shape_step.inverse() @ self.pose
+
+    def matched_in(self, view_mm: FloatArray) -> tuple[Rigid, float]:
+        """Return where images of one plane match best, and the variance of each coordinate of that, mm².
+
+        Those of a heart whose shape is followed lie aside by the rigid motion that is nearest to the change
+        of shape in the plane, mostly where it is known well.
+
+        Args:
+            view_mm: (3, 3) two points half-way down the plane and one near its lower edge, source frame.
+        """
+        if self.warp is None:
+            return self.matched_pose, 0.0
+        left, right, low = view_mm
+        middle = 0.5 * (left + right)
+        across, down = np.meshgrid(PLACES, PLACES)
+        places = middle + across.reshape(-1, 1) * (right - left) + down.reshape(-1, 1) * (low - middle)
+        at = self.pose.apply_array(places)
+        shift, variance = self.warp.at(at)
+        weights = np.maximum(variance, LEAST_VARIANCE_MM2) ** -2.0
+        weights /= weights.sum()
+        return _nearest_rigid(at, at - shift, weights, self.pose.target) @ self.pose, float(
+            weights @ variance
+        )
 
     @property
     def total_mm2(self) -> FloatArray:
@@ -283,10 +321,31 @@ class BeatMeasurement:
                 f"a beat tells numbers that are not finite, or beyond {LARGEST:g}; it confirms nothing"
             )
 
-    def of(self, estimate: PoseEstimate) -> "BeatMeasurement":
-        """A measurement at the estimate's `matched_pose`, as one of its pose."""
-        step = estimate.shape_step
-        return self if step is None else replace(self, pose=estimate.pose, best=step @ self.best)
+    def of(self, estimate: PoseEstimate, variance_mm2: float) -> "BeatMeasurement":
+        """A measurement where the images should match by an estimate, as one of its pose.
+
+        Args:
+            variance_mm2: by which each coordinate of that place is uncertain, see `PoseEstimate.matched_in`.
+        """
+        if self.pose is estimate.pose:
+            return self
+        step = estimate.pose @ self.pose.inverse()
+        there = replace(self, pose=estimate.pose, best=step @ self.best)
+        return there if variance_mm2 == 0.0 else there._widened(variance_mm2)
+
+    def _widened(self, variance_mm2: float) -> "BeatMeasurement":
+        """The same with a further error of each coordinate, which explains a part of the likelihood ratio."""
+        widen = np.linalg.inv(np.eye(6) + variance_mm2 * self.information)
+        information = widen @ self.information
+        xi_mm = np.linalg.pinv(self.information, rcond=1e-9, hermitian=True) @ self.offset_information_mm
+        square = float(xi_mm @ self.offset_information_mm)
+        share = float(xi_mm @ information @ xi_mm) / square if square > 0.0 else 1.0
+        return replace(
+            self,
+            offset_information_mm=widen @ self.offset_information_mm,
+            information=0.5 * (information + information.T),
+            log_likelihood_ratio=share * self.log_likelihood_ratio,
+        )
 
     @property
     def informative(self) -> bool:

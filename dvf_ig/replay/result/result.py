@@ -172,7 +172,8 @@ def _no_force(replay: Replay) -> str | None:
     codes, numbers = np.unique(replay.ticks.status, return_counts=True)
     counts = {Status(code): n for code, n in zip(codes.tolist(), numbers.tolist(), strict=True)}
     reason = replay.attempts[-1].reason if replay.attempts else None
-    return no_force(counts, posed=bool(replay.poses), reason=reason)
+    whole = replay.heart.model.seen is None
+    return no_force(counts, posed=bool(replay.poses), reason=reason, whole=whole)
 
 
 def _refusals(replay: Replay) -> dict[str, int]:

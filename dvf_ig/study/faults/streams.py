@@ -38,6 +38,7 @@ from dvf_ig.registration import (
     ImageStatistics,
     ModelChannels,
     PoseChart,
+    PoseEstimate,
     RegistrationOptions,
     RegistrationResult,
 )
@@ -56,7 +57,7 @@ from dvf_ig.session import (
     TrackedFrame,
 )
 from dvf_ig.session.arrived_ultrasound import FrameBuffer
-from dvf_ig.session.beat_evaluation import BEAT_COMPUTE_S, ComparedBeat
+from dvf_ig.session.beat_evaluation import BEAT_COMPUTE_S, ComparedBeat, evaluation_of
 from dvf_ig.session.gated_frames import MIN_FRAMES
 from dvf_ig.session.work import Job, answered
 from dvf_ig.study.passivity import wall_model
@@ -117,6 +118,7 @@ class KnownBeat:
     end_s: float
     detected_s: float
     pose: Rigid
+    view_mm: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
 
     def evaluate_beat(self, pose: Rigid, center_mm: FloatArray, *, in_use: bool) -> BeatEvaluation:
         """Compare the beat with a pose."""
@@ -144,7 +146,7 @@ class KnownBeat:
             measurement=measurement,
             in_use=in_use,
             seconds=0.0,
-            view_mm=np.zeros((3, 3)),
+            view_mm=self.view_mm,
         )
 
 
@@ -183,7 +185,7 @@ class KnownUltrasound:
         return answered(request.record(frames, known_registration(pose_at(there), CENTER)))
 
     def beat(
-        self, peaks: tuple[RPeak, ...], known_s: float, pose: Rigid | None, *, in_use: bool
+        self, peaks: tuple[RPeak, ...], known_s: float, tested: PoseEstimate | None, *, in_use: bool
     ) -> Job[ComparedBeat]:
         """Where the patient was half-way through the beat."""
         begin, end = peaks[-2:]
@@ -191,7 +193,7 @@ class KnownUltrasound:
             return answered(ComparedBeat(None, None, irregular=False))
         there = pose_at(self._patient(0.5 * (begin.t_s + end.t_s)) + self._noise())
         beat = KnownBeat(begin.t_s, end.t_s, end.detected_at_s, there)
-        compared = None if pose is None else beat.evaluate_beat(pose, CENTER, in_use=in_use)
+        compared = None if tested is None else evaluation_of(beat, tested, in_use=in_use)
         return answered(ComparedBeat(beat, compared, irregular=False))
 
     def _noise(self) -> FloatArray:

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from toy_heart import CENTER_MM, toy_mr, toy_pose, toy_slices
 
-from dvf_ig.core import HEART_RADIUS_MM, Rigid, mean_displacement_mm
+from dvf_ig.core import HEART_RADIUS_MM, Rigid, Warp, mean_displacement_mm
+from dvf_ig.core.space.warp import knots
 from dvf_ig.registration import BeatMeasurement, Lc2, PoseChart, PoseEstimate, channels_from_mr, measure_beat
 from dvf_ig.registration.pose_chart import covariance_from_mm, rigid_motion
 from dvf_ig.registration.shape.change import GuardedWalls
@@ -46,13 +47,40 @@ def test_beats_are_measured_where_a_heart_of_another_shape_matches() -> None:
     covariance = np.eye(6)
     moved = PoseEstimate.from_registration(shape_step, covariance, covariance, CENTER_MM, TRUTH)
     np.testing.assert_allclose(moved.matched_pose.matrix, TRUTH.matrix, atol=1e-9)
-    found = measure_beat(beat(TRUTH, 3), moved.matched_pose, CENTER_MM).of(moved)
+    found = measure_beat(beat(TRUTH, 3), moved.matched_pose, CENTER_MM).of(moved, 0.0)
     assert found.pose is moved.pose
     assert mean_displacement_mm(found.best, moved.pose, CENTER_MM) < 0.5
     updated = moved.update(found.offset_information_mm, found.information)
     assert mean_displacement_mm(updated.pose, moved.pose, CENTER_MM) < 0.5
     plain = estimate(TRUTH, 0.6)
     assert plain.matched_pose is plain.pose
+
+
+def test_a_beat_of_a_followed_heart_is_measured_where_the_change_of_shape_in_its_plane_puts_it() -> None:
+    """The change of shape is a rigid motion as far as the plane shows, known to 0.9 mm there."""
+    aside = PoseChart(TRUTH, CENTER_MM).pose(np.array([1.0, -0.5, 0.8, 2.0, -1.0, 3.0]))
+    motion = TRUTH @ aside.inverse()
+    origin = CENTER_MM - 120.0
+    places = knots(origin, 20.0)
+    m_mm = places - motion.apply_array(places)
+    warp = Warp.through("mr", origin, 20.0, m_mm, np.full(len(places), 0.81))
+    followed = replace(estimate(aside, 0.6), warp=warp)
+    view_mm = aside.inverse().apply_array(CENTER_MM + np.array([[-20.0, 0, 0], [20.0, 0, 5], [0, 30.0, 0]]))
+    pose, variance_mm2 = followed.matched_in(view_mm)
+    np.testing.assert_allclose(pose.matrix, TRUTH.matrix, atol=1e-3)
+    assert variance_mm2 == pytest.approx(0.81, abs=1e-5)
+    there = measure_beat(beat(TRUTH, 3), pose, CENTER_MM)
+    sure, unsure = there.of(followed, 0.0), there.of(followed, variance_mm2)
+    assert sure.pose is followed.pose
+    np.testing.assert_allclose(
+        np.linalg.inv(unsure.information), np.linalg.inv(sure.information) + 0.81 * np.eye(6), rtol=1e-6
+    )
+    np.testing.assert_allclose(
+        np.linalg.solve(unsure.information, unsure.offset_information_mm),
+        np.linalg.solve(sure.information, sure.offset_information_mm),
+        rtol=1e-6,
+    )
+    assert unsure.log_likelihood_ratio < sure.log_likelihood_ratio
 
 
 def test_a_registration_that_shares_frames_with_the_beats_leaves_the_tracked_pose_as_certain_as_it_was() -> (

@@ -142,7 +142,7 @@ def test_a_registration_that_says_anew_how_shape_pulls_images_aside_is_no_shift(
         pose = HOME if k < 4 else aside
         covariance = 0.1**2 * np.eye(6) / np.array([HEART_RADIUS_MM] * 3 + [1.0] * 3) ** 2
         estimate = PoseEstimate.from_registration(pose, covariance, covariance, CENTER, HOME)
-        told = beat(at(np.zeros(6), 0.1), np.zeros(6), information).of(estimate)
+        told = beat(at(np.zeros(6), 0.1), np.zeros(6), information).of(estimate, 0.0)
         detector = detector.after(float(k), estimate, told)
     assert detector.test is not None
     assert detector.test.statistic < 1e-6
