@@ -38,6 +38,10 @@ class PhantomMotion:
     warp: PlacedWarp | None = None
     before: TabulatedMap | None = None
 
+    @property
+    def _place(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        return self.mr_from_heart.rotation, self.mr_from_heart.translation_mm, self.lobes, self.cavity
+
     def levels(self, model_phase: FloatArray | float, count: int) -> FloatArray:
         """Compute (count,) activations at one phase, or at (count,) of them."""
         phase = model_phase if self.es_fraction == ES_FRACTION else self._usual_phase(model_phase)
@@ -52,7 +56,7 @@ class PhantomMotion:
         """Move (n, 3) points of the standard heart from end-diastole, W⁻¹(reference points)."""
         points = np.ascontiguousarray(xyz_mm, dtype=np.float64)
         out = np.empty_like(points)
-        place = (self.mr_from_heart.rotation, self.mr_from_heart.translation_mm, self.lobes, self.cavity)
+        points, *place = read_only_views(points, *self._place)
         heart_motion.forward(points, self.levels(model_phase, len(points)), *place, out)
         return out if self.warp is None else self.warp.forward(out)
 
@@ -61,24 +65,23 @@ class PhantomMotion:
         points = np.ascontiguousarray(xyz_mm, dtype=np.float64)
         out = np.empty_like(points)
         field = _NO_FIELD if self.before is None else self.before
-        heart_motion.inverse(
-            points,
-            self.levels(model_phase, len(points)),
-            self.mr_from_heart.rotation,
-            self.mr_from_heart.translation_mm,
-            self.lobes,
-            self.cavity,
-            field.displacement_mm,
-            field.origin_mm,
-            1.0 / field.spacing_mm,
-            out,
-        )
+        points, *place = read_only_views(points, *self._place, field.displacement_mm, field.origin_mm)
+        levels = self.levels(model_phase, len(points))
+        heart_motion.inverse(points, levels, *place, 1.0 / field.spacing_mm, out)
         return out if self.warp is None else self.warp.table.at(out)
 
     def _usual_phase(self, model_phase: FloatArray | float) -> FloatArray:
         """Find the phase at which the activation curve has this heart's level at `model_phase`."""
         phase = np.asarray(model_phase, dtype=np.float64) % 1.0
         return np.interp(phase, [0.0, self.es_fraction, 1.0], [0.0, ES_FRACTION, 1.0])
+
+
+def read_only_views(*arrays: FloatArray) -> list[FloatArray]:
+    """View arrays as read-only, for which kernels are compiled once, whoever owns them."""
+    views = [array.view() for array in arrays]
+    for view in views:
+        view.setflags(write=False)
+    return views
 
 
 _NO_FIELD = TabulatedMap(np.zeros((0, 0, 0, 3)), np.zeros(3), 1.0)

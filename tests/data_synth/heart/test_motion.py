@@ -6,6 +6,7 @@ import pytest
 from data_synth.heart.anatomy import PhantomAnatomy, phantom_anatomy
 from data_synth.heart.motion import ES_FRACTION, activation, preset_scale
 from data_synth.heart.motion_report import MotionReport, inverse_error, jacobian_determinant, motion_report
+from data_synth.heart.phantom_motion import read_only_views
 from data_synth.kernels import heart_motion, lv
 from dvf_ig.core import FloatArray, InvalidInputError
 
@@ -16,8 +17,8 @@ HEART = (np.eye(3), np.zeros(3), AT_REST, lv.STANDARD_CAVITY)
 
 
 def forward(points: FloatArray, level: float) -> FloatArray:
-    out = np.empty_like(points)
-    heart_motion.forward(points, np.full(len(points), level), *HEART, out)
+    out, (points, *heart) = np.empty_like(points), read_only_views(points, *HEART)
+    heart_motion.forward(points, np.full(len(points), level), *heart, out)
     return out
 
 
@@ -65,8 +66,8 @@ def test_left_ventricle_alone_is_invertible(level: float) -> None:
     points = rng.uniform([-110, -110, -60], [110, 110, 190], (40_000, 3))
     assert determinant(points, level).min() > 0.2
     found = np.empty_like(points)
-    nothing = (np.zeros((0, 0, 0, 3)), np.zeros(3), 1.0)
-    heart_motion.inverse(points, np.full(len(points), level), *HEART, *nothing, found)
+    given, *heart = read_only_views(points, *HEART, np.zeros((0, 0, 0, 3)), np.zeros(3))
+    heart_motion.inverse(given, np.full(len(points), level), *heart, 1.0, found)
     assert np.linalg.norm(forward(found, level) - points, axis=1).max() < 0.006
 
 
