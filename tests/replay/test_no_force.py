@@ -12,7 +12,7 @@ from dvf_ig.cli.main import app
 from dvf_ig.guidance import Status
 from dvf_ig.intake.findings import Disagreement, finding
 from dvf_ig.replay import Replay, result_of
-from dvf_ig.session.reasons import NoForce
+from dvf_ig.session.reasons import NoForce, no_force
 
 
 def with_status(replay: Replay, *codes: Status) -> Replay:
@@ -33,9 +33,16 @@ def test_a_force_needs_no_excuse(replay: Replay) -> None:
 @pytest.mark.parametrize("status", [s for s in Status if s is not Status.OK])
 def test_every_status_is_told_with_what_to_do(replay: Replay, status: Status) -> None:
     told = result_of(with_status(replay, Status.NO_POSE, status))["no_force"]
+    cause = NoForce.UNSURE_SHAPE if status is Status.UNSEEN else NoForce[status.name]
     assert told is not None
-    assert told.startswith(NoForce[status.name].value.split("{", maxsplit=1)[0])
-    assert ": check " in told or ": give " in told
+    assert told.startswith(cause.value.split("{", maxsplit=1)[0])
+    assert any(what in told for what in (": check ", ": give ", ": image "))
+
+
+def test_a_heart_that_slices_show_in_part_has_parts_that_they_do_not_show() -> None:
+    told = no_force({Status.UNSEEN: 3}, posed=True, reason=None, whole=False)
+    assert told is not None
+    assert told.startswith("the tool was at a part of the heart that no MR slice shows in 100% of the ticks")
 
 
 def test_what_kept_the_force_back_is_looked_for_after_the_first_pose(replay: Replay) -> None:

@@ -37,6 +37,7 @@ from dvf_ig.core import (
     mean_displacement_mm,
     read_only_arrays,
 )
+from dvf_ig.core.space.warp import RIGID_SIGMA_MM
 from dvf_ig.registration.lc2.lc2 import Lc2
 from dvf_ig.registration.lc2.optimise import PRIOR_SIGMA_MM, GaussianPrior, OptimiserOptions, optimise
 from dvf_ig.registration.pose_chart import PoseChart, covariance_to_mm, rigid_motion
@@ -186,7 +187,9 @@ class PoseEstimate:
         return self.pose if self.shape_step is None else self.shape_step.inverse() @ self.pose
 
     def matched_in(self, view_mm: FloatArray) -> tuple[Rigid, float]:
-        """Return where images of one plane match best, and the variance of each coordinate of that, mm².
+        """Return where images of one plane match best, and how uncertain that is: a variance, mm².
+
+        It is of each coordinate, beyond that of a heart that has kept its shape, which limits hold already.
 
         Those of a heart whose shape is followed lie aside by the rigid motion that is nearest to the change
         of shape in the plane, mostly where it is known well.
@@ -204,9 +207,8 @@ class PoseEstimate:
         shift, variance = self.warp.at(at)
         weights = np.maximum(variance, LEAST_VARIANCE_MM2) ** -2.0
         weights /= weights.sum()
-        return _nearest_rigid(at, at - shift, weights, self.pose.target) @ self.pose, float(
-            weights @ variance
-        )
+        more_mm2 = max(0.0, float(weights @ variance) - RIGID_SIGMA_MM**2)
+        return _nearest_rigid(at, at - shift, weights, self.pose.target) @ self.pose, more_mm2
 
     @property
     def total_mm2(self) -> FloatArray:

@@ -110,7 +110,8 @@ def at_rest(t_s: float) -> FloatArray:
     return np.zeros(6)
 
 
-@dataclass(frozen=True, slots=True)
+@read_only_arrays
+@dataclass(frozen=True, slots=True, eq=False)
 class KnownBeat:
     """A beat whose ultrasound shows where the patient was half-way through it."""
 

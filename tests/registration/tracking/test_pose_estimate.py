@@ -7,7 +7,7 @@ import pytest
 from toy_heart import CENTER_MM, toy_mr, toy_pose, toy_slices
 
 from dvf_ig.core import HEART_RADIUS_MM, Rigid, Warp, mean_displacement_mm
-from dvf_ig.core.space.warp import knots
+from dvf_ig.core.space.warp import RIGID_SIGMA_MM, knots
 from dvf_ig.registration import BeatMeasurement, Lc2, PoseChart, PoseEstimate, channels_from_mr, measure_beat
 from dvf_ig.registration.pose_chart import covariance_from_mm, rigid_motion
 from dvf_ig.registration.shape.change import GuardedWalls
@@ -68,12 +68,14 @@ def test_a_beat_of_a_followed_heart_is_measured_where_the_change_of_shape_in_its
     view_mm = aside.inverse().apply_array(CENTER_MM + np.array([[-20.0, 0, 0], [20.0, 0, 5], [0, 30.0, 0]]))
     pose, variance_mm2 = followed.matched_in(view_mm)
     np.testing.assert_allclose(pose.matrix, TRUTH.matrix, atol=1e-3)
-    assert variance_mm2 == pytest.approx(0.81, abs=1e-5)
+    assert variance_mm2 == pytest.approx(0.81 - RIGID_SIGMA_MM**2, abs=1e-5)
     there = measure_beat(beat(TRUTH, 3), pose, CENTER_MM)
     sure, unsure = there.of(followed, 0.0), there.of(followed, variance_mm2)
     assert sure.pose is followed.pose
     np.testing.assert_allclose(
-        np.linalg.inv(unsure.information), np.linalg.inv(sure.information) + 0.81 * np.eye(6), rtol=1e-6
+        np.linalg.inv(unsure.information),
+        np.linalg.inv(sure.information) + variance_mm2 * np.eye(6),
+        rtol=1e-6,
     )
     np.testing.assert_allclose(
         np.linalg.solve(unsure.information, unsure.offset_information_mm),
