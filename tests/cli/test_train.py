@@ -15,6 +15,7 @@ from data_synth.operator.contact import MovingSurface
 from dvf_ig.cli.main import app
 from dvf_ig.core import CycleTiming, FloatArray, SurfaceSeries
 from dvf_ig.guidance import Hazard, SupervisorState
+from dvf_ig.guidance.devices import HeldDevice, open_device
 from dvf_ig.guidance.servo import SentForce
 from dvf_ig.preop import ModelOptions, model_from_surfaces
 from dvf_ig.study.operators import closed_loop, pellets, practice
@@ -73,7 +74,8 @@ def test_a_simulated_operator_plays_both_arms_and_is_in_the_table(tmp_path: Path
 def test_a_person_plays_with_a_vendor_s_device(
     heart: OperatingHeart, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The fake device is pushed 7 to 10 mm into the heart and drawn back, with force and without."""
+    """The fake device is pushed 7 to 10 mm into the heart, held for a beat, and drawn back; with force and
+    without."""
     library = compiled("fake_dhd", tmp_path, "libdhd.so")
     monkeypatch.setattr("dvf_ig.guidance.devices.force_dimension.LIBRARY", str(library))
     monkeypatch.delenv("FORCEDIM_SDK", raising=False)
@@ -84,11 +86,24 @@ def test_a_person_plays_with_a_vendor_s_device(
     inwards = -rotation.T @ task.pellets.sites[0].normal
 
     def push() -> None:
-        for share in np.sin(np.linspace(0.0, np.pi, 700)):
+        for share in np.minimum(2.0 * np.sin(np.linspace(0.0, np.pi, 1400)), 1.0):
             state.numbers[POSITION : POSITION + 3] = 1e-3 * 18.0 * share * inwards
             time.sleep(0.001)
 
-    monkeypatch.setattr(practice, "await_button", lambda _: threading.Thread(target=push).start())
+    pushes: list[threading.Thread] = []
+
+    def begin_push(_: object) -> None:
+        pushes.append(threading.Thread(target=push))
+        pushes[-1].start()
+
+    def opened(name: str) -> HeldDevice:
+        """Open the device once the push of the trial before has been drawn back: it begins from there."""
+        for before in pushes:
+            before.join()
+        return open_device(name)
+
+    monkeypatch.setattr(practice, "await_button", begin_push)
+    monkeypatch.setattr(practice, "open_device", opened)
     command = ["train", "cutting", "--device", "force-dimension", "--person", "anna", "-o", str(tmp_path)]
     done = CliRunner().invoke(app, command)
     assert done.exit_code == 0, done.output
