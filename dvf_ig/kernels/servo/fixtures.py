@@ -29,7 +29,18 @@ NO_RATE = (0.0, 0.0, 0.0)
 
 
 @inlined
-def _in_model(pose: Columns, p: FloatArray) -> Vector:
+def clear(sample: Any, composed: Any) -> None:
+    """Set no force, and a distance that is not known."""
+    for k in range(3):
+        composed.forbidden_n[k] = composed.guidance_n[k] = 0.0
+        sample.gradient[k] = math.nan
+    composed.conflict = 0
+    sample.distance_mm = sample.rate_mm_per_cycle = math.nan
+    sample.distance_rate_mm_s = sample.sigma_mm = math.nan
+
+
+@inlined
+def in_model(pose: Columns, p: FloatArray) -> Vector:
     """A point (3,) of the tracker's frame in the model's."""
     x, y, z, t = pose[0], pose[1], pose[2], pose[3]
     return (
@@ -198,18 +209,13 @@ def fixtures_force(bound: Any, scratch: Any, inputs: Any, t_s: float, xyz: Float
     m, sample, composed = scratch.memory[0], scratch.sample[0], scratch.composed[0]
     if status == code.OK:
         status = status_at(inputs.pose_and_phase, t_s, xyz[0] + xyz[1] + xyz[2])
-    for k in range(3):
-        composed.forbidden_n[k] = composed.guidance_n[k] = 0.0
-        sample.gradient[k] = math.nan
-    composed.conflict = 0
-    sample.distance_mm = sample.rate_mm_per_cycle = math.nan
-    sample.distance_rate_mm_s = sample.sigma_mm = math.nan
+    clear(sample, composed)
     if status != code.OK:
         return status
     pose, phase = pose_at(inputs.pose_and_phase, t_s), phase_at(inputs.pose_and_phase, t_s)
     m.last_phase, m.phase_known = phase[0], 1
     _widen(bound.packed, bound.settings[0].fixtures, inputs.margin_mm)
-    place, variance, by_warp = _in_model(pose, xyz), 0.0, 0.0
+    place, variance, by_warp = in_model(pose, xyz), 0.0, 0.0
     if inputs.pose_and_phase.warped == 0.0:
         output = _forces(bound, place, phase[0], None, scratch.forces)
     else:
@@ -273,7 +279,7 @@ def cross_to_walls(
     if status != code.OK and status != code.NO_PHASE:
         return status
     pose = pose_at(pose_phase, t_s)
-    place = _in_model(pose, xyz)
+    place = in_model(pose, xyz)
     _widen(bound.packed, of, inputs.margin_mm)
     of_warp = pose_phase.warped != 0.0
     if status == code.NO_PHASE and share < 1.0:

@@ -23,9 +23,11 @@ from dvf_ig.kernels.lanes import fma, load_row, pack, unpack
 from dvf_ig.kernels.laws import direction_certainty
 from dvf_ig.kernels.phase import phase_bracket
 from dvf_ig.kernels.place import phase_at, pose_at, status_at
-from dvf_ig.kernels.pose_and_phase import distance_rate_and_sigma, rotated_by
+from dvf_ig.kernels.pose_and_phase import distance_rate_and_sigma
 from dvf_ig.kernels.vectors import Vector, dot
 from dvf_ig.kernels.warp import known_share, mixed, spline_at, through_warp, warp_at
+
+from .fixtures import clear, in_model
 
 TEXTURE_MM = 3.0
 """Wavelength of texture, a sum of three waves along the axes of the material."""
@@ -108,18 +110,12 @@ def tissue_force(bound: Any, scratch: Any, inputs: Any, t_s: float, xyz: FloatAr
     p = inputs.pose_and_phase
     if status == code.OK:
         status = status_at(p, t_s, xyz[0] + xyz[1] + xyz[2])
-    for k in range(3):
-        composed.forbidden_n[k] = composed.guidance_n[k] = 0.0
-        sample.gradient[k] = math.nan
-    composed.conflict = 0
-    sample.distance_mm = sample.rate_mm_per_cycle = math.nan
-    sample.distance_rate_mm_s = sample.sigma_mm = math.nan
+    clear(sample, composed)
     if status != code.OK:
         m.anchored = 0
         return status
     pose, phase = pose_at(p, t_s), phase_at(p, t_s)
-    at = rotated_by(pose, (xyz[0], xyz[1], xyz[2]))
-    at = (at[0] + pose[3][0], at[1] + pose[3][1], at[2] + pose[3][2])
+    at = in_model(pose, xyz)
     variance, by_warp, share = 0.0, 0.0, 1.0
     if p.warped != 0.0:
         at, slope, variance, moving = warp_at(scratch.warps, p, t_s, at)

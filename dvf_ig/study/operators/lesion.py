@@ -11,6 +11,7 @@ import numpy as np
 from skimage.measure import marching_cubes
 
 from data_synth.operator.contact_sites import Site, contact_sites
+from data_synth.operator.hand import minimum_jerk
 from data_synth.operator.simulated_operator import RATE_HZ
 from data_synth.seeds import child_rng
 from dvf_ig.core import (
@@ -36,21 +37,29 @@ from dvf_ig.guidance.laws import gaussian_steepness
 from dvf_ig.preop import model_from_surfaces, model_of_still
 from dvf_ig.study.operators.closed_loop import (
     ACCESS,
+    Aim,
     Condition,
     Loop,
+    MovingLine,
     OperatingHeart,
     Trace,
     moving_line,
+    operator_of,
     run_task,
-)
-from dvf_ig.study.operators.tasks import (
-    ABOVE_MM,
-    CUT,
-    LONGEST_CUT_S,
-    CuttingTask,
 )
 
 LESION_MM = 30.0
+SPEED_MM_S = 4.0
+SLOWING_MM = 2.0
+"""The operator moves at half speed where tip and aim are so far apart by what is seen and felt."""
+ABOVE_MM = 8.0
+"""The tip starts so far above the surface."""
+APPROACH_S = 3.0
+SETTLE_S = 1.0
+"""Between the end of the approach and the beginning of the line."""
+LONGEST_S = 60.0
+APPROACH, DRAW = 0.0, 1.0
+"""Stages."""
 GAP_MM = 4.0
 """Least distance of the line from the oesophagus' surface over the beat: wall and fat, assumed."""
 TUBE_MM, BEYOND_MM = 8.0, 25.0
@@ -94,6 +103,32 @@ def distance_to_line(xyz_mm: FloatArray, line_mm: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.norm(off - share[..., None] * along, axis=-1).min(axis=-1))
 
 
+class LineTask:
+    """Aims along a line: down to it, then along it, slower where tip and aim lie apart."""
+
+    def __init__(self, line: MovingLine, above_mm: FloatArray, loop: Loop) -> None:
+        self._line, self._above, self._loop = line, above_mm, loop
+        self._timing_s = operator_of(loop).timing_error_s
+        self._along = 0.0
+
+    def __call__(self, t_s: float, tip_mm: FloatArray, believed_error_mm: float) -> Aim:
+        heart, condition, line = self._loop.heart, self._loop.condition, self._line
+        phase = heart.phase(condition, t_s)
+        place = line.at(self._along, phase)
+        foreseen = heart.phase(condition, t_s + self._timing_s)
+        beat = line.rate_mm(self._along, foreseen) / heart.cycle(condition)
+        if t_s < APPROACH_S + SETTLE_S:
+            down = (minimum_jerk(np.array([t_s, t_s + 1.0 / RATE_HZ]) / APPROACH_S) - 1.0).tolist()
+            planned = -(down[1] - down[0]) * RATE_HZ * self._above
+            return Aim(place - down[0] * self._above, planned, beat, APPROACH)
+        if self._along >= line.length_mm:
+            return Aim(place, np.zeros(3), beat, -1.0)
+        speed = SPEED_MM_S / (1.0 + (believed_error_mm / SLOWING_MM) ** 2)
+        planned = speed * line.tangent(self._along)
+        self._along += speed / RATE_HZ
+        return Aim(place, planned, beat, DRAW)
+
+
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class Lesion:
@@ -119,7 +154,7 @@ def ablate(heart: OperatingHeart, condition: Condition, seed: int) -> Lesion:
     fixtures = lesion_fixtures(model, drawn, tube.model(model.patient_id))
     start, wall = line.at(0.0, 0.0) + above, fixtures[1].law
     loop = Loop(heart, condition, seed, wall, start, -site.normal, 0.0, fixtures=fixtures)
-    trace = run_task(loop, CuttingTask(line, above, loop), LONGEST_CUT_S)
+    trace = run_task(loop, LineTask(line, above, loop), LONGEST_S)
     phases = [heart.phase(condition, t) for t in trace.t_s.tolist()]
     off = [distance_to_line(tip, line.points(at)) for tip, at in zip(trace.tip_mm, phases, strict=True)]
     return Lesion(trace, np.array(off), tube.distance_mm(trace.tip_mm))
@@ -155,7 +190,7 @@ def lesion_laws() -> tuple[Gaussian, Sigmoid]:
 
 def lesion_measures(lesion: Lesion) -> dict[str, float]:
     """Distances to the line while drawing, and the least to the oesophagus at any time."""
-    drawing = lesion.trace.stage == CUT
+    drawing = lesion.trace.stage == DRAW
     off = lesion.line_mm[drawing]
     return {
         "line_mm": float(off.mean()),

@@ -183,7 +183,7 @@ def _of_task(task: str) -> list[str]:
     if task == "lesion":
         t, (pull, wall) = lesion, lesion.lesion_laws()
         return [
-            f"Lesion: {t.LESION_MM:g} mm of the beating surface at up to {tasks.CUT_SPEED_MM_S:g} mm/s; "
+            f"Lesion: {t.LESION_MM:g} mm of the beating surface at up to {t.SPEED_MM_S:g} mm/s; "
             "guidance to the line as drawn at end-diastole, beating with the model, "
             f"δ {pull.delta_mm:.2f} mm, m {pull.m:g}, {pull.cap_n:g} N; behind it a still oesophagus of "
             f"radius {t.TUBE_MM:g} mm, {t.GAP_MM:g} mm from the line at its closest, forbidden with γ "
