@@ -18,6 +18,7 @@ from dvf_ig.registration.boundary.fit import Boundary
 from dvf_ig.registration.boundary.target import BoundaryTarget
 from dvf_ig.registration.pose_chart import DISTINCT_MM, rigid_motion
 
+from .blocks import BlockedMatch
 from .modes import ShapeModes, shape_modes
 from .posterior import FIXED, SeenBoundary, ShapePosterior, ShapeProblem
 
@@ -178,6 +179,7 @@ def change_of_shape(
     center_mm: FloatArray,
     organ: BoundaryTarget | None = None,
     least_mm: float = PLAINLY_RIGID_MM,
+    match: BlockedMatch | None = None,
 ) -> ShapeChange | None:
     """Estimate the change of shape at a registered pose; None if the boundary shows none.
 
@@ -187,13 +189,14 @@ def change_of_shape(
         offset_mm: of the boundary, see `BoundaryFit`.
         organ: outer surface of the organ, which says where its walls are thin.
         least_mm: RMS shift of the seen walls by the first fit below which nothing further is computed.
+        match: blocks of images, whose LC2 counts beside the boundary; None: the boundary alone.
     """
     modes = modes_of(boundary.target, tuple(center_mm.tolist()))
-    seen = SeenBoundary(boundary, offset_mm, pose, organ)
+    seen = SeenBoundary(boundary, offset_mm, pose, organ, match)
     problem = ShapeProblem(seen, modes, MODES)
     if len(problem) < LEAST_POINTS:
         return None
-    about = problem.fit(ABOUT_SCALE_MM, NOISE_FACTORS[0])
+    about = problem.fit(ABOUT_SCALE_MM, NOISE_FACTORS[0], images=True)
     if np.linalg.norm(about.state[:6]) > DISTINCT_MM or _rms(problem.shift_mm(about)) < least_mm:
         return None
     problem = ShapeProblem(seen, modes, MODES, about)
@@ -203,6 +206,7 @@ def change_of_shape(
     evidence = best.log_evidence - problem.fit(0.0, noise).log_evidence
     if evidence < LEAST_EVIDENCE:
         return None
+    best = problem.fit(best.scale_mm, noise, best, images=True)
     change = _change(boundary.target, problem, modes, best, evidence)
     if change.followed is None:
         return change
