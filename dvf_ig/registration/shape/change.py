@@ -39,10 +39,13 @@ LEAST_EVIDENCE = 20.0
 threshold hearts that have not."""
 LEAST_POINTS = 150
 """Points near the model's boundary below which nothing is said of the shape."""
-SIGMA_FACTOR, SIGMA_FLOOR_MM, SIGMA_SHARE = 1.3, 0.4, 0.13
+SIGMA_FACTOR, SIGMA_FLOOR_MM, SIGMA_SHARE = 1.15, 0.3, 0.13
 """Standard deviations of prior and noise count SIGMA_FACTOR times; to them are added SIGMA_FLOOR_MM and
-SIGMA_SHARE of the scale, which no point near by removes. From threshold hearts 2106 to 2110, 0 to 5 mm
-different: errors are 0.8 to 1.2 of the sum in every range of it, of seen and of unseen walls."""
+SIGMA_SHARE of the scale, which no point near by removes. From 24 changes of threshold hearts 2132 to 2140, 1.2
+to 7 mm: errors are 0.9 to 1.0 of the sum where the wall is seen, 0.7 to 1.1 where it is not."""
+SCALE_SPREAD = 0.05
+"""Half the variance of a heart's mean square error as a share of its square, beyond what covariances between
+walls make it: of the same hearts it is 0.44 to 1.6 of the mean variance that is stated."""
 MARGIN_MM = 30.0
 """How far the pull-back is given beyond the walls."""
 WALL_MM = (-12.0, 2.0)
@@ -91,7 +94,8 @@ class GuardedWalls:
     Attributes:
         square_of_motion: (6, 6) M: ξ of `PoseChart` moves them along their normals by ξᵀMξ in mean square.
         variance_mm2: mean variance of their place along their normals, the registered pose's included.
-        square_mm4: mean square of the covariances between them.
+        square_mm4: half the variance of their mean square error over hearts, by the covariances between them
+            and by how hearts differ.
     """
 
     square_of_motion: FloatArray
@@ -322,7 +326,7 @@ def _guarded_walls(target: BoundaryTarget, modes: ShapeModes, best: ShapePosteri
     motion = np.einsum("ni,nip->np", normals, rigid_motion(places, modes.center_mm))[served]
     # what the fit leaves out is taken to have the correlation of what it states
     alike = float(((columns.T @ columns) ** 2).sum() / (columns**2).sum() ** 2)
-    return GuardedWalls(motion.T @ motion / len(motion), variance, variance**2 * alike)
+    return GuardedWalls(motion.T @ motion / len(motion), variance, variance**2 * (alike + SCALE_SPREAD))
 
 
 def _most_moved(
