@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from dvf_ig.core.arrays import FloatArray
+from dvf_ig.core.arrays import AnyArray, FloatArray
 from dvf_ig.core.errors import UnreadableFileError
 from dvf_ig.core.model import DvfModel
 from dvf_ig.core.recordings.scenario import Preop
@@ -190,6 +190,22 @@ def heart_surfaces(files: PreopFiles) -> Iterator[tuple[str, FloatArray]]:
     fixture = [series for series in preop.surfaces if series.name == preop.surface]
     for series in fixture if model is None else ():
         yield "preop.surfaces_folder", np.asarray(series.vertices_mm[0])
+
+
+def still_heart_key(files: PreopFiles) -> str | None:
+    """Find the key of a heart that is the same in every phase; None if it beats, or is not read."""
+    preop, model = files.preop, files.model
+    if model is not None:
+        return "preop.model" if model.still else None
+    if preop.labels is not None:
+        return "preop.labels" if _all_equal(preop.labels.values) else None
+    fixture = next((series for series in preop.surfaces if series.name == preop.surface), None)
+    return "preop.surfaces_folder" if fixture is not None and _all_equal(fixture.vertices_mm) else None
+
+
+def _all_equal(phases: AnyArray) -> bool:
+    """Whether every phase (p, ...) is the same as the first."""
+    return all(np.array_equal(one, phases[0]) for one in phases[1:])
 
 
 def heart_vertices(files: PreopFiles) -> Iterator[FloatArray]:
