@@ -63,8 +63,7 @@ def bench(
         _bench_servo(servo_s, model_file, step_mm, out, seed, threads or 2, as_json=as_json)
         return
     with command(threads):
-        from dvf_ig.io import output_folder, provenance_fields, read_model, write_json
-        from dvf_ig.io.json_file import plain
+        from dvf_ig.io import output_folder, plain, provenance_fields, read_model, write_json
         from dvf_ig.study.bench.calls import BenchOptions, continuity_checks, run_bench
         from dvf_ig.study.bench.timing import bench_model
 
@@ -89,8 +88,7 @@ def _bench_session(
     seconds: float, model_file: Path | None, out: Path | None, seed: int, threads: int, *, as_json: bool
 ) -> None:
     with command(threads):
-        from dvf_ig.io import output_folder, provenance_fields, read_model, write_json
-        from dvf_ig.io.json_file import plain
+        from dvf_ig.io import output_folder, plain, provenance_fields, read_model, write_json
         from dvf_ig.study.bench.session import bench_scenario, bench_setup, round_of, run_session
 
         with progress("a synthetic intervention") as report:
@@ -121,8 +119,7 @@ def _bench_servo(
     as_json: bool,
 ) -> None:
     with command(threads):
-        from dvf_ig.io import output_folder, provenance_fields, read_model, write_json
-        from dvf_ig.io.json_file import plain
+        from dvf_ig.io import output_folder, plain, provenance_fields, read_model, write_json
         from dvf_ig.study.bench.servo import bench_servo, bench_tick
         from dvf_ig.study.bench.timing import bench_model
 

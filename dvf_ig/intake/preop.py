@@ -8,20 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from dvf_ig.core.arrays import FloatArray
-from dvf_ig.core.errors import UnreadableFileError
-from dvf_ig.core.model import DvfModel
-from dvf_ig.core.recordings.scenario import Preop
-from dvf_ig.core.space.mesh import SurfaceSeries
-from dvf_ig.core.space.volume import Volume, VolumeSeries
+from dvf_ig.core import DvfModel, FloatArray, Preop, SurfaceSeries, UnreadableFileError, Volume, VolumeSeries
 from dvf_ig.core.timing.cycle import CycleTiming
-from dvf_ig.io.dicom.cine import dicom_patient_id, is_dicom_folder
-from dvf_ig.io.image.labels import read_cine_labels
+from dvf_ig.io import dicom_patient_id, is_dicom_folder, read_cine_labels, read_json, read_model
 from dvf_ig.io.image.timing import timing_from_document
 from dvf_ig.io.image.volume import image_dimension, read_volume_series
-from dvf_ig.io.json_file import read_json
 from dvf_ig.io.mesh.series import UNKNOWN_PATIENT, read_surface_series, surface_names
-from dvf_ig.io.model.model_file import read_model
 from dvf_ig.io.reading import reading
 
 from .problems import concerning

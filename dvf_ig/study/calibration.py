@@ -12,14 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from data_synth.phantoms.crosswire import CrossWireSpec, crosswire_recording
-from data_synth.phantoms.nwire import nwire_recording
+from data_synth import CrossWireSpec, Preset, SectorProbe, child_rng, crosswire_recording, nwire_recording
 from data_synth.phantoms.wall import WallSpec, wall_recording
 from data_synth.phantoms.watertank import watertank_recording
 from data_synth.scenario.ground_truth import GroundTruth, draw_ground_truth
-from data_synth.scenario.presets import Preset
-from data_synth.seeds import child_rng
-from data_synth.ultrasound.probe import SectorProbe
 from dvf_ig.calibration import (
     MapUncertainty,
     NWireOptions,

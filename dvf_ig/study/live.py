@@ -27,9 +27,8 @@ from dvf_ig.core import (
     read_only_arrays,
 )
 from dvf_ig.guidance import Status, SupervisorState
+from dvf_ig.intake import cached_model, read_scenario
 from dvf_ig.intake.live import EcgFieldConfig, LiveConfig
-from dvf_ig.intake.model_cache import cached_model
-from dvf_ig.intake.session import read_scenario
 from dvf_ig.intake.start import landmarks_start
 from dvf_ig.live.igtl import Message, Transform, encode
 from dvf_ig.live.link import Link, listen
@@ -37,8 +36,7 @@ from dvf_ig.live.loop import Answer, LiveLoop
 from dvf_ig.live.player import play
 from dvf_ig.live.serve import LiveOptions, SessionThread, live_session
 from dvf_ig.live.summary import LiveSummary
-from dvf_ig.replay import Replay, run_replay
-from dvf_ig.replay.events import events_of
+from dvf_ig.replay import Replay, events_of, run_replay
 from dvf_ig.replay.operator import SimulatedOperator
 from dvf_ig.replay.result.score import pose_errors_mm
 from dvf_ig.session import EcgSource, RegistrationRecord, Session, SessionHistory, SessionSetup

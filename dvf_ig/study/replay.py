@@ -23,9 +23,7 @@ from pathlib import Path
 
 import numpy as np
 
-from data_synth.cine_heart.anatomy import CineHeart
-from data_synth.heart.heart_spec import HeartSpec
-from data_synth.scenario.presets import PRESETS, ScenarioSpec, preset_name
+from data_synth import PRESETS, CineHeart, HeartSpec, ScenarioSpec, preset_name
 from data_synth.scenario.recording import cine_scenario, phantom_scenario
 from dvf_ig.core import BoolArray, InvalidInputError, Scenario, VolumeSeries
 from dvf_ig.intake.model_cache import cached_model

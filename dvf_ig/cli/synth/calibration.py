@@ -47,9 +47,7 @@ def calibration(
     with command(threads):
         import numpy as np
 
-        from data_synth.scenario.ground_truth import draw_ground_truth
-        from data_synth.seeds import child_rng
-        from data_synth.ultrasound.probe import SectorProbe
+        from data_synth import SectorProbe, child_rng, draw_ground_truth
         from dvf_ig.io import files_together, output_folder, write_json, write_text
 
         truth = draw_ground_truth(
@@ -71,8 +69,7 @@ def calibration(
 
 
 def _pivot(truth: "GroundTruth", out: Path, rng: "np.random.Generator") -> RecordingFiles:
-    from data_synth.phantoms.pivot import pivot_recording
-    from data_synth.scenario.presets import Preset
+    from data_synth import Preset, pivot_recording
     from dvf_ig.io import write_poses
 
     write_poses(pivot_recording(truth.tip_in_tool, Preset().pivot_tracker, rng), out / "pivot.igs.mha")
@@ -83,9 +80,7 @@ def _pivot(truth: "GroundTruth", out: Path, rng: "np.random.Generator") -> Recor
 
 
 def _nwire(truth: "GroundTruth", out: Path, rng: "np.random.Generator") -> RecordingFiles:
-    from data_synth.phantoms.nwire import nwire_images
-    from data_synth.scenario.presets import Preset
-    from data_synth.ultrasound.probe import SectorProbe
+    from data_synth import Preset, SectorProbe, nwire_images
     from dvf_ig.core import PoseStream, Rigid, TrackedSequence
     from dvf_ig.io import write_nwire_phantom, write_sequence, write_wire_points
 
@@ -113,9 +108,7 @@ def _nwire(truth: "GroundTruth", out: Path, rng: "np.random.Generator") -> Recor
 
 
 def _crosswire(truth: "GroundTruth", out: Path, rng: "np.random.Generator") -> RecordingFiles:
-    from data_synth.phantoms.crosswire import CrossWireSpec, crosswire_recording
-    from data_synth.scenario.presets import Preset
-    from data_synth.ultrasound.probe import SectorProbe
+    from data_synth import CrossWireSpec, Preset, SectorProbe, crosswire_recording
 
     crossing = crosswire_recording(
         truth.probe_from_image, SectorProbe(), Preset().nwire_tracker, CrossWireSpec(), rng
@@ -125,9 +118,7 @@ def _crosswire(truth: "GroundTruth", out: Path, rng: "np.random.Generator") -> R
 
 
 def _wall(truth: "GroundTruth", out: Path, rng: "np.random.Generator") -> RecordingFiles:
-    from data_synth.phantoms.wall import WallSpec, wall_recording
-    from data_synth.scenario.presets import Preset
-    from data_synth.ultrasound.probe import SectorProbe
+    from data_synth import Preset, SectorProbe, WallSpec, wall_recording
 
     wall = wall_recording(truth.probe_from_image, SectorProbe(), Preset().nwire_tracker, WallSpec(), rng)
     files = _write_tank(out, "wall", wall.recording, "two points of the wall's line in each image, px")
@@ -136,9 +127,7 @@ def _wall(truth: "GroundTruth", out: Path, rng: "np.random.Generator") -> Record
 
 
 def _watertank(truth: "GroundTruth", out: Path, rng: "np.random.Generator") -> RecordingFiles:
-    from data_synth.phantoms.watertank import watertank_images
-    from data_synth.scenario.presets import Preset
-    from data_synth.ultrasound.probe import SectorProbe
+    from data_synth import Preset, SectorProbe, watertank_images
     from dvf_ig.io import write_line_table, write_poses, write_sequence
 
     options = Preset()

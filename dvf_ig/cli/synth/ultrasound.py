@@ -8,8 +8,7 @@ import typer
 from dvf_ig.cli.shell import JsonFlag, SeedOption, ThreadsOption, command, emit, output_file, wrote
 
 if TYPE_CHECKING:
-    from data_synth.heart.tissue import Tissue
-    from data_synth.ultrasound.label_anatomy import LabelAnatomy
+    from data_synth import LabelAnatomy, Tissue
     from dvf_ig.core import FloatArray, Rigid
 
 Triple = tuple[float, float, float]
@@ -53,9 +52,7 @@ def us(
     pose in the labels' space, one slice for a plane; a .png does not.
     """
     with command(threads):
-        from data_synth.ultrasound.label_anatomy import label_anatomy
-        from data_synth.ultrasound.presets import probe_named
-        from data_synth.ultrasound.views import VIEW_PROBE
+        from data_synth import VIEW_PROBE, label_anatomy, probe_named
         from dvf_ig.core import InvalidInputError
         from dvf_ig.io import read_volume
 
@@ -124,8 +121,7 @@ def _write(anatomy: "LabelAnatomy", probe: Any, pose: "Rigid", seed: int, out: P
     """Simulate and write an image; return facts on it."""
     import numpy as np
 
-    from data_synth.ultrasound.sequence import simulate_frame
-    from data_synth.ultrasound.volume import MatrixProbe, simulate_volume
+    from data_synth import MatrixProbe, simulate_frame, simulate_volume
     from dvf_ig.core import Grid, Volume
     from dvf_ig.io import write_volume
 

@@ -11,9 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dvf_ig.core.arrays import AnyArray, FloatArray
-from dvf_ig.core.errors import UnreadableFileError
-from dvf_ig.core.recordings.signal import Signal
+from dvf_ig.core import AnyArray, FloatArray, Signal, UnreadableFileError
 from dvf_ig.io import limits
 from dvf_ig.io.reading import read_bytes
 

@@ -10,8 +10,7 @@ from typing import Literal
 
 import numpy as np
 
-from dvf_ig.core.arrays import FloatArray
-from dvf_ig.core.errors import UnreadableFileError
+from dvf_ig.core import FloatArray, UnreadableFileError
 from dvf_ig.io.table_text import IN_ONE_MV, UNSTATED
 
 log = logging.getLogger(__name__)

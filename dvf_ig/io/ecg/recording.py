@@ -7,10 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from dvf_ig.core.arrays import FloatArray
-from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
+from dvf_ig.core import FloatArray, InvalidInputError, Signal, UnreadableFileError
 from dvf_ig.core.plausible import ECG_RATE_HZ, ECG_SWING_MV
-from dvf_ig.core.recordings.signal import Signal
 from dvf_ig.io import limits
 from dvf_ig.io.plus.ecg_field import read_ecg_field
 from dvf_ig.io.reading import reading

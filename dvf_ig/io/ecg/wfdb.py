@@ -12,9 +12,8 @@ from types import ModuleType
 
 import numpy as np
 
-from dvf_ig.core.arrays import FloatArray
+from dvf_ig.core import FloatArray, Signal
 from dvf_ig.core.errors import MissingDependencyError, UnreadableFileError, install_extra
-from dvf_ig.core.recordings.signal import Signal
 from dvf_ig.io.provenance import record_file
 from dvf_ig.io.reading import refuse_lfs_pointer
 

@@ -8,8 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dvf_ig.core.arrays import AnyArray, FloatArray
-from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
+from dvf_ig.core import AnyArray, FloatArray, InvalidInputError, UnreadableFileError
 from dvf_ig.core.plausible import LABELS_MM
 from dvf_ig.core.space.volume import Grid, Volume, VolumeSeries
 from dvf_ig.io.reading import reading

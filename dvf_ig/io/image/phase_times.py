@@ -6,8 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dvf_ig.core.arrays import FloatArray, IntArray, read_only_arrays
-from dvf_ig.core.errors import UnreadableFileError
+from dvf_ig.core import FloatArray, IntArray, UnreadableFileError, read_only_arrays
 from dvf_ig.core.plausible import RR_S
 from dvf_ig.core.timing.cycle import CycleTiming, require_whole_cycle
 

@@ -10,10 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
+from dvf_ig.core import CycleTiming, InvalidInputError, SurfaceSeries, UnreadableFileError
 from dvf_ig.core.plausible import surface_problem
-from dvf_ig.core.space.mesh import SurfaceSeries
-from dvf_ig.core.timing.cycle import CycleTiming
 from dvf_ig.io import limits
 from dvf_ig.io.image.timing import read_timing, write_timing
 from dvf_ig.io.provenance import record_file

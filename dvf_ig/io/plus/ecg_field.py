@@ -23,9 +23,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dvf_ig.core.arrays import BoolArray, FloatArray, IntArray, read_only_arrays
+from dvf_ig.core import BoolArray, FloatArray, IntArray, Signal, read_only_arrays
 from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
-from dvf_ig.core.recordings.signal import Signal
 from dvf_ig.io.reading import read_bytes, reading
 from dvf_ig.io.writing.atomic import write_bytes
 

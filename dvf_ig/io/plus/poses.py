@@ -7,10 +7,8 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from dvf_ig.core.arrays import BoolArray, FloatArray
-from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
+from dvf_ig.core import BoolArray, FloatArray, InvalidInputError, TrackedSequence, UnreadableFileError
 from dvf_ig.core.plausible import identities, marker_problem, period_problem
-from dvf_ig.core.recordings.sequence import TrackedSequence
 from dvf_ig.core.recordings.stream import PoseStream
 from dvf_ig.io import limits
 from dvf_ig.io.number_table import NumberTable, read_number_table, scaled

@@ -7,11 +7,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from dvf_ig.core.arrays import BoolArray, FloatArray, IntArray
-from dvf_ig.core.errors import UnreadableFileError
+from dvf_ig.core import BoolArray, FloatArray, IntArray, PoseStream, TrackedSequence, UnreadableFileError
 from dvf_ig.core.plausible import identities, period_problem
-from dvf_ig.core.recordings.sequence import TrackedSequence
-from dvf_ig.core.recordings.stream import PoseStream
 from dvf_ig.io import limits
 from dvf_ig.io.reading import reading
 

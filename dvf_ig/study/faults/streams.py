@@ -15,8 +15,7 @@ from operator import itemgetter
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from data_synth.seeds import child_rng
-from data_synth.signals.ecg import EcgSpec, synthetic_ecg
+from data_synth import EcgSpec, child_rng, synthetic_ecg
 from data_synth.signals.rhythm import Beats, RhythmSpec, beat_series
 from data_synth.signals.tracker import TrackerSpec, sampling_times, tracked
 from dvf_ig.cardiac import RPeak

@@ -58,8 +58,7 @@ from dvf_ig.registration import (
     target_from_labels,
 )
 from dvf_ig.replay.registration import PreparedRegistration, prepare_registration
-from dvf_ig.session import Heart, build_heart, register_gated_volumes
-from dvf_ig.session.heart import label_map
+from dvf_ig.session import Heart, build_heart, label_map, register_gated_volumes
 from dvf_ig.session.ultrasound_registration import images_of_frames
 from dvf_ig.study.driver import Settings, option
 

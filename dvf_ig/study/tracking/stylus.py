@@ -12,9 +12,7 @@ from functools import partial
 
 import numpy as np
 
-from data_synth.heart.anatomy import phantom_anatomy
-from data_synth.heart.motion import MotionPreset
-from data_synth.operator.contact import MovingSurface
+from data_synth import MotionPreset, MovingSurface, phantom_anatomy
 from dvf_ig.core import (
     CycleTiming,
     DvfModel,
