@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
+from typer import Argument, Option
 
 from .shell import JsonFlag, SeedOption, ThreadsOption, command, emit, output_dir, progress, wrote
 
@@ -18,17 +18,17 @@ if TYPE_CHECKING:
 
 def bench(
     model_file: Annotated[
-        Path | None, typer.Argument(metavar="[MODEL]", help="Model file (default: the phantom's heart).")
+        Path | None, Argument(metavar="[MODEL]", help="Model file (default: the phantom's heart).")
     ] = None,
-    calls: Annotated[int, typer.Option("--calls", min=100, help="Points of the path, 1 kHz.")] = 10_000,
-    repeats: Annotated[int, typer.Option("--repeats", min=1, help="Passes; the fastest counts.")] = 5,
-    peers: Annotated[bool, typer.Option("--peers/--no-peers", help="Time other libraries too.")] = True,
+    calls: Annotated[int, Option(min=100, help="Points of the path, 1 kHz.")] = 10_000,
+    repeats: Annotated[int, Option(min=1, help="Passes; the fastest counts.")] = 5,
+    peers: Annotated[bool, Option("--peers/--no-peers", help="Time other libraries too.")] = True,
     continuity: Annotated[
-        int, typer.Option("--continuity", min=0, help="Also compare forces at this many pairs of neighbours.")
+        int, Option(min=0, help="Also compare forces at this many pairs of neighbours.")
     ] = 0,
     session_s: Annotated[
         float | None,
-        typer.Option(
+        Option(
             "--session",
             metavar="SECONDS",
             help="Instead: a whole session of so many simulated seconds, on one core unless --threads.",
@@ -36,16 +36,16 @@ def bench(
     ] = None,
     servo_s: Annotated[
         float | None,
-        typer.Option(
+        Option(
             "--servo",
             metavar="SECONDS",
             min=1.0,
             help="Instead: the lateness of each servo loop for so long, and what a tick costs.",
         ),
     ] = None,
-    step_mm: Annotated[float, typer.Option("--step-mm", help="Pitch of the phantom's mesh.")] = 1.5,
+    step_mm: Annotated[float, Option(help="Pitch of the phantom's mesh.")] = 1.5,
     out: Annotated[
-        Path | None, typer.Option("-o", "--out", callback=output_dir, help="Folder for bench.json.")
+        Path | None, Option("-o", "--out", callback=output_dir, help="Folder for bench.json.")
     ] = None,
     seed: SeedOption = 1,
     threads: ThreadsOption = None,

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
+from typer import Argument, Option
 from typer.core import TyperCommand
 
 from .shell import JsonFlag, command, emit, output_file, warn, wrote
@@ -25,12 +26,8 @@ app = typer.Typer(
 )
 
 USES: "tuple[Use, Use]" = ("register", "replay")
-SessionArgument = Annotated[
-    Path, typer.Argument(metavar="SESSION", help="A session.yaml, or a scenario folder.")
-]
-OutputOption = Annotated[
-    Path, typer.Option("-o", "--out", callback=output_file, help="session.yaml to write.")
-]
+SessionArgument = Annotated[Path, Argument(metavar="SESSION", help="A session.yaml, or a scenario folder.")]
+OutputOption = Annotated[Path, Option("-o", "--out", callback=output_file, help="session.yaml to write.")]
 
 
 class InitCommand(TyperCommand):
@@ -80,7 +77,7 @@ def _init_function() -> Any:
     for name in named:
         key = KEYS[name]
         note = f"{key.note[:1].upper()}{key.note[1:]}."
-        option = typer.Option(*key.options, metavar=key.metavar, help=note)
+        option = Option(*key.options, metavar=key.metavar, help=note)
         kinds[_variable(name)] = Annotated[_kind_of(key.form), option]
     defaults = {"output": inspect.Parameter.empty, "as_json": False}
     begin.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
@@ -157,7 +154,7 @@ def validate(
     session: SessionArgument,
     purpose: Annotated[
         Literal["register", "replay"] | None,
-        typer.Option("--for", help="What it is to be used for (default: all that it names, for register)."),
+        Option("--for", help="What it is to be used for (default: all that it names, for register)."),
     ] = None,
     as_json: JsonFlag = False,
 ) -> None:
@@ -186,8 +183,7 @@ def validate(
 
 def schema(
     output: Annotated[
-        Path | None,
-        typer.Option("-o", "--out", callback=output_file, help="File to write instead of stdout."),
+        Path | None, Option("-o", "--out", callback=output_file, help="File to write instead of stdout.")
     ] = None,
     as_json: JsonFlag = False,
 ) -> None:

@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
+from typer import Argument, Option
 
 from .patient_model import patient_model
 from .recorded import ModelOption, RecordingOption, require_place
@@ -15,9 +16,9 @@ if TYPE_CHECKING:
 
 app = typer.Typer(help="Write a run or a registration for other programs.", no_args_is_help=True)
 
-RunArgument = Annotated[Path, typer.Argument(metavar="RUN", help="Folder that `dvf-ig replay` wrote.")]
+RunArgument = Annotated[Path, Argument(metavar="RUN", help="Folder that `dvf-ig replay` wrote.")]
 RunOrRegistration = Annotated[
-    Path, typer.Argument(metavar="RUN", help="Folder that `dvf-ig replay` or `dvf-ig register` wrote.")
+    Path, Argument(metavar="RUN", help="Folder that `dvf-ig replay` or `dvf-ig register` wrote.")
 ]
 
 
@@ -57,7 +58,7 @@ def slicer(
     run: RunOrRegistration,
     out: Annotated[
         Path,
-        typer.Option(
+        Option(
             "-o", "--out", callback=output_dir, help="Folder to write; an earlier one of dvf-ig is replaced."
         ),
     ],
@@ -87,7 +88,7 @@ def slicer(
 @app.command("mcap")
 def mcap(
     run: RunArgument,
-    out: Annotated[Path, typer.Option("-o", "--out", callback=output_file, help="Log to write, .mcap.")],
+    out: Annotated[Path, Option("-o", "--out", callback=output_file, help="Log to write, .mcap.")],
     recording: RecordingOption = None,
     model: ModelOption = None,
     seed: SeedOption = 0,
@@ -114,7 +115,7 @@ def mcap(
 @app.command("rerun")
 def rerun(
     run: RunArgument,
-    out: Annotated[Path, typer.Option("-o", "--out", callback=output_file, help="Recording to write, .rrd.")],
+    out: Annotated[Path, Option("-o", "--out", callback=output_file, help="Recording to write, .rrd.")],
     recording: RecordingOption = None,
     model: ModelOption = None,
     as_json: JsonFlag = False,

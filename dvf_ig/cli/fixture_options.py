@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from typer import Option
 
 if TYPE_CHECKING:
     from dvf_ig.cardiac import RetimeMode
@@ -46,7 +47,7 @@ def _law(name: str) -> str:
 # A default of None: the option was not given; the defaults shown are those of `dvf_ig.intake.fixtures`.
 LawOption = Annotated[
     str | None,
-    typer.Option(
+    Option(
         "--law",
         rich_help_panel=SECTION,
         parser=_law,
@@ -57,7 +58,7 @@ LawOption = Annotated[
 ]
 GammaOption = Annotated[
     float | None,
-    typer.Option(
+    Option(
         "--gamma",
         rich_help_panel=SECTION,
         help="Forbidden: steepness in 1/mm, 0.23 or more.",
@@ -66,14 +67,14 @@ GammaOption = Annotated[
 ]
 DeltaOption = Annotated[
     float | None,
-    typer.Option("--delta", rich_help_panel=SECTION, help="Guidance: width in mm.", show_default="3.0"),
+    Option("--delta", rich_help_panel=SECTION, help="Guidance: width in mm.", show_default="3.0"),
 ]
 ExponentOption = Annotated[
-    float | None, typer.Option("--m", rich_help_panel=SECTION, help="Guidance: exponent.", show_default="1.0")
+    float | None, Option("--m", rich_help_panel=SECTION, help="Guidance: exponent.", show_default="1.0")
 ]
 CapOption = Annotated[
     float | None,
-    typer.Option(
+    Option(
         "--cap-n",
         rich_help_panel=SECTION,
         help="Largest force in N, up to 4; more in a file of --fixtures that names the device.",
@@ -82,7 +83,7 @@ CapOption = Annotated[
 ]
 DepthOption = Annotated[
     float | None,
-    typer.Option(
+    Option(
         "--depth-mm",
         rich_help_panel=SECTION,
         help="Depth of the surface below the organ's, in mm.",
@@ -91,7 +92,7 @@ DepthOption = Annotated[
 ]
 InsideOption = Annotated[
     bool,
-    typer.Option(
+    Option(
         "--inside",
         rich_help_panel=SECTION,
         help="Forbidden: confine inside the surface instead of keeping out.",
@@ -99,11 +100,11 @@ InsideOption = Annotated[
 ]
 BlendOption = Annotated[
     BlendName | None,
-    typer.Option("--blend", rich_help_panel=SECTION, help="How phases are blended.", show_default="force"),
+    Option("--blend", rich_help_panel=SECTION, help="How phases are blended.", show_default="force"),
 ]
 FixturesFileOption = Annotated[
     Path | None,
-    typer.Option(
+    Option(
         "--fixtures",
         rich_help_panel=SECTION,
         help="YAML of one or several fixtures, on the heart and further structures, in place of the "
@@ -112,7 +113,7 @@ FixturesFileOption = Annotated[
 ]
 RetimingOption = Annotated[
     RetimingName | None,
-    typer.Option(
+    Option(
         "--retiming",
         rich_help_panel=SECTION,
         help="uniform: the cycle stretches as a whole. two-segment: systole shortens less than diastole.",
@@ -131,7 +132,7 @@ def _margin(text: str) -> str | float:
 MarginOption = Annotated[
     # typer takes one type; the parser gives a name or a number
     str | None,
-    typer.Option(
+    Option(
         "--margin",
         rich_help_panel=SECTION,
         parser=_margin,

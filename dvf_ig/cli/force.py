@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from typer import Argument, Option
 
 from .fixture_options import (
     BlendOption,
@@ -29,18 +30,15 @@ if TYPE_CHECKING:
 
 
 def force(
-    model_file: Annotated[Path, typer.Argument(metavar="MODEL", help="Model file.")],
+    model_file: Annotated[Path, Argument(metavar="MODEL", help="Model file.")],
     points: Annotated[
         Path,
-        typer.Option(
-            "--points",
+        Option(
             help="Points in the model's frame, in mm: CSV of x,y,z (LPS; a header is allowed), or 3D "
-            "Slicer's .mrk.json or .fcsv (LPS or RAS, as the file states).",
+            "Slicer's .mrk.json or .fcsv (LPS or RAS, as the file states)."
         ),
     ],
-    phase: Annotated[
-        float, typer.Option("--phase", help="Phase of the model's cycle, 0 at the R peak, modulo 1.")
-    ],
+    phase: Annotated[float, Option(help="Phase of the model's cycle, 0 at the R peak, modulo 1.")],
     law: LawOption = None,
     gamma: GammaOption = None,
     delta: DeltaOption = None,
@@ -51,30 +49,25 @@ def force(
     blend: BlendOption = None,
     fixtures: FixturesFileOption = None,
     free_zone_mm: Annotated[
-        float | None, typer.Option("--free-zone-mm", help="Guidance: choose --delta and --m for this zone …")
+        float | None, Option(help="Guidance: choose --delta and --m for this zone …")
     ] = None,
     detection_threshold_n: Annotated[
         float,
-        typer.Option(
-            "--felt-below-n", help="… in which the force stays below this detection threshold, in N."
-        ),
+        Option("--felt-below-n", help="… in which the force stays below this detection threshold, in N."),
     ] = 0.05,
     stiffness: Annotated[
         float | None,
-        typer.Option(
-            "--device-stiffness", help="Stiffest wall the device renders, in N/m.", show_default="400"
-        ),
+        Option("--device-stiffness", help="Stiffest wall the device renders, in N/m.", show_default="400"),
     ] = None,
     damping: Annotated[
         float | None,
-        typer.Option(
+        Option(
             "--device-damping", help="Physical damping of the device in N·s/m; checks passivity at 1 kHz."
         ),
     ] = None,
     margin: MarginOption = None,
     sigma_mm: Annotated[
-        float | None,
-        typer.Option("--sigma-mm", help="With --margin adaptive: standard deviation of the distance, in mm."),
+        float | None, Option(help="With --margin adaptive: standard deviation of the distance, in mm.")
     ] = None,
     as_json: JsonFlag = False,
 ) -> None:

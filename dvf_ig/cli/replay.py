@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from typer import Argument, Option
 
 from .fixture_options import (
     BlendOption,
@@ -31,7 +32,7 @@ from .shell import JsonFlag, SeedOption, ThreadsOption, command, emit, output_di
 def replay(
     out: Annotated[
         Path,
-        typer.Option(
+        Option(
             "-o",
             "--out",
             callback=output_dir,
@@ -39,7 +40,7 @@ def replay(
         ),
     ],
     session: Annotated[
-        Path, typer.Argument(metavar="SESSION", help=f"{SESSION.capitalize()}; or a session's LOG.mcap.")
+        Path, Argument(metavar="SESSION", help=f"{SESSION.capitalize()}; or a session's LOG.mcap.")
     ],
     model: ModelOption = None,
     law: LawOption = None,

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from typer import Option
 from typer.core import TyperGroup
 
 if TYPE_CHECKING:
@@ -26,26 +27,23 @@ if TYPE_CHECKING:
 UNEXPECTED = 70
 """Exit code of a fault of this program (EX_SOFTWARE)."""
 
-JsonFlag = Annotated[bool, typer.Option("--json", help="Print the result as JSON on stdout.")]
-SeedOption = Annotated[int, typer.Option("--seed", help="Seed of every random choice.")]
-ThreadsOption = Annotated[
-    int | None, typer.Option("--threads", min=1, help="Threads to use (default: all cores).")
-]
+JsonFlag = Annotated[bool, Option("--json", help="Print the result as JSON on stdout.")]
+SeedOption = Annotated[int, Option("--seed", help="Seed of every random choice.")]
+ThreadsOption = Annotated[int | None, Option("--threads", min=1, help="Threads to use (default: all cores).")]
 EcgRateOption = Annotated[
     float | None,
-    typer.Option("--rate", help="Sampling rate (Hz) of an ECG that states none.", min=1.0, max=100_000.0),
+    Option("--rate", help="Sampling rate (Hz) of an ECG that states none.", min=1.0, max=100_000.0),
 ]
 EcgLeadOption = Annotated[
     str | None,
-    typer.Option("--lead", help="Leads of the ECG to use, separated by commas (default: all named as one)."),
+    Option("--lead", help="Leads of the ECG to use, separated by commas (default: all named as one)."),
 ]
 ProbeNameOption = Annotated[
-    str | None,
-    typer.Option("--probe-name", help="The probe's sensor, as the recording names it (default: Probe)."),
+    str | None, Option("--probe-name", help="The probe's sensor, as the recording names it (default: Probe).")
 ]
 ReferenceNameOption = Annotated[
     str | None,
-    typer.Option(
+    Option(
         "--reference-name",
         help="What its poses are relative to (default: Reference where it is recorded, else Tracker).",
     ),

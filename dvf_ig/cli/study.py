@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_args, get_origin, get_type_hints
 
 import typer
+from typer import Argument, Option
 from typer.core import TyperCommand, TyperGroup
 from typer.main import get_command
 
@@ -131,14 +132,14 @@ def _option(one: "Field[Any]", hint: Any) -> tuple[Any, Any]:
     about = one.metadata
     flag = about["flag"] or f"--{one.name.replace('_', '-')}"
     if _is_numbers(hint):
-        return Annotated[str | None, typer.Option(flag, help=about["help"])], _with_commas(one)
+        return Annotated[str | None, Option(flag, help=about["help"])], _with_commas(one)
     if get_origin(hint) is tuple:
-        return Annotated[list[get_args(hint)[0]] | None, typer.Option(flag, help=about["help"])], None  # type: ignore[misc]
+        return Annotated[list[get_args(hint)[0]] | None, Option(flag, help=about["help"])], None  # type: ignore[misc]
     default = inspect.Parameter.empty if one.default is MISSING else one.default
     if about["argument"]:
-        return Annotated[hint, typer.Argument(help=about["help"])], default
+        return Annotated[hint, Argument(help=about["help"])], default
     bounds = {"min": about["least"], "max": about["most"]}
-    return Annotated[hint, typer.Option(flag, help=about["help"], **bounds)], default
+    return Annotated[hint, Option(flag, help=about["help"], **bounds)], default
 
 
 def _is_numbers(hint: Any) -> bool:
@@ -166,17 +167,17 @@ def _shared(study: "Study") -> dict[str, tuple[Any, Any]]:
     about = (
         "Folder; a study that was stopped goes on where it was." if study.trials else "Folder for results."
     )
-    folder = typer.Option("-o", "--out", callback=output_dir, help=about)
+    folder = Option("-o", "--out", callback=output_dir, help=about)
     options: dict[str, tuple[Any, Any]] = {
         "out": (Annotated[Path, folder], inspect.Parameter.empty)
         if study.needs_folder
         else (Annotated[Path | None, folder], None)
     }
     if study.trials:
-        workers = typer.Option("--workers", min=1, help="Processes (default: one for each core).")
+        workers = Option("--workers", min=1, help="Processes (default: one for each core).")
         address = "Work on this dask.distributed scheduler instead (tcp://HOST:8786)."
         options["workers"] = (Annotated[int | None, workers], None)
-        options["scheduler"] = (Annotated[str | None, typer.Option("--scheduler", help=address)], None)
+        options["scheduler"] = (Annotated[str | None, Option("--scheduler", help=address)], None)
     if study.threads:
         options["threads"] = (ThreadsOption, None)
     return {**options, "as_json": (JsonFlag, False)}

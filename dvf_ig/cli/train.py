@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from typer import Argument, Option
 
 from dvf_ig.cli.shell import JsonFlag, command, emit, output_dir, wrote
 
@@ -26,24 +27,19 @@ class Sight(StrEnum):
 
 def train(
     task: Annotated[
-        Task,
-        typer.Argument(help="cutting: push pellets 5 mm deep; dissection: remove pellets above the organ."),
+        Task, Argument(help="cutting: push pellets 5 mm deep; dissection: remove pellets above the organ.")
     ],
     device: Annotated[
-        str, typer.Option("--device", help="force-dimension, openhaptics, simulated[:premium|:omni].")
+        str, Option(help="force-dimension, openhaptics, simulated[:premium|:omni].")
     ] = "simulated",
     out: Annotated[
-        Path, typer.Option("-o", "--out", callback=output_dir, help="Folder; earlier trials there stay.")
+        Path, Option("-o", "--out", callback=output_dir, help="Folder; earlier trials there stay.")
     ] = Path("training"),
-    person: Annotated[
-        str | None, typer.Option("--person", help="Name in the tables (default: the device).")
-    ] = None,
-    trials: Annotated[int, typer.Option("--trials", min=1, help="Trials with and without force, each.")] = 1,
-    sight: Annotated[Sight, typer.Option("--sight", help="Depth in the page.")] = Sight.mono,
-    seed: Annotated[int, typer.Option("--seed", help="Draws pellets, fulcra and the order of trials.")] = 1,
-    page: Annotated[
-        int, typer.Option("--page", min=0, max=65535, help="Port of the page; 0 takes a free one.")
-    ] = 0,
+    person: Annotated[str | None, Option(help="Name in the tables (default: the device).")] = None,
+    trials: Annotated[int, Option(min=1, help="Trials with and without force, each.")] = 1,
+    sight: Annotated[Sight, Option(help="Depth in the page.")] = Sight.mono,
+    seed: Annotated[int, Option(help="Draws pellets, fulcra and the order of trials.")] = 1,
+    page: Annotated[int, Option(min=0, max=65535, help="Port of the page; 0 takes a free one.")] = 0,
     as_json: JsonFlag = False,
 ) -> None:
     """Play a task of Ren 2008 on a beating heart with and without force, seen in a page of this machine.

@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from typer import Argument, Option
 
 from .patient_model import patient_model
 from .recorded import ModelOption, RecordingOption, require_place
@@ -12,12 +13,11 @@ from .shell import JsonFlag, ThreadsOption, command, emit, output_file, wrote
 
 def view(
     run: Annotated[
-        Path,
-        typer.Argument(metavar="RUN", help="Folder that `dvf-ig replay … -o RUN` wrote; or a model (.npz)."),
+        Path, Argument(metavar="RUN", help="Folder that `dvf-ig replay … -o RUN` wrote; or a model (.npz).")
     ],
     out: Annotated[
         Path | None,
-        typer.Option(
+        Option(
             "-o",
             "--out",
             callback=output_file,

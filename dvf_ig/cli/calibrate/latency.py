@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
+from typer import Argument, Option
 
 from dvf_ig.cli.shell import JsonFlag, SeedOption, command, output_file, warn
 
@@ -18,15 +18,14 @@ WANDER_S = 0.015
 
 
 def latency(
-    tracker: Annotated[Path, typer.Argument(help="PLUS sequence with the tracked probe.")],
-    video: Annotated[Path, typer.Argument(help="PLUS sequence of the water tank's floor.")],
+    tracker: Annotated[Path, Argument(help="PLUS sequence with the tracked probe.")],
+    video: Annotated[Path, Argument(help="PLUS sequence of the water tank's floor.")],
     line_table: Annotated[
-        Path | None,
-        typer.Option("--line-table", help="PLUS line results; otherwise lines are found in the images."),
+        Path | None, Option(help="PLUS line results; otherwise lines are found in the images.")
     ] = None,
     output: Annotated[
         Path | None,
-        typer.Option("-o", "--out", callback=output_file, help="Write JSON here, and a picture next to it."),
+        Option("-o", "--out", callback=output_file, help="Write JSON here, and a picture next to it."),
     ] = None,
     seed: SeedOption = 0,
     as_json: JsonFlag = False,

@@ -6,7 +6,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
+from typer import Option
 
 from dvf_ig.cli.shell import emit, output_file, warn, wrote
 
@@ -24,20 +24,20 @@ if TYPE_CHECKING:
 
 OutputOption = Annotated[
     Path | None,
-    typer.Option(
+    Option(
         "-o", "--out", callback=output_file, help="Write JSON here; PLUS XML and a picture go next to it."
     ),
 ]
 MaxResidualOption = Annotated[
     float | None,
-    typer.Option(
+    Option(
         "--max-residual-mm",
         min=0.0,
         help="Largest residual that is accepted; raise it only if you know that this error is acceptable.",
     ),
 ]
 DeviceSetOption = Annotated[
-    Path, typer.Option("--device-set", help="PLUS device-set XML with the phantom and its placement.")
+    Path, Option("--device-set", help="PLUS device-set XML with the phantom and its placement.")
 ]
 
 

@@ -4,7 +4,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Argument, Option
 
 from dvf_ig.cli.shell import JsonFlag, ProbeNameOption, ReferenceNameOption, SeedOption, command
 
@@ -22,42 +22,33 @@ class Phantom(StrEnum):
 def probe(
     sequence: Annotated[
         Path,
-        typer.Argument(
+        Argument(
             help="Tracked images of the phantom; cross-wire and wall with --points: also poses as text."
         ),
     ],
-    phantom: Annotated[Phantom, typer.Option("--phantom", help="Imaged phantom.")] = Phantom.nwire,
+    phantom: Annotated[Phantom, Option(help="Imaged phantom.")] = Phantom.nwire,
     device_set: Annotated[
-        Path | None,
-        typer.Option("--device-set", help="N-wire: PLUS device-set XML with the phantom and its placement."),
+        Path | None, Option(help="N-wire: PLUS device-set XML with the phantom and its placement.")
     ] = None,
     points: Annotated[
-        Path | None,
-        typer.Option(
-            "--points", help="N-wire: PLUS results XML (CalibrationData). Others: table of points, px."
-        ),
+        Path | None, Option(help="N-wire: PLUS results XML (CalibrationData). Others: table of points, px.")
     ] = None,
-    validate: Annotated[
-        Path | None, typer.Option("--validate", help="A second sequence on which the error is measured.")
-    ] = None,
+    validate: Annotated[Path | None, Option(help="A second sequence on which the error is measured.")] = None,
     validate_points: Annotated[
         Path | None,
-        typer.Option(
-            "--validate-points",
-            help="N-wire: PLUS results XML (ValidationData; default: --points). Others: table of points, px.",
+        Option(
+            help="N-wire: PLUS results XML (ValidationData; default: --points). Others: table of points, px."
         ),
     ] = None,
     method: Annotated[
         str | None,
-        typer.Option(
-            "--method",
+        Option(
             help="N-wire: linear, orthogonal, isotropic or all-wires (default: the one with the least "
-            "cross-validated error on the calibration frames). Others: orthogonal or isotropic.",
+            "cross-validated error on the calibration frames). Others: orthogonal or isotropic."
         ),
     ] = None,
     picture: Annotated[
-        Path | None,
-        typer.Option("--picture", help="N-wire without --points: PNG of the detected dots and wires."),
+        Path | None, Option(help="N-wire without --points: PNG of the detected dots and wires.")
     ] = None,
     max_residual_mm: MaxResidualOption = None,
     probe_name: ProbeNameOption = None,

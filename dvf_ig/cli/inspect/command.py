@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
+from typer import Argument, Option
 
 from dvf_ig.cli.shell import (
     EcgLeadOption,
@@ -22,16 +22,14 @@ SHOWN_VALUES = 12
 
 
 def inspect(
-    file: Annotated[
-        str, typer.Argument(help="A file or folder, or an ECG as wfdb:, edf:, csv: or plus:PATH.")
-    ],
+    file: Annotated[str, Argument(help="A file or folder, or an ECG as wfdb:, edf:, csv: or plus:PATH.")],
     rate: EcgRateOption = None,
     lead: EcgLeadOption = None,
     probe_name: ProbeNameOption = None,
     reference_name: ReferenceNameOption = None,
     output: Annotated[
         Path | None,
-        typer.Option(
+        Option(
             "-o",
             "--out",
             callback=output_file,

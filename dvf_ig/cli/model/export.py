@@ -4,7 +4,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
+from typer import Argument, Option
 
 from dvf_ig.cli.shell import JsonFlag, command, emit, output_dir, wrote
 
@@ -28,11 +28,11 @@ CONTENT = {
 
 
 def export(
-    model_file: Annotated[Path, typer.Argument(metavar="MODEL", help="Model file.")],
-    out: Annotated[Path, typer.Option("-o", "--out", callback=output_dir, help="Folder to write into.")],
+    model_file: Annotated[Path, Argument(metavar="MODEL", help="Model file.")],
+    out: Annotated[Path, Option("-o", "--out", callback=output_dir, help="Folder to write into.")],
     form: Annotated[
         ExportFormat,
-        typer.Option(
+        Option(
             "--format",
             help="Surface: vtp (every digit) or stl (32-bit floats). nrrd: image of the signed distance.",
         ),

@@ -6,7 +6,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
+from typer import Argument, Option
 
 from dvf_ig.cli.shell import JsonFlag, SeedOption, ThreadsOption, command, emit, output_dir, wrote
 
@@ -37,8 +37,8 @@ class RecordingFiles:
 
 
 def calibration(
-    kind: Annotated[Kind, typer.Argument(help="Which recording.")],
-    out: Annotated[Path, typer.Option("-o", "--out", callback=output_dir, help="Folder to write.")],
+    kind: Annotated[Kind, Argument(help="Which recording.")],
+    out: Annotated[Path, Option("-o", "--out", callback=output_dir, help="Folder to write.")],
     as_json: JsonFlag = False,
     seed: SeedOption = 1,
     threads: ThreadsOption = None,

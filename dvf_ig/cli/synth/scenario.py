@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from typer import Option
 
 from dvf_ig.cli.shell import JsonFlag, ThreadsOption, command, output_dir
 from dvf_ig.cli.voxel_size import VoxelOption, voxel_size
@@ -55,114 +56,70 @@ class Anatomy(StrEnum):
 
 def scenario(
     out: Annotated[
-        Path | None, typer.Option("-o", "--out", callback=output_dir, help="Scenario folder to write.")
+        Path | None, Option("-o", "--out", callback=output_dir, help="Scenario folder to write.")
     ] = None,
     spec_file: Annotated[
         Path | None,
-        typer.Option(
-            "--spec", help="YAML that describes the scenario; options given here replace its values."
-        ),
+        Option("--spec", help="YAML that describes the scenario; options given here replace its values."),
     ] = None,
-    print_spec: Annotated[
-        bool, typer.Option("--print-spec", help="Only print the YAML of this scenario.")
-    ] = False,
+    print_spec: Annotated[bool, Option("--print-spec", help="Only print the YAML of this scenario.")] = False,
     world: Annotated[
-        World | None,
-        typer.Option("--world", help="The first (default), or the second: other tables, only for reports."),
+        World | None, Option(help="The first (default), or the second: other tables, only for reports.")
     ] = None,
     quality: Annotated[
-        ImageQuality | None,
-        typer.Option("--quality", help="Second world only: calm (default) or poor-image."),
+        ImageQuality | None, Option(help="Second world only: calm (default) or poor-image.")
     ] = None,
     anatomy: Annotated[
         Anatomy | None,
-        typer.Option(
-            "--anatomy",
-            help="The four-chamber phantom (default), real surfaces, or the heart of a real cine.",
-        ),
+        Option(help="The four-chamber phantom (default), real surfaces, or the heart of a real cine."),
     ] = None,
-    preset: Annotated[
-        str | None, typer.Option("--preset", help=f"Disturbance: {PRESET_NAMES} (default: calm).")
-    ] = None,
-    motion: Annotated[
-        str | None, typer.Option("--motion", help="Phantom only: paper5mm (default) or physiological.")
-    ] = None,
+    preset: Annotated[str | None, Option(help=f"Disturbance: {PRESET_NAMES} (default: calm).")] = None,
+    motion: Annotated[str | None, Option(help="Phantom only: paper5mm (default) or physiological.")] = None,
     heart: Annotated[
-        str | None,
-        typer.Option(
-            "--heart", help="Phantom only: standard (default), varied, healthy, dilated or hypertrophic."
-        ),
+        str | None, Option(help="Phantom only: standard (default), varied, healthy, dilated or hypertrophic.")
     ] = None,
     exam: Annotated[
         Exam | None,
-        typer.Option(
-            "--exam",
+        Option(
             help="Phantom only: its MR as an examination: short-axis slices of 8 mm with gaps, the middle "
-            "seven of them alone, slices of 10 mm, or with three long-axis cines (default: isotropic MR).",
+            "seven of them alone, slices of 10 mm, or with three long-axis cines (default: isotropic MR)."
         ),
     ] = None,
-    seconds: Annotated[
-        float | None, typer.Option("--seconds", help="Length of the live part (default: 60).")
-    ] = None,
-    surfaces: Annotated[
-        Path | None, typer.Option("--surfaces", help="Folder of corresponding surfaces.")
-    ] = None,
-    ecg: Annotated[
-        str | None, typer.Option("--ecg", help="Annotated ECG whose beats drive the heart: wfdb:RECORD.")
-    ] = None,
-    probe_path: Annotated[
-        Path | None, typer.Option("--probe-path", help="PLUS sequence whose probe motion is replayed.")
-    ] = None,
-    cine: Annotated[
-        Path | None, typer.Option("--cine", help="Real 4-D short-axis MR, from end-diastole on.")
-    ] = None,
+    seconds: Annotated[float | None, Option(help="Length of the live part (default: 60).")] = None,
+    surfaces: Annotated[Path | None, Option(help="Folder of corresponding surfaces.")] = None,
+    ecg: Annotated[str | None, Option(help="Annotated ECG whose beats drive the heart: wfdb:RECORD.")] = None,
+    probe_path: Annotated[Path | None, Option(help="PLUS sequence whose probe motion is replayed.")] = None,
+    cine: Annotated[Path | None, Option(help="Real 4-D short-axis MR, from end-diastole on.")] = None,
     labels: Annotated[
-        Path | None,
-        typer.Option(
-            "--labels", help="Labels at end-diastole: 1 right ventricle, 2 myocardium, 3 left ventricle."
-        ),
+        Path | None, Option(help="Labels at end-diastole: 1 right ventricle, 2 myocardium, 3 left ventricle.")
     ] = None,
     es_labels: Annotated[
         str | None,
-        typer.Option(
-            "--es-labels",
-            help="Labels at end-systole, FILE@PHASE (phase 0 is the first); else the cine is tracked.",
-        ),
+        Option(help="Labels at end-systole, FILE@PHASE (phase 0 is the first); else the cine is tracked."),
     ] = None,
     voxel_mm: VoxelOption = None,
     probe_calibration: Annotated[
         Path | None,
-        typer.Option(
-            "--probe-calibration",
-            help="A real probe's ImageToProbe (PLUS XML, or JSON of `calibrate probe`) to simulate.",
-        ),
+        Option(help="A real probe's ImageToProbe (PLUS XML, or JSON of `calibrate probe`) to simulate."),
     ] = None,
     image_px: Annotated[
-        tuple[int, int] | None,
-        typer.Option("--image-px", metavar="COLUMNS ROWS", help="Image size of --probe-calibration."),
+        tuple[int, int] | None, Option(metavar="COLUMNS ROWS", help="Image size of --probe-calibration.")
     ] = None,
     mismatch_mm: Annotated[
-        float | None, typer.Option("--mismatch-mm", help="RMS difference between MR and ultrasound anatomy.")
+        float | None, Option(help="RMS difference between MR and ultrasound anatomy.")
     ] = None,
-    us_rate_hz: Annotated[
-        float | None, typer.Option("--us-rate-hz", help="Ultrasound frames a second (default: 12).")
-    ] = None,
+    us_rate_hz: Annotated[float | None, Option(help="Ultrasound frames a second (default: 12).")] = None,
     as_json: JsonFlag = False,
-    seed: Annotated[
-        int | None, typer.Option("--seed", help="Seed of every random choice (default: 1).")
-    ] = None,
-    anatomy_seed: Annotated[
-        int | None, typer.Option("--anatomy-seed", help="Take the phantom's shape from this --seed.")
-    ] = None,
+    seed: Annotated[int | None, Option(help="Seed of every random choice (default: 1).")] = None,
+    anatomy_seed: Annotated[int | None, Option(help="Take the phantom's shape from this --seed.")] = None,
     motion_seed: Annotated[
-        int | None, typer.Option("--motion-seed", help="Take the phantom's pump function from this --seed.")
+        int | None, Option(help="Take the phantom's pump function from this --seed.")
     ] = None,
     mismatch_seed: Annotated[
-        int | None,
-        typer.Option("--mismatch-seed", help="Take the difference between MR and now from this --seed."),
+        int | None, Option(help="Take the difference between MR and now from this --seed.")
     ] = None,
     speckle_seed: Annotated[
-        int | None, typer.Option("--speckle-seed", help="Take the ultrasound's speckle from this --seed.")
+        int | None, Option(help="Take the ultrasound's speckle from this --seed.")
     ] = None,
     threads: ThreadsOption = None,
 ) -> None:

@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from typer import Option
 
 from dvf_ig.cli.shell import JsonFlag, SeedOption, ThreadsOption, command, emit, output_file, wrote
 
@@ -18,30 +19,24 @@ VIEW = "apical four-chamber"
 
 
 def us(
-    labels: Annotated[Path, typer.Option("--labels", help="Label volume: NIfTI, NRRD or MetaImage.")],
+    labels: Annotated[Path, Option(help="Label volume: NIfTI, NRRD or MetaImage.")],
     out: Annotated[
-        Path,
-        typer.Option(
-            "-o", "--out", callback=output_file, help="Image to write: .png, or .nrrd/.mha/.nii.gz."
-        ),
+        Path, Option("-o", "--out", callback=output_file, help="Image to write: .png, or .nrrd/.mha/.nii.gz.")
     ],
     probe: Annotated[
-        str | None, typer.Option("--probe", help="epicardial, apical, tee, curvilinear, ice or matrix (3-D).")
+        str | None, Option(help="epicardial, apical, tee, curvilinear, ice or matrix (3-D).")
     ] = None,
     tissues: Annotated[
-        Path | None,
-        typer.Option("--tissues", help="YAML or JSON: label number to tissue name (default: whole heart)."),
+        Path | None, Option(help="YAML or JSON: label number to tissue name (default: whole heart).")
     ] = None,
-    view: Annotated[str | None, typer.Option("--view", help=f"Standard view (default: {VIEW}).")] = None,
+    view: Annotated[str | None, Option(help=f"Standard view (default: {VIEW}).")] = None,
     eye: Annotated[
-        Triple | None, typer.Option("--eye", help="Probe's position instead of a view: x y z in mm, LPS.")
+        Triple | None, Option(help="Probe's position instead of a view: x y z in mm, LPS.")
     ] = None,
     towards: Annotated[
-        Triple | None, typer.Option("--towards", help="With --eye: point to look at (default: the heart).")
+        Triple | None, Option(help="With --eye: point to look at (default: the heart).")
     ] = None,
-    roll_deg: Annotated[
-        float, typer.Option("--roll-deg", help="With --eye: turn about the viewing direction.")
-    ] = 0.0,
+    roll_deg: Annotated[float, Option(help="With --eye: turn about the viewing direction.")] = 0.0,
     as_json: JsonFlag = False,
     seed: SeedOption = 1,
     threads: ThreadsOption = None,
