@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from typer import Argument, Option
 
-from .shell import JsonFlag, SeedOption, ThreadsOption, command, emit, output_dir, progress, wrote
+from .shell import JsonFlag, SeedOption, ThreadsOption, command, emit, out_folder, progress, wrote
 
 if TYPE_CHECKING:
     from dvf_ig.guidance import Continuity
@@ -44,9 +44,7 @@ def bench(
         ),
     ] = None,
     step_mm: Annotated[float, Option(help="Pitch of the phantom's mesh.")] = 1.5,
-    out: Annotated[
-        Path | None, Option("-o", "--out", callback=output_dir, help="Folder for bench.json.")
-    ] = None,
+    out: Annotated[Path | None, out_folder("Folder for bench.json.")] = None,
     seed: SeedOption = 1,
     threads: ThreadsOption = None,
     as_json: JsonFlag = False,

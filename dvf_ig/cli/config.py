@@ -12,7 +12,7 @@ import typer
 from typer import Argument, Option
 from typer.core import TyperCommand
 
-from .shell import JsonFlag, command, emit, output_file, warn, wrote
+from .shell import JsonFlag, command, emit, out_file, warn, wrote
 
 if TYPE_CHECKING:
     from dvf_ig.intake.draft import Verdict
@@ -27,7 +27,7 @@ app = typer.Typer(
 
 USES: "tuple[Use, Use]" = ("register", "replay")
 SessionArgument = Annotated[Path, Argument(metavar="SESSION", help="A session.yaml, or a scenario folder.")]
-OutputOption = Annotated[Path, Option("-o", "--out", callback=output_file, help="session.yaml to write.")]
+OutputOption = Annotated[Path, out_file("session.yaml to write.")]
 
 
 class InitCommand(TyperCommand):
@@ -182,9 +182,7 @@ def validate(
 
 
 def schema(
-    output: Annotated[
-        Path | None, Option("-o", "--out", callback=output_file, help="File to write instead of stdout.")
-    ] = None,
+    output: Annotated[Path | None, out_file("File to write instead of stdout.")] = None,
     as_json: JsonFlag = False,
 ) -> None:
     """Write the JSON schema of a session.yaml, with which an editor completes keys and marks mistakes.

@@ -6,7 +6,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer import Argument, Option
 
-from .shell import EcgLeadOption, EcgRateOption, JsonFlag, command, emit, output_file, progress, warn, wrote
+from .shell import (
+    EcgLeadOption,
+    EcgRateOption,
+    JsonFlag,
+    command,
+    emit,
+    out_file,
+    progress,
+    warn,
+    wrote,
+)
 
 if TYPE_CHECKING:
     from dvf_ig.cardiac import PhaseClockOptions, PhaseTracking
@@ -40,12 +50,7 @@ def gate(
             "marker:FILE; with or without an ECG."
         ),
     ] = None,
-    output: Annotated[
-        Path | None,
-        Option(
-            "-o", "--out", callback=output_file, help="Write the result (JSON), and a picture next to it."
-        ),
-    ] = None,
+    output: Annotated[Path | None, out_file("Write the result (JSON), and a picture next to it.")] = None,
     as_json: JsonFlag = False,
 ) -> None:
     """Detect R peaks causally and report where the heart's phase is valid; follow breathing likewise."""

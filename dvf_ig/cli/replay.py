@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from typer import Argument, Option
+from typer import Argument
 
 from .fixture_options import (
     BlendOption,
@@ -26,19 +26,21 @@ from .fixture_options import (
 from .patient_model import patient_model
 from .run_outputs import run_files, write_run
 from .session_argument import SESSION, ModelOption, read_agreeing
-from .shell import JsonFlag, SeedOption, ThreadsOption, command, emit, output_dir, progress, warn, wrote
+from .shell import (
+    JsonFlag,
+    SeedOption,
+    ThreadsOption,
+    command,
+    emit,
+    out_folder,
+    progress,
+    warn,
+    wrote,
+)
 
 
 def replay(
-    out: Annotated[
-        Path,
-        Option(
-            "-o",
-            "--out",
-            callback=output_dir,
-            help="Folder for the result, its page, the pose and the ticks.",
-        ),
-    ],
+    out: Annotated[Path, out_folder("Folder for the result, its page, the pose and the ticks.")],
     session: Annotated[
         Path, Argument(metavar="SESSION", help=f"{SESSION.capitalize()}; or a session's LOG.mcap.")
     ],

@@ -72,6 +72,16 @@ def output_dir(path: Path | None) -> Path | None:
     return path
 
 
+def out_file(help: str) -> Any:
+    """Make the option -o of a command that writes a file."""
+    return Option("-o", "--out", callback=output_file, help=help)
+
+
+def out_folder(help: str) -> Any:
+    """Make the option -o of a command that writes a folder."""
+    return Option("-o", "--out", callback=output_dir, help=help)
+
+
 def exit_code(error: "DvfIgError") -> int:
     """Exit code of an error: 2 usage, 3 bad input, 4 cannot write, 5 no overlap, 6 not converged, 7 gate."""
     from dvf_ig.core import errors

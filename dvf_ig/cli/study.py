@@ -26,7 +26,7 @@ from dvf_ig.cli.shell import (
     cores_or,
     emit,
     limit_threads,
-    output_dir,
+    out_folder,
     progress,
     warn,
     whole_numbers,
@@ -167,7 +167,7 @@ def _shared(study: "Study") -> dict[str, tuple[Any, Any]]:
     about = (
         "Folder; a study that was stopped goes on where it was." if study.trials else "Folder for results."
     )
-    folder = Option("-o", "--out", callback=output_dir, help=about)
+    folder = out_folder(about)
     options: dict[str, tuple[Any, Any]] = {
         "out": (Annotated[Path, folder], inspect.Parameter.empty)
         if study.needs_folder

@@ -4,11 +4,11 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from typer import Argument, Option
+from typer import Argument
 
 from .patient_model import patient_model
 from .recorded import ModelOption, RecordingOption, require_place
-from .shell import JsonFlag, ThreadsOption, command, emit, output_file, wrote
+from .shell import JsonFlag, ThreadsOption, command, emit, out_file, wrote
 
 
 def view(
@@ -16,13 +16,7 @@ def view(
         Path, Argument(metavar="RUN", help="Folder that `dvf-ig replay … -o RUN` wrote; or a model (.npz).")
     ],
     out: Annotated[
-        Path | None,
-        Option(
-            "-o",
-            "--out",
-            callback=output_file,
-            help="HTML file to write (default: RUN/view.html, or next to the model).",
-        ),
+        Path | None, out_file("HTML file to write (default: RUN/view.html, or next to the model).")
     ] = None,
     recording: RecordingOption = None,
     model: ModelOption = None,

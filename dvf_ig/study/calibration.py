@@ -7,8 +7,7 @@ One synthetic calibration recording a trial. The unit is the recording.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from enum import StrEnum
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -40,20 +39,11 @@ from dvf_ig.study.driver import (
 )
 
 
-class Kind(StrEnum):
-    """Which calibration."""
-
-    nwire = "nwire"
-    wall = "wall"
-    watertank = "watertank"
-    crosswire = "cross-wire"
-
-
 @dataclass(frozen=True, kw_only=True)
 class CalibrationSettings:
     """Options of the study."""
 
-    kind: Kind = option("Which calibration.")
+    kind: Literal["nwire", "wall", "watertank", "cross-wire"] = option("Which calibration.")
     seeds: int = seeds_option(200)
     method: str = option("N-wire: linear, orthogonal, isotropic, all-wires or chosen.", "orthogonal")
     seed: int = seed_option(1)
@@ -211,8 +201,8 @@ _MAPS: dict[str, Callable[..., tuple[MapUncertainty, dict[str, Any]]]] = {
 
 def run(settings: CalibrationSettings, driver: Driver) -> Result:
     """Calibrate every seed's recording."""
-    method = {"method": settings.method} if settings.kind is Kind.nwire else {}
-    fields = {"kind": settings.kind.value} | method
+    method = {"method": settings.method} if settings.kind == "nwire" else {}
+    fields = {"kind": settings.kind} | method
     seeds = range(settings.seed, settings.seed + settings.seeds)
     lines = driver.trials(Trials("calibration", fields, calibration_trial), seeds)
     entries = interval_coverage(lines)

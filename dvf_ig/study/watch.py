@@ -446,9 +446,9 @@ def run(settings: WatchSettings, driver: Driver) -> Result:
     """Watch every heart of the list."""
     checked = ScenarioSpec(preset=settings.preset, seconds=settings.seconds)
     fields = {"preset": checked.preset, "seconds": checked.seconds}
-    hearts = heart_list(settings.list.value).first_world[: settings.hearts]
+    hearts = heart_list(settings.list).first_world[: settings.hearts]
     result = summarise_watch(driver.trials(Trials("watch", fields, watch_trial), hearts))
-    summary = {"list": settings.list.value, **fields, **asdict(result)}
+    summary = {"list": settings.list, **fields, **asdict(result)}
     return Result(summary, _table(result), {"summary.json": summary})
 
 

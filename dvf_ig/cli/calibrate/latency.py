@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Argument, Option
 
-from dvf_ig.cli.shell import JsonFlag, SeedOption, command, output_file, warn
+from dvf_ig.cli.shell import JsonFlag, SeedOption, command, out_file, warn
 
 from .output import judge, marked, save, show, verdict
 
@@ -23,10 +23,7 @@ def latency(
     line_table: Annotated[
         Path | None, Option(help="PLUS line results; otherwise lines are found in the images.")
     ] = None,
-    output: Annotated[
-        Path | None,
-        Option("-o", "--out", callback=output_file, help="Write JSON here, and a picture next to it."),
-    ] = None,
+    output: Annotated[Path | None, out_file("Write JSON here, and a picture next to it.")] = None,
     seed: SeedOption = 0,
     as_json: JsonFlag = False,
 ) -> None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Option
 
-from dvf_ig.cli.shell import emit, output_file, warn, wrote
+from dvf_ig.cli.shell import emit, out_file, warn, wrote
 
 if TYPE_CHECKING:
     from dvf_ig.calibration import (
@@ -22,12 +22,7 @@ if TYPE_CHECKING:
     from dvf_ig.core import FloatArray, ImageMap
 
 
-OutputOption = Annotated[
-    Path | None,
-    Option(
-        "-o", "--out", callback=output_file, help="Write JSON here; PLUS XML and a picture go next to it."
-    ),
-]
+OutputOption = Annotated[Path | None, out_file("Write JSON here; PLUS XML and a picture go next to it.")]
 MaxResidualOption = Annotated[
     float | None,
     Option(

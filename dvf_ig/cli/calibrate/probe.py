@@ -1,22 +1,13 @@
 """`dvf-ig calibrate probe`: map from image pixels to the probe's sensor."""
 
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from typer import Argument, Option
 
 from dvf_ig.cli.shell import JsonFlag, ProbeNameOption, ReferenceNameOption, SeedOption, command
 
 from .output import MaxResidualOption, OutputOption, judge, save, show
-
-
-class Phantom(StrEnum):
-    """Imaged phantom."""
-
-    nwire = "nwire"
-    crosswire = "cross-wire"
-    wall = "wall"
 
 
 def probe(
@@ -26,7 +17,7 @@ def probe(
             help="Tracked images of the phantom; cross-wire and wall with --points: also poses as text."
         ),
     ],
-    phantom: Annotated[Phantom, Option(help="Imaged phantom.")] = Phantom.nwire,
+    phantom: Annotated[Literal["nwire", "cross-wire", "wall"], Option(help="Imaged phantom.")] = "nwire",
     device_set: Annotated[
         Path | None, Option(help="N-wire: PLUS device-set XML with the phantom and its placement.")
     ] = None,
@@ -66,17 +57,11 @@ def probe(
 
         names = ProbeNames.from_plus(probe_name, reference_name)
         rng = np.random.default_rng(seed)
-        if phantom is not Phantom.nwire:
+        if phantom != "nwire":
             from .target import target_result
 
             calibrated = target_result(
-                phantom.value,
-                (sequence, points),
-                (validate, validate_points),
-                names,
-                method,
-                max_residual_mm,
-                rng,
+                phantom, (sequence, points), (validate, validate_points), names, method, max_residual_mm, rng
             )
         else:
             from .nwire import nwire_result
@@ -86,7 +71,7 @@ def probe(
                 sequence, device_set, validate, tables, names, method, picture, max_residual_mm, rng
             )
         result = calibrated.result
-        of_plus = phantom is Phantom.nwire and points is not None  # PLUS's own points are of images in MF
+        of_plus = phantom == "nwire" and points is not None  # PLUS's own points are of images in MF
         result["image_orientation"] = "MF" if of_plus else image_orientation(sequence)
         matrix = np.array(result["sensor_from_image"])
         name = f"{result['sensor_frame']}_from_image"

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Annotated, Any
 
-from typer import Argument, Option
+from typer import Argument
 
 from dvf_ig.cli.shell import (
     EcgLeadOption,
@@ -13,7 +13,7 @@ from dvf_ig.cli.shell import (
     ReferenceNameOption,
     command,
     emit,
-    output_file,
+    out_file,
     wrote,
 )
 
@@ -28,13 +28,7 @@ def inspect(
     probe_name: ProbeNameOption = None,
     reference_name: ReferenceNameOption = None,
     output: Annotated[
-        Path | None,
-        Option(
-            "-o",
-            "--out",
-            callback=output_file,
-            help="Of a DICOM examination: draw where its slices lie (PNG).",
-        ),
+        Path | None, out_file("Of a DICOM examination: draw where its slices lie (PNG).")
     ] = None,
     as_json: JsonFlag = False,
 ) -> None:

@@ -14,7 +14,7 @@ from dvf_ig.cli.shell import (
     command,
     cores_or,
     emit,
-    output_file,
+    out_file,
     warn,
     whole_numbers,
     wrote,
@@ -31,9 +31,7 @@ if TYPE_CHECKING:
     from .request import BuildRequest
 
 
-OutputOption = Annotated[
-    Path, Option("-o", "--out", callback=output_file, help="Model file to write (.npz).")
-]
+OutputOption = Annotated[Path, out_file("Model file to write (.npz).")]
 SurfacesOption = Annotated[
     Path | None,
     Option(

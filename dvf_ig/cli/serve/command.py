@@ -31,7 +31,16 @@ from dvf_ig.cli.fixture_options import (
     with_margin,
 )
 from dvf_ig.cli.session_argument import ModelOption, require_own_model
-from dvf_ig.cli.shell import JsonFlag, SeedOption, ThreadsOption, command, emit, output_dir, output_file, warn
+from dvf_ig.cli.shell import (
+    JsonFlag,
+    SeedOption,
+    ThreadsOption,
+    command,
+    emit,
+    out_folder,
+    output_file,
+    warn,
+)
 
 from .log import LOG, LogLevel, logged
 from .setup import live_setup
@@ -79,21 +88,14 @@ def serve(
     ] = None,
     out: Annotated[
         Path | None,
-        Option(
-            "-o",
-            "--out",
-            callback=output_dir,
-            help="Folder for the session's record, which `dvf-ig replay` repeats and `dvf-ig view` shows.",
-        ),
+        out_folder("Folder for the session's record, which `dvf-ig replay` repeats and `dvf-ig view` shows."),
     ] = None,
     seconds: Annotated[float | None, Option(min=0.1, help="End after so long (default: Ctrl-C).")] = None,
     page: Annotated[
         int | None,
         Option(min=0, max=65535, help="Show the session at http://127.0.0.1:PORT; 0 takes a free one."),
     ] = None,
-    log_level: Annotated[
-        LogLevel, Option(help="Least severe messages that are shown and logged.")
-    ] = LogLevel.info,
+    log_level: Annotated[LogLevel, Option(help="Least severe messages that are shown and logged.")] = "info",
     log_file: Annotated[
         Path | None, Option(callback=output_file, help="Append the messages with their times to this file.")
     ] = None,

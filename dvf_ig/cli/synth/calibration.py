@@ -2,13 +2,12 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from typer import Argument, Option
+from typer import Argument
 
-from dvf_ig.cli.shell import JsonFlag, SeedOption, ThreadsOption, command, emit, output_dir, wrote
+from dvf_ig.cli.shell import JsonFlag, SeedOption, ThreadsOption, command, emit, out_folder, wrote
 
 if TYPE_CHECKING:
     import numpy as np
@@ -18,14 +17,7 @@ if TYPE_CHECKING:
     from dvf_ig.core import FloatArray
 
 
-class Kind(StrEnum):
-    """Kind of calibration recording."""
-
-    pivot = "pivot"
-    nwire = "nwire"
-    crosswire = "cross-wire"
-    wall = "wall"
-    watertank = "watertank"
+Kind = Literal["pivot", "nwire", "cross-wire", "wall", "watertank"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +30,7 @@ class RecordingFiles:
 
 def calibration(
     kind: Annotated[Kind, Argument(help="Which recording.")],
-    out: Annotated[Path, Option("-o", "--out", callback=output_dir, help="Folder to write.")],
+    out: Annotated[Path, out_folder("Folder to write.")],
     as_json: JsonFlag = False,
     seed: SeedOption = 1,
     threads: ThreadsOption = None,
@@ -54,11 +46,11 @@ def calibration(
             np.zeros(3), SectorProbe().plane_from_image, 150.0, child_rng(seed, "planting")
         )
         with output_folder(out), files_together(out) as new:
-            recording = _MAKERS[kind](truth, new, child_rng(seed, kind.name))
-            write_json(new / "truth.json", {"kind": kind.value, "seed": seed, **recording.truth})
+            recording = _MAKERS[kind](truth, new, child_rng(seed, kind.replace("-", "")))
+            write_json(new / "truth.json", {"kind": kind, "seed": seed, **recording.truth})
             write_text(new / "README.md", _readme(kind, seed, recording))
         emit(
-            {"kind": kind.value, "folder": str(out), "files": [name for name, _, _ in recording.files]},
+            {"kind": kind, "folder": str(out), "files": [name for name, _, _ in recording.files]},
             [(name, content) for name, content, _ in recording.files],
             as_json=as_json,
         )
@@ -149,11 +141,11 @@ def _watertank(truth: "GroundTruth", out: Path, rng: "np.random.Generator") -> R
 
 
 _MAKERS: dict[Kind, "Callable[[GroundTruth, Path, np.random.Generator], RecordingFiles]"] = {
-    Kind.pivot: _pivot,
-    Kind.nwire: _nwire,
-    Kind.crosswire: _crosswire,
-    Kind.wall: _wall,
-    Kind.watertank: _watertank,
+    "pivot": _pivot,
+    "nwire": _nwire,
+    "cross-wire": _crosswire,
+    "wall": _wall,
+    "watertank": _watertank,
 }
 
 
@@ -188,7 +180,7 @@ def _readme(kind: Kind, seed: int, made: RecordingFiles) -> str:
     rows = [f"| `{name}` | {content} | {frame} |" for name, content, frame in made.files]
     return "\n".join(
         [
-            f"# Synthetic {kind.value} calibration, seed {seed}",
+            f"# Synthetic {kind} calibration, seed {seed}",
             "",
             "Lengths in mm, times in s. `target_from_source` maps coordinates of the source frame to the "
             "target frame; `image` is in pixels (column, row). `truth.json` holds the ground truth: do not "

@@ -1,31 +1,16 @@
 """`dvf-ig synth scenario`: one synthetic intervention with its truth."""
 
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 from typer import Option
 
-from dvf_ig.cli.shell import JsonFlag, ThreadsOption, command, output_dir
+from dvf_ig.cli.shell import JsonFlag, ThreadsOption, command, out_folder
 from dvf_ig.cli.voxel_size import VoxelOption, voxel_size
 
 if TYPE_CHECKING:
     from dvf_ig.cli.synth.spec import SpecFile
-
-
-class World(StrEnum):
-    """Which synthetic world; the second shares no table with the first and serves to report alone."""
-
-    first = "first"
-    second = "second"
-
-
-class ImageQuality(StrEnum):
-    """Presets of a scenario by the quality of its ultrasound images."""
-
-    calm = "calm"
-    poor_image = "poor-image"
 
 
 PRESET_NAMES = (
@@ -37,40 +22,22 @@ PRESET_NAMES = (
 """Names written out, as the synthetic world is loaded only to make a scenario."""
 
 
-class Exam(StrEnum):
-    """Examination as which the phantom's MR is acquired."""
-
-    sax7 = "sax7"
-    sax8 = "sax8"
-    sax10 = "sax10"
-    sax_lax = "sax+lax"
-
-
-class Anatomy(StrEnum):
-    """Source of the beating heart."""
-
-    phantom = "phantom"
-    surfaces = "surfaces"
-    cine = "cine"
-
-
 def scenario(
-    out: Annotated[
-        Path | None, Option("-o", "--out", callback=output_dir, help="Scenario folder to write.")
-    ] = None,
+    out: Annotated[Path | None, out_folder("Scenario folder to write.")] = None,
     spec_file: Annotated[
         Path | None,
         Option("--spec", help="YAML that describes the scenario; options given here replace its values."),
     ] = None,
     print_spec: Annotated[bool, Option("--print-spec", help="Only print the YAML of this scenario.")] = False,
     world: Annotated[
-        World | None, Option(help="The first (default), or the second: other tables, only for reports.")
+        Literal["first", "second"] | None,
+        Option(help="The first (default), or the second: other tables, only for reports."),
     ] = None,
     quality: Annotated[
-        ImageQuality | None, Option(help="Second world only: calm (default) or poor-image.")
+        Literal["calm", "poor-image"] | None, Option(help="Second world only: calm (default) or poor-image.")
     ] = None,
     anatomy: Annotated[
-        Anatomy | None,
+        Literal["phantom", "surfaces", "cine"] | None,
         Option(help="The four-chamber phantom (default), real surfaces, or the heart of a real cine."),
     ] = None,
     preset: Annotated[str | None, Option(help=f"Disturbance: {PRESET_NAMES} (default: calm).")] = None,
@@ -79,7 +46,7 @@ def scenario(
         str | None, Option(help="Phantom only: standard (default), varied, healthy, dilated or hypertrophic.")
     ] = None,
     exam: Annotated[
-        Exam | None,
+        Literal["sax7", "sax8", "sax10", "sax+lax"] | None,
         Option(
             help="Phantom only: its MR as an examination: short-axis slices of 8 mm with gaps, the middle "
             "seven of them alone, slices of 10 mm, or with three long-axis cines (default: isotropic MR)."
@@ -130,47 +97,24 @@ def scenario(
     real, and the heart that the ultrasound shows is built from the expert's labels. Truth, and the YAML from
     which the scenario can be made again, go to OUT/truth.
     """
+    options = locals()
     with command(threads):
         from .first_world import first_scenario
         from .second_world import second_scenario
 
-        values = {
-            "world": None if world is None else world.value,
-            "quality": None if quality is None else quality.value,
-            "anatomy": None if anatomy is None else anatomy.value,
-            "surfaces": None if surfaces is None else str(surfaces),
-            "ecg": ecg,
-            "probe_path": None if probe_path is None else str(probe_path),
-            "cine": None if cine is None else str(cine),
-            "labels": None if labels is None else str(labels),
-            "es_labels": es_labels,
-            "voxel_mm": voxel_size(voxel_mm),
-            "probe_calibration": None if probe_calibration is None else str(probe_calibration),
-            "image_px": image_px,
-            "preset": preset,
-            "motion": motion,
-            "seconds": seconds,
-            "seed": seed,
-            "heart": heart,
-            "exam": None if exam is None else exam.value,
-            "anatomy_seed": anatomy_seed,
-            "motion_seed": motion_seed,
-            "mismatch_seed": mismatch_seed,
-            "speckle_seed": speckle_seed,
-            "us_rate_hz": us_rate_hz,
-            "mismatch_mm": mismatch_mm,
-        }
-        file = _with_options(spec_file, values)
+        file = _with_options(spec_file, {**options, "voxel_mm": voxel_size(voxel_mm)})
         second = file.world == "second" or file.quality is not None
         make = second_scenario if second else first_scenario
         make(file, out, print_spec=print_spec, as_json=as_json)
 
 
-def _with_options(spec_file: Path | None, values: dict[str, Any]) -> "SpecFile":
-    """Read the file (or the defaults), and replace its values by the given options."""
+def _with_options(spec_file: Path | None, options: dict[str, Any]) -> "SpecFile":
+    """Read the file (or the defaults), and replace its values by the options that were given."""
     from .spec import SpecFile, read_spec
 
-    if spec_file is not None and values["preset"] is not None:
+    if spec_file is not None and options["preset"] is not None:
         raise typer.BadParameter("--preset and --spec both state the disturbances; change them in the file")
     file = read_spec(spec_file) if spec_file is not None else SpecFile()
-    return file.model_copy(update={key: value for key, value in values.items() if value is not None})
+    given = {key: options[key] for key in SpecFile.model_fields if options.get(key) is not None}
+    paths = {key: str(value) for key, value in given.items() if isinstance(value, Path)}
+    return file.model_copy(update=given | paths)

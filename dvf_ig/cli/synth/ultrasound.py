@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer import Option
 
-from dvf_ig.cli.shell import JsonFlag, SeedOption, ThreadsOption, command, emit, output_file, wrote
+from dvf_ig.cli.shell import JsonFlag, SeedOption, ThreadsOption, command, emit, out_file, wrote
 
 if TYPE_CHECKING:
     from data_synth import LabelAnatomy, Tissue
@@ -20,9 +20,7 @@ VIEW = "apical four-chamber"
 
 def us(
     labels: Annotated[Path, Option(help="Label volume: NIfTI, NRRD or MetaImage.")],
-    out: Annotated[
-        Path, Option("-o", "--out", callback=output_file, help="Image to write: .png, or .nrrd/.mha/.nii.gz.")
-    ],
+    out: Annotated[Path, out_file("Image to write: .png, or .nrrd/.mha/.nii.gz.")],
     probe: Annotated[
         str | None, Option(help="epicardial, apical, tee, curvilinear, ice or matrix (3-D).")
     ] = None,

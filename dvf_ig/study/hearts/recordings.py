@@ -8,10 +8,9 @@ are named here then.
 """
 
 from dataclasses import dataclass, replace
-from enum import StrEnum
 from functools import lru_cache
 from time import perf_counter
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from scipy.optimize import bisect
@@ -64,20 +63,13 @@ from dvf_ig.study.driver import Settings, option
 
 from .walls import WallErrors, measure_walls
 
-
-class ListName(StrEnum):
-    """Lists of hearts."""
-
-    tuning = "tuning"
-    threshold = "threshold"
-    reported = "reported"
+ListName = Literal["tuning", "threshold", "reported"]
+"""Lists of hearts."""
 
 
 def list_option() -> Any:
     """The list of hearts that a study takes."""
-    return option(
-        "Hearts that are tuned on, that limits come from, or reported.", ListName.reported, flag="--list"
-    )
+    return option("Hearts that are tuned on, that limits come from, or reported.", "reported", flag="--list")
 
 
 def hearts_option() -> Any:
