@@ -12,7 +12,7 @@ import typer
 from typer import Argument, Option
 from typer.core import TyperCommand
 
-from .shell import JsonFlag, command, emit, out_file, warn, wrote
+from .shell import JsonFlag, command, emit, out_file, set_options, warn, wrote
 
 if TYPE_CHECKING:
     from dvf_ig.intake.draft import Verdict
@@ -73,22 +73,16 @@ def _init_function() -> Any:
             _begin({name: given[_variable(name)] for name in named}, output, as_json=as_json)
 
     named = [name for name, key in KEYS.items() if key.option]
-    kinds: dict[str, Any] = {"output": OutputOption, "as_json": JsonFlag}
+    options: dict[str, tuple[Any, Any]] = {
+        "output": (OutputOption, inspect.Parameter.empty),
+        "as_json": (JsonFlag, False),
+    }
     for name in named:
         key = KEYS[name]
         note = f"{key.note[:1].upper()}{key.note[1:]}."
         option = Option(*key.options, metavar=key.metavar, help=note)
-        kinds[_variable(name)] = Annotated[_kind_of(key.form), option]
-    defaults = {"output": inspect.Parameter.empty, "as_json": False}
-    begin.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
-        [
-            inspect.Parameter(
-                name, inspect.Parameter.KEYWORD_ONLY, annotation=kind, default=defaults.get(name)
-            )
-            for name, kind in kinds.items()
-        ]
-    )
-    begin.__annotations__ = kinds
+        options[_variable(name)] = (Annotated[_kind_of(key.form), option], None)
+    set_options(begin, options)
     return begin
 
 

@@ -3,23 +3,16 @@
 import dataclasses
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from typer import Argument, Option
 
 from .fixture_options import (
-    BlendOption,
-    CapOption,
-    DeltaOption,
-    DepthOption,
-    ExponentOption,
     FixturesFileOption,
-    GammaOption,
-    InsideOption,
-    LawOption,
     MarginOption,
     chosen_fixtures,
+    takes_fixture,
     with_margin,
 )
 from .shell import JsonFlag, command, emit, warn
@@ -29,6 +22,7 @@ if TYPE_CHECKING:
     from dvf_ig.guidance import FixtureOptions, FixtureSet, ForceSamples
 
 
+@takes_fixture
 def force(
     model_file: Annotated[Path, Argument(metavar="MODEL", help="Model file.")],
     points: Annotated[
@@ -39,14 +33,8 @@ def force(
         ),
     ],
     phase: Annotated[float, Option(help="Phase of the model's cycle, 0 at the R peak, modulo 1.")],
-    law: LawOption = None,
-    gamma: GammaOption = None,
-    delta: DeltaOption = None,
-    m: ExponentOption = None,
-    cap_n: CapOption = None,
-    depth_mm: DepthOption = None,
-    inside: InsideOption = False,
-    blend: BlendOption = None,
+    *,
+    fixture: dict[str, Any],
     fixtures: FixturesFileOption = None,
     free_zone_mm: Annotated[
         float | None, Option(help="Guidance: choose --delta and --m for this zone …")
@@ -79,10 +67,8 @@ def force(
         from dvf_ig.guidance import Fixtures
         from dvf_ig.io import read_model, read_points
 
-        values = {"law": law, "gamma": gamma, "delta": delta, "m": m, "cap_n": cap_n, "depth_mm": depth_mm}
-        values |= {"inside": inside, "blend": blend}
         model = read_model(model_file)
-        options, _ = chosen_fixtures(values, fixtures, model.frame)
+        options, _ = chosen_fixtures(fixture, fixtures, model.frame)
         limits = dataclasses.replace(
             options.device,
             stiffness_n_per_m=options.device.stiffness_n_per_m if stiffness is None else stiffness,
@@ -90,7 +76,7 @@ def force(
         )
         options = dataclasses.replace(options, device=limits)
         if free_zone_mm is not None:
-            if law != "guidance" or delta is not None or m is not None:
+            if fixture["law"] != "guidance" or fixture["delta"] is not None or fixture["m"] is not None:
                 raise typer.BadParameter(
                     "--free-zone-mm belongs to --law guidance and chooses its --delta and --m"
                 )

@@ -5,6 +5,7 @@ files go to stderr.
 """
 
 import errno
+import inspect
 import json
 import logging
 import os
@@ -80,6 +81,15 @@ def out_file(help: str) -> Any:
 def out_folder(help: str) -> Any:
     """Make the option -o of a command that writes a folder."""
     return Option("-o", "--out", callback=output_dir, help=help)
+
+
+def set_options(function: Callable[..., None], options: Mapping[str, tuple[Any, Any]]) -> None:
+    """Make annotation and default of each option, by name, those that typer reads of a function."""
+    kind = inspect.Parameter.KEYWORD_ONLY
+    function.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
+        [inspect.Parameter(name, kind, default=of[1], annotation=of[0]) for name, of in options.items()]
+    )
+    function.__annotations__ = {name: annotation for name, (annotation, _) in options.items()}
 
 
 def exit_code(error: "DvfIgError") -> int:

@@ -28,6 +28,7 @@ from dvf_ig.cli.shell import (
     limit_threads,
     out_folder,
     progress,
+    set_options,
     warn,
     whole_numbers,
     wrote,
@@ -116,12 +117,7 @@ def _command_of(module: str, name: str, about: str, epilog: str) -> Any:
         settings = {one.name: _value(one, hints[one.name], values.pop(one.name)) for one in chosen}
         _run(study, study.settings(**settings), **values)
 
-    parameters = [
-        inspect.Parameter(key, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
-        for key, (annotation, default) in options.items()
-    ]
-    run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
-    run.__annotations__ = {key: annotation for key, (annotation, _) in options.items()}
+    set_options(run, options)
     alone = typer.Typer(context_settings={"help_option_names": ["-h", "--help"]}, add_completion=False)
     alone.command(name, help=about, epilog=epilog)(run)
     return get_command(alone)

@@ -14,20 +14,13 @@ import typer
 from typer import Argument, Option
 
 from dvf_ig.cli.fixture_options import (
-    BlendOption,
-    CapOption,
-    DeltaOption,
-    DepthOption,
-    ExponentOption,
     FixturesFileOption,
-    GammaOption,
-    InsideOption,
-    LawOption,
     MarginOption,
     RetimingOption,
     chosen_fixtures,
     chosen_retiming,
     refuse_options,
+    takes_fixture,
     with_margin,
 )
 from dvf_ig.cli.session_argument import ModelOption, require_own_model
@@ -62,6 +55,7 @@ REMEMBERED = 200
 """Registrations and beats that are kept where there is no record: a session may last for hours."""
 
 
+@takes_fixture
 def serve(
     session: Annotated[
         Path,
@@ -107,14 +101,8 @@ def serve(
             "is led by a hand that follows the tool's poses.",
         ),
     ] = None,
-    law: LawOption = None,
-    gamma: GammaOption = None,
-    delta: DeltaOption = None,
-    m: ExponentOption = None,
-    cap_n: CapOption = None,
-    depth_mm: DepthOption = None,
-    inside: InsideOption = False,
-    blend: BlendOption = None,
+    *,
+    fixture: dict[str, Any],
     fixtures: FixturesFileOption = None,
     retiming: RetimingOption = None,
     margin: MarginOption = None,
@@ -137,11 +125,9 @@ def serve(
 
         require_own_model(session, model)
         files = read_session(session, "live")
-        given = {"law": law, "gamma": gamma, "delta": delta, "m": m, "cap_n": cap_n, "depth_mm": depth_mm}
-        given |= {"inside": inside, "blend": blend}
-        options, of_file = chosen_fixtures(given, fixtures)
+        options, of_file = chosen_fixtures(fixture, fixtures)
         if files.fixtures is not None:
-            refuse_options(given, fixtures)
+            refuse_options(fixture, fixtures)
             options = files.fixtures
         mode = chosen_retiming(retiming, files.retiming or of_file)
         changes: dict[str, Any] = {"host": host, "port": port, "role": "server" if listen else None}
