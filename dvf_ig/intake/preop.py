@@ -106,12 +106,8 @@ def _with_times(mr: VolumeSeries, model: DvfModel, name: str) -> VolumeSeries:
     if len(mr.timing) == model.phases:
         return replace(mr, timing=model.timing)
     log.warning(
-        "%s has %d phases, the model %d: its phase i is taken to be at i/%d of the cycle; put a timing.json "
-        "beside it",
-        name,
-        len(mr.timing),
-        model.phases,
-        len(mr.timing),
+        f"{name} has {len(mr.timing)} phases, the model {model.phases}: its phase i is taken to be at "
+        f"i/{len(mr.timing)} of the cycle; put a timing.json beside it"
     )
     return mr
 

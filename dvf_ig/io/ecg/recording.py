@@ -125,13 +125,9 @@ def require_plausible(path: Path, signal: Signal) -> None:
         swing = 0.0 if in_one_mv is None else swing_of(samples, signal.rate_hz) / in_one_mv
         if swing > 0 and not least <= swing <= most:
             log.warning(
-                "%s: lead %s swings by %.3g mV from beat to beat, and a heart gives %g to %g mV: its unit or "
-                "gain is wrong; R peaks are found from its shape alone",
-                path,
-                lead,
-                swing,
-                least,
-                most,
+                f"{path}: lead {lead} swings by {swing:.3g} mV from beat to beat, and a heart gives "
+                f"{least:g} to {most:g} mV: its unit or gain is wrong; R peaks are found from its shape "
+                "alone"
             )
 
 

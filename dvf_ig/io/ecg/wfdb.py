@@ -107,10 +107,8 @@ def _compare_lengths(record: Path, header: RecordHeader) -> None:
         )
     if header.available > header.stated:
         log.warning(
-            "%s: its files hold %d samples of each signal, its header says %d; the rest is left out",
-            record,
-            header.available,
-            header.stated,
+            f"{record}: its files hold {header.available} samples of each signal, its header says "
+            f"{header.stated}; the rest is left out"
         )
 
 

@@ -233,8 +233,5 @@ def _warn_of_unnamed(path: Path, layers: AnyArray, segments: tuple[Segment, ...]
         named = [0, *(segment.value for segment in segments if segment.layer == number)]
         if unnamed := np.count_nonzero(~np.isin(layer, named)):
             log.warning(
-                "%s: %d voxels of layer %d have a value of no segment, and are left out",
-                path,
-                unnamed,
-                number,
+                f"{path}: {unnamed} voxels of layer {number} have a value of no segment, and are left out"
             )

@@ -86,10 +86,8 @@ def timing_from_document(path: Path, document: Any) -> CycleTiming:
         timing = CycleTiming(np.array(fractions, dtype=np.float64), float(document["rr_s"]), *assumed)
         if timing.rr_s < 1 and abs(_end(timing) - timing.rr_s) < _SAME * timing.rr_s:
             log.warning(
-                "%s: its fractions would end the cycle at %.3g, as times in s of its rr_s do; they are read "
-                "as shares of the cycle",
-                path,
-                _end(timing),
+                f"{path}: its fractions would end the cycle at {_end(timing):.3g}, as times in s of its "
+                "rr_s do; they are read as shares of the cycle"
             )
         return timing
     except (TypeError, ValueError, OverflowError) as exc:
