@@ -8,13 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer import Argument, Option
 
-from .fixture_options import (
-    FixturesFileOption,
-    MarginOption,
-    chosen_fixtures,
-    takes_fixture,
-    with_margin,
-)
+from .fixture_options import FixturesFileOption, MarginOption, chosen_fixtures, takes_fixture, with_margin
 from .shell import JsonFlag, command, emit, warn
 
 if TYPE_CHECKING:

@@ -6,17 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer import Argument, Option
 
-from .shell import (
-    EcgLeadOption,
-    EcgRateOption,
-    JsonFlag,
-    command,
-    emit,
-    out_file,
-    progress,
-    warn,
-    wrote,
-)
+from .shell import EcgLeadOption, EcgRateOption, JsonFlag, command, emit, out_file, progress, warn, wrote
 
 if TYPE_CHECKING:
     from dvf_ig.cardiac import PhaseClockOptions, PhaseTracking

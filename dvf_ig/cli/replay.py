@@ -19,17 +19,7 @@ from .fixture_options import (
 from .patient_model import patient_model
 from .run_outputs import run_files, write_run
 from .session_argument import SESSION, ModelOption, read_agreeing
-from .shell import (
-    JsonFlag,
-    SeedOption,
-    ThreadsOption,
-    command,
-    emit,
-    out_folder,
-    progress,
-    warn,
-    wrote,
-)
+from .shell import JsonFlag, SeedOption, ThreadsOption, command, emit, out_folder, progress, warn, wrote
 
 
 @takes_fixture

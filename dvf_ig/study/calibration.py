@@ -15,16 +15,8 @@ from data_synth import CrossWireSpec, Preset, SectorProbe, child_rng, crosswire_
 from data_synth.phantoms.wall import WallSpec, wall_recording
 from data_synth.phantoms.watertank import watertank_recording
 from data_synth.scenario.ground_truth import GroundTruth, draw_ground_truth
-from dvf_ig.calibration import (
-    MapUncertainty,
-    NWireOptions,
-    accepted,
-    calibrate_crosswire,
-    calibrate_nwire,
-    calibrate_wall,
-    compare_nwire_methods,
-    estimate_latency,
-)
+from dvf_ig.calibration import MapUncertainty, accepted, calibrate_crosswire, calibrate_wall, estimate_latency
+from dvf_ig.calibration.probe.nwire import NWireOptions, calibrate_nwire, compare_nwire_methods
 from dvf_ig.core import FloatArray, InvalidInputError
 from dvf_ig.study.driver import (
     Driver,

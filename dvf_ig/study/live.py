@@ -16,16 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from dvf_ig.core import (
-    BoolArray,
-    FloatArray,
-    IntArray,
-    InvalidInputError,
-    Landmarks,
-    Scenario,
-    ScenarioTruth,
-    read_only_arrays,
-)
+from dvf_ig.core import InvalidInputError, Landmarks, Scenario, ScenarioTruth
+from dvf_ig.core.arrays import BoolArray, FloatArray, IntArray, read_only_arrays
 from dvf_ig.guidance import Status, SupervisorState
 from dvf_ig.intake import cached_model, read_scenario
 from dvf_ig.intake.live import EcgFieldConfig, LiveConfig

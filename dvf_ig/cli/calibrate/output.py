@@ -11,14 +11,8 @@ from typer import Option
 from dvf_ig.cli.shell import emit, out_file, warn, wrote
 
 if TYPE_CHECKING:
-    from dvf_ig.calibration import (
-        CalibrationErrors,
-        MapUncertainty,
-        NWireResult,
-        Refusal,
-        RejectedFrame,
-        TargetResult,
-    )
+    from dvf_ig.calibration import CalibrationErrors, MapUncertainty, NWireResult, TargetResult
+    from dvf_ig.calibration.refusal import Refusal, RejectedFrame
     from dvf_ig.core import FloatArray, ImageMap
 
 

@@ -24,16 +24,7 @@ from dvf_ig.cli.fixture_options import (
     with_margin,
 )
 from dvf_ig.cli.session_argument import ModelOption, require_own_model
-from dvf_ig.cli.shell import (
-    JsonFlag,
-    SeedOption,
-    ThreadsOption,
-    command,
-    emit,
-    out_folder,
-    output_file,
-    warn,
-)
+from dvf_ig.cli.shell import JsonFlag, SeedOption, ThreadsOption, command, emit, out_folder, output_file, warn
 
 from .log import LOG, LogLevel, logged
 from .setup import live_setup

@@ -7,17 +7,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from dvf_ig.core import (
-    FloatArray,
-    InvalidInputError,
-    PoseStream,
-    Respiration,
-    Scenario,
-    Signal,
-    TrackedSequence,
-    TriggerTimes,
-    UnreadableFileError,
-)
+from dvf_ig.core import FloatArray, PoseStream, Respiration, Scenario, Signal, TrackedSequence, TriggerTimes
+from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
 from dvf_ig.intake.fixtures import STRUCTURES
 from dvf_ig.intake.parts import SessionFiles
 from dvf_ig.intake.preop import PreopFiles, read_preop

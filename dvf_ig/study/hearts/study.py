@@ -19,14 +19,9 @@ from typing import Any, Literal
 import numpy as np
 
 from dvf_ig.core import DvfIgError, FloatArray, InvalidInputError, Rigid
-from dvf_ig.registration import (
-    PoseChart,
-    RegistrationResult,
-    covariance_to_mm,
-    predicted_error_mm,
-    target_errors_mm,
-)
+from dvf_ig.registration import PoseChart, covariance_to_mm, predicted_error_mm, target_errors_mm
 from dvf_ig.registration.evidence.assessment import TABLES, features_of
+from dvf_ig.registration.result import RegistrationResult
 from dvf_ig.study.driver import Driver, Line, Result, Rows, Settings, Study, Trials, option, trials_of
 from dvf_ig.study.hearts.fit import fit_tables
 from dvf_ig.study.hearts.recordings import (
