@@ -17,9 +17,6 @@ if TYPE_CHECKING:
 app = typer.Typer(help="Write a run or a registration for other programs.", no_args_is_help=True)
 
 RunArgument = Annotated[Path, Argument(metavar="RUN", help="Folder that `dvf-ig replay` wrote.")]
-RunOrRegistration = Annotated[
-    Path, Argument(metavar="RUN", help="Folder that `dvf-ig replay` or `dvf-ig register` wrote.")
-]
 
 
 class Source(NamedTuple):
@@ -55,7 +52,9 @@ def read_source(run: Path, recording: Path | None, model: Path | None) -> Source
 
 @app.command("slicer")
 def slicer(
-    run: RunOrRegistration,
+    run: Annotated[
+        Path, Argument(metavar="RUN", help="Folder that `dvf-ig replay` or `dvf-ig register` wrote.")
+    ],
     out: Annotated[Path, out_folder("Folder to write; an earlier one of dvf-ig is replaced.")],
     recording: RecordingOption = None,
     model: ModelOption = None,
