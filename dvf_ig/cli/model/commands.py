@@ -93,8 +93,8 @@ def build(
         str | None,
         Option(
             help="Label values of blood, the left ventricle's first, for example 3,1: end-systole is the "
-            "phase in which the first is smallest; ultrasound shows the boundaries of all (default: those that "
-            ".seg.nrrd names so)."
+            "phase in which the first is smallest; ultrasound shows the boundaries of all (default: those "
+            "that .seg.nrrd names so)."
         ),
     ] = None,
     ed_phase: Annotated[int, Option(min=0, help="With --image: the phase that is labelled.")] = 0,
