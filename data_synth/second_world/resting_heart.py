@@ -36,6 +36,7 @@ class RestingHeart:
         shapes: implicit shapes at end-diastole.
         contracting: its motion with a factor on the contraction; 1 is the pre-operative one.
         ed_vertices_mm, triangles: (v, 3), (m, 3) epicardial surface at end-diastole.
+        long_axis_mm: (2, 3) epicardial apex of the left ventricle and middle of its base.
         rr_s, es_fraction: timing of its motion.
         targets, landmarks: points at which errors are stated, and those that a stylus could touch.
     """
@@ -45,6 +46,7 @@ class RestingHeart:
     contracting: Callable[[float], HeartMotion]
     ed_vertices_mm: FloatArray
     triangles: IntArray
+    long_axis_mm: FloatArray
     rr_s: float
     es_fraction: float
     targets: Landmarks
@@ -80,6 +82,7 @@ def four_chamber_heart(motion: MotionPreset, seed: int, kind: HeartKind) -> Rest
         contracting,
         heart.ed_vertices_mm,
         heart.triangles,
+        heart.long_axis_mm,
         heart.rr_s,
         heart.es_fraction,
         heart.targets(),

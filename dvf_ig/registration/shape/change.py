@@ -41,8 +41,8 @@ LEAST_POINTS = 150
 """Points near the model's boundary below which nothing is said of the shape."""
 SIGMA_FACTOR, SIGMA_FLOOR_MM, SIGMA_SHARE = 1.15, 0.3, 0.13
 """Standard deviations of prior and noise count SIGMA_FACTOR times; to them are added SIGMA_FLOOR_MM and
-SIGMA_SHARE of the scale, which no point near by removes. From 24 changes of threshold hearts 2132 to 2140, 1.2
-to 7 mm: errors are 0.9 to 1.0 of the sum where the wall is seen, 0.7 to 1.1 where it is not."""
+SIGMA_SHARE of the scale, which no point near by removes. From 24 changes of threshold hearts 2132 to 2140,
+1.2 to 7 mm: errors are 0.9 to 1.0 of the sum where the wall is seen, 0.7 to 1.1 where it is not."""
 SCALE_SPREAD = 0.05
 """Half the variance of a heart's mean square error as a share of its square, beyond what covariances between
 walls make it: of the same hearts it is 0.44 to 1.6 of the mean variance that is stated."""

@@ -295,17 +295,15 @@ def registered_heart(settings: Settings, number: int) -> RegisteredHeart:
         if condition.disturbed:
             raise InvalidInputError("the second world is for reporting; its hearts are not disturbed further")
         rng = child_rng(seed, "heart trial")
-        if settings["images"] in EXAMS:
-            raise InvalidInputError("the second world has no short-axis slices; take --world first")
         quality: Any = condition.quality
-        second = {"sweep": _second_sweep, "volumes": _second_volumes}[settings["images"]]
-        return second(SecondWorldSpec(seed, quality, _motion(seed), SWEEP_S), rng)
+        spec = SecondWorldSpec(seed, quality, _motion(seed), SWEEP_S, exam=_exam(settings["images"], seed))
+        return (_second_volumes if settings["images"] == "volumes" else _second_sweep)(spec, rng)
     drawing = seed if condition.draw == 0 else number
     rng = child_rng(drawing, "heart trial")
     images = settings["images"]
     if images == "volumes":
         return _volumes(seed, drawing, condition, rng)
-    exam = EXAMS[images][seed // 2 % len(EXAMS[images])] if images in EXAMS else None
+    exam = _exam(images, seed)
     if condition.change is not None:
         return _changed_sweep(seed, condition, CHANGES[condition.change], rng)
     return _sweep(seed, drawing, condition, rng, exam)
@@ -313,6 +311,11 @@ def registered_heart(settings: Settings, number: int) -> RegisteredHeart:
 
 def _motion(seed: int) -> Any:
     return MOTION[seed % 2]
+
+
+def _exam(images: str, seed: int) -> ExamName | None:
+    """Return the examination as which a heart's MR is acquired; None if it is whole."""
+    return EXAMS[images][seed // 2 % len(EXAMS[images])] if images in EXAMS else None
 
 
 @lru_cache(maxsize=1)
@@ -363,7 +366,7 @@ def _changed_sweep(
 
 
 def _second_sweep(spec: SecondWorldSpec, rng: np.random.Generator) -> RegisteredHeart:
-    recording = second_world_recording(spec)
+    recording = second_world_recording(spec, phases=EXAM_PHASES)
     heart = build_heart(recording.scenario.preop)
     registered = _registered_sweep(
         recording.scenario, heart, spec.seed, START_MM, rng, {"sweep_s": spec.seconds}
