@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 from typing import Literal, Protocol, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
 from data_synth.heart.motion import PullBack
 from data_synth.heart.reference import ReferenceMap, ReferenceShapes
@@ -98,9 +99,13 @@ class Examination:
         """The long-axis cines."""
         return tuple(view.image for view in self.lax)
 
-    def preop(self, patient_id: str) -> Preop:
-        """Data of the examination: cines, and the stack's labels at end-diastole."""
-        drawn = self.sax.labels.values[0]
+    def preop(self, patient_id: str, contours: NDArray[np.uint8] | None = None) -> Preop:
+        """Data of the examination: cines, and the stack's labels at end-diastole.
+
+        Args:
+            contours: labels as an observer draws them; None: exact ones.
+        """
+        drawn = self.sax.labels.values[0] if contours is None else contours
         names = tuple((code, name) for code, name in LABEL_NAMES if (drawn == code).any())
         return Preop(
             patient_id=patient_id,

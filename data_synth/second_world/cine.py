@@ -1,6 +1,6 @@
 """Cine MR of the second world: slices from many breath-holds, and labels as an observer draws them."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,7 @@ from data_synth.mr.examination import RR_JITTER, SHIFT_MM, Examination, ExamName
 from data_synth.mr.stack import StackProtocol
 from data_synth.seeds import child_rng
 from data_synth.threads import for_each
-from dvf_ig.core import CycleTiming, FloatArray, Grid, Preop, Volume, VolumeSeries, read_only_arrays
+from dvf_ig.core import CycleTiming, FloatArray, Grid, Preop, VolumeSeries, read_only_arrays
 
 from .clock import CycleLaw
 from .drawn import Drawn
@@ -133,11 +133,11 @@ def examine(
 
 def segmented(examined: Examination, heart: RestingHeart, fields: TissueFields, drawn: Drawn) -> Preop:
     """Take the cines of an examination, with labels as an observer draws them at end-diastole."""
-    preop, grid = examined.preop(f"second-world-{drawn.seed}"), examined.sax.image.grid
+    grid = examined.sax.image.grid
     held = SliceErrors(np.zeros((grid.shape[2], 1)), examined.sax.slice_shift_mm)
     material = _material(grid, heart.contracting(1.0), held, 0)
     contours = _ContourErrors(grid, fields, drawn).labels(material, 0)
-    return replace(preop, ed_labels=Volume(grid, contours))
+    return examined.preop(f"second-world-{drawn.seed}", contours)
 
 
 def slice_grid(heart: RestingHeart, drawn: Drawn) -> Grid:

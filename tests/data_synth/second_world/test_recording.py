@@ -293,6 +293,7 @@ def test_an_observer_draws_the_heart_of_an_examination_with_errors(room: Operati
     assert preop.ed_labels is not None
     drawn, true = preop.ed_labels.values > 0, examined.sax.labels.values[0] > 0
     assert drawn.shape[2] == 7
+    assert set(np.unique(preop.ed_labels.values)) == {0, *preop.organ_labels}
     assert 0.9 < 2.0 * (drawn & true).sum() / (drawn.sum() + true.sum()) < 0.995
     grey = examined.sax.image.values[0]
     assert grey[true].mean() > 1.2 * grey[~true].mean()
