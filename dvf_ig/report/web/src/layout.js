@@ -100,18 +100,16 @@ export function legendRows(scene, series, { surfaces }, bySigma) {
   ].filter(Boolean);
 }
 
-/** The labels that lie in the image, with the stiffness that is assumed of their tissue; all properties as a tip. */
-export function tissueRows(labels, contours) {
-  const there = contours.filter((one) => one.role === "label").map((one) => one.name);
-  return labels.kinds
-    .map((kind, i) => [kind, labelColor(i)])
-    .filter(([kind]) => there.includes(kind.name))
-    .map(([kind, color]) => {
+/** Labels, pale those that do not lie in the image, with the stiffness that their tissue is given; all properties as a tip. */
+export function tissueRows(kinds, contours) {
+  return kinds
+    .map((kind, i) => {
+      const away = contours.every((one) => one.role !== "label" || one.name !== kind.name);
       const all = kind.properties.map(([what, value, source]) => `${what} ${value} (${source})`);
       const [, stiffness, source] = kind.properties[0] ?? [];
       const said = stiffness ? `${stiffness}, ${source.split(":")[0]}` : "";
       const tip = escaped([kind.tissue, ...all].filter(Boolean).join("\n")).replaceAll('"', "&quot;");
-      return `<li title="${tip}"><i style="background:${color}"></i>${escaped(words(kind.name))}<span>${escaped(said)}</span></li>`;
+      return `<li class="${away ? "away" : ""}" title="${tip}"><i style="background:${labelColor(i)}"></i>${escaped(words(kind.name))}<span>${escaped(said)}</span></li>`;
     })
     .join("");
 }

@@ -151,9 +151,9 @@ class Viewer {
     const other = frame < 0 ? null : (this.anatomy?.ready(frame) ?? null);
     if (this.anatomy && frame >= 0 && !other) this.anatomy.get(frame).then(() => (this.changed = true));
     this.image.draw({ ...moment, other, bitmap });
-    const listed = this.image.contours.some((one) => one.role === "label");
-    this.$("tissue").hidden = !listed;
-    if (listed) this.$("tissue").innerHTML = tissueRows(this.heart.labels, this.image.contours);
+    const { kinds } = this.heart.labels ?? {};
+    this.$("tissue").hidden = !kinds || !this.image.shown.labels;
+    if (!this.$("tissue").hidden) this.$("tissue").innerHTML = tissueRows(kinds, this.image.contours);
     if (moment.plane) this.space.contours(this.image.contours, moment.plane);
     if (bitmap && this.lastBitmap !== bitmap) this.space.picture(bitmap);
     this.lastBitmap = bitmap;
