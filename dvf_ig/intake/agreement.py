@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from dvf_ig.core.arrays import AnyArray, FloatArray
+from dvf_ig.core import AnyArray, FloatArray, ImageMap, Landmarks, Points, PoseStream, Preop
 from dvf_ig.core.plausible import (
     HEART_MM,
     IMAGE_MM,
@@ -14,10 +14,6 @@ from dvf_ig.core.plausible import (
     TIP_MM,
     USUAL_TIP_MM,
 )
-from dvf_ig.core.recordings.scenario import Preop
-from dvf_ig.core.recordings.stream import PoseStream
-from dvf_ig.core.space.image_map import ImageMap
-from dvf_ig.core.space.points import Landmarks, Points
 
 from .findings import Disagreement, Finding, finding
 from .heart_in_images import HeartInImages, cycle_findings, mr_order_finding

@@ -8,20 +8,21 @@ from typing import Any
 
 import numpy as np
 
-from dvf_ig.core.arrays import AnyArray, FloatArray
-from dvf_ig.core.errors import UnreadableFileError
-from dvf_ig.core.model import DvfModel
-from dvf_ig.core.recordings.scenario import Preop
-from dvf_ig.core.space.mesh import SurfaceSeries
-from dvf_ig.core.space.volume import Volume, VolumeSeries
+from dvf_ig.core import (
+    AnyArray,
+    DvfModel,
+    FloatArray,
+    Preop,
+    SurfaceSeries,
+    UnreadableFileError,
+    Volume,
+    VolumeSeries,
+)
 from dvf_ig.core.timing.cycle import CycleTiming
-from dvf_ig.io.dicom.cine import dicom_patient_id, is_dicom_folder
-from dvf_ig.io.image.labels import read_cine_labels
+from dvf_ig.io import dicom_patient_id, is_dicom_folder, read_cine_labels, read_json, read_model
 from dvf_ig.io.image.timing import timing_from_document
 from dvf_ig.io.image.volume import image_dimension, read_volume_series
-from dvf_ig.io.json_file import read_json
 from dvf_ig.io.mesh.series import UNKNOWN_PATIENT, read_surface_series, surface_names
-from dvf_ig.io.model.model_file import read_model
 from dvf_ig.io.reading import reading
 
 from .problems import concerning
@@ -114,12 +115,8 @@ def _with_times(mr: VolumeSeries, model: DvfModel, name: str) -> VolumeSeries:
     if len(mr.timing) == model.phases:
         return replace(mr, timing=model.timing)
     log.warning(
-        "%s has %d phases, the model %d: its phase i is taken to be at i/%d of the cycle; put a timing.json "
-        "beside it",
-        name,
-        len(mr.timing),
-        model.phases,
-        len(mr.timing),
+        f"{name} has {len(mr.timing)} phases, the model {model.phases}: its phase i is taken to be at "
+        f"i/{len(mr.timing)} of the cycle; put a timing.json beside it"
     )
     return mr
 
