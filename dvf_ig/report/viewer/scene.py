@@ -14,6 +14,7 @@ from dvf_ig.guidance import HAZARD_RULES, Evaluator, Gaussian, Hazard, Sigmoid, 
 from dvf_ig.guidance.fixtures import FixtureOptions, FixtureSet
 from dvf_ig.guidance.tissue import class_of
 from dvf_ig.kernels.warp import LARGEST_SIGMA_MM
+from dvf_ig.report.style import label_color
 
 from .packing import packed, packed_exactly
 from .surfaces import (
@@ -283,19 +284,16 @@ def labels_payload(tissue: Tissue, warp: Warp | None) -> dict[str, Any]:
 
 def _label_kind(value: int, name: str) -> dict[str, Any]:
     """Encode a label with the properties of its tissue, each with its source; none of blood."""
-    kind = class_of(name)
-    if kind is None:
-        return {"value": value, "name": name, "tissue": None, "properties": []}
-    numbers = (
-        ("stiffness", f"{kind.stiffness_n_per_mm:.2g} N/mm"),
-        ("damping", f"{kind.damping_n_s_per_m:.2g} N·s/m"),
-        ("friction", f"{kind.friction:.2g}"),
-        ("texture", f"{kind.texture:.2g}"),
-    )
-    properties = [
-        [what, number, source] for (what, number), source in zip(numbers, kind.sources, strict=True)
-    ]
-    return {"value": value, "name": name, "tissue": kind.name, "properties": properties}
+    tissue = class_of(name)
+    properties = [] if tissue is None else [list(one) for one in tissue.properties]
+    kind = None if tissue is None else tissue.name
+    return {
+        "value": value,
+        "name": name,
+        "color": label_color(value),
+        "tissue": kind,
+        "properties": properties,
+    }
 
 
 def _pull_backs(warps: Sequence[Warp]) -> dict[str, Any]:

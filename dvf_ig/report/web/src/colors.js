@@ -27,10 +27,6 @@ export function sigmaColor(sigma, largest) {
   return [0.32, 0.08, 0.4].map((end) => 0.95 + share * (end - 0.95));
 }
 
-/** Colours of the labels of tissue, in the order of their list. */
-const LABELS = ["#c3a1e0", "#77aadd", "#eedd88", "#99ddff", "#ffaabb", "#44bb99", "#bbcc33", "#ff7fd0", "#aaaa00", "#dddddd", "#b08968", "#5b8c5a"];
-export const labelColor = (number) => LABELS[number % LABELS.length];
-
 export const STATES = {
   ok: "#009e73",
   degraded: "#e69f00",

@@ -1,6 +1,6 @@
 // The B-mode image with the model's contour and the fixtures' force field over it (Ren 2008, Fig. 16).
 
-import { COLORS, labelColor } from "./colors.js";
+import { COLORS } from "./colors.js";
 import { forceAt } from "./field.js";
 import { cut, letters } from "./heart.js";
 import { litRows } from "./pictures.js";
@@ -130,10 +130,9 @@ export class ImagePanel {
 
   /** Contours of the model's labels. */
   labels(plane, phase) {
-    const { labels } = this.heart;
-    for (const { kind, segments } of labels.cut(plane, phase, this.shape)) {
+    for (const { kind, segments } of this.heart.labels.cut(plane, phase, this.shape)) {
       this.contours.push({ name: kind.name, role: "label", segments });
-      this.lines(segments, [[CASING, 2.6], [labelColor(labels.kinds.indexOf(kind)), 1.4]]);
+      this.lines(segments, [[CASING, 2.6], [kind.color, 1.4]]);
     }
   }
 

@@ -1,6 +1,6 @@
 // The page's elements, and the numbers that it shows.
 
-import { COLORS, labelColor } from "./colors.js";
+import { COLORS } from "./colors.js";
 import { united } from "./strips.js";
 
 export const SPEEDS = [0.1, 0.25, 0.5, 1, 2, 4];
@@ -95,7 +95,7 @@ export function legendRows(scene, series, { surfaces }, bySigma) {
     ...all("fixture").map((one) => [one.key, COLORS.fixture, `${one.name}, ${one.label}${widened ? " without margin" : ""}`]),
     ...paths.map((one) => ["path", COLORS.fixture, `${one.name || "path"}, line to follow`]),
     !scene.planes && scene.kind !== "model" && ["field", COLORS.force, `force (field: longest ${cap} N)`],
-    scene.image && scene.labels && ["labels", `linear-gradient(135deg, ${[0, 1, 2].map(labelColor).join(", ")})`, "labels of tissue, in the image (L)"],
+    scene.image && scene.labels && ["labels", `linear-gradient(135deg, ${scene.labels.kinds.slice(0, 3).map((one) => one.color).join(", ")})`, "labels of tissue, in the image (L)"],
     scene.targets.length > 0 && ["targets", COLORS.force, scene.bound_mm ? `targets, error < ${scene.bound_mm.toFixed(1)} mm` : "targets"],
   ].filter(Boolean);
 }
@@ -103,13 +103,13 @@ export function legendRows(scene, series, { surfaces }, bySigma) {
 /** Labels, pale those that do not lie in the image, with the stiffness that their tissue is given; all properties as a tip. */
 export function tissueRows(kinds, contours) {
   return kinds
-    .map((kind, i) => {
+    .map((kind) => {
       const away = contours.every((one) => one.role !== "label" || one.name !== kind.name);
       const all = kind.properties.map(([what, value, source]) => `${what} ${value} (${source})`);
       const [, stiffness, source] = kind.properties[0] ?? [];
       const said = stiffness ? `${stiffness}, ${source.split(":")[0]}` : "";
       const tip = escaped([kind.tissue, ...all].filter(Boolean).join("\n")).replaceAll('"', "&quot;");
-      return `<li class="${away ? "away" : ""}" title="${tip}"><i style="background:${labelColor(i)}"></i>${escaped(words(kind.name))}<span>${escaped(said)}</span></li>`;
+      return `<li class="${away ? "away" : ""}" title="${tip}"><i style="background:${kind.color}"></i>${escaped(words(kind.name))}<span>${escaped(said)}</span></li>`;
     })
     .join("");
 }
