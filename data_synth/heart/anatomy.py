@@ -7,15 +7,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from data_synth.kernels.lv import BASE
+from data_synth.kernels.lv import BASE, outer_radius
 from data_synth.seeds import child_rng
 from dvf_ig.core import FloatArray, IntArray, Landmarks, Points, Rigid, read_only_arrays
 
 from .anatomical_points import TOUCHABLE, heart_landmarks, with_box_grid
 from .beating_anatomy import MARGIN_MM, REFERENCE_SPACING_MM
 from .heart_spec import HeartKind, HeartSeeds, HeartSpec
+from .mismatch import TABLE_MM as MISMATCH_TABLE_MM
 from .mismatch import (
-    FREE_WALL,
     UNTOUCHED,
     SmoothField,
     SurgicalChange,
@@ -24,7 +24,6 @@ from .mismatch import (
     surgical_field,
     tabulated,
 )
-from .mismatch import TABLE_MM as MISMATCH_TABLE_MM
 from .motion import (
     ES_FRACTION,
     UNCHANGED_MOTION,
@@ -284,12 +283,13 @@ def _changed_since_mr(
 
 
 def _still_region(resting: PhantomAnatomy, radius_mm: float, rng: np.random.Generator) -> StillRegion | None:
-    """Draw a still region about a point of the free wall's epicardium; None for a radius of 0."""
+    """Draw a still region about a point half-way up the left ventricle's free wall; radius 0: None."""
     if radius_mm == 0:
         return None
-    standard = resting.standard_vertices_mm
-    side = (standard - standard.mean(axis=0)) @ (FREE_WALL + 0.3 * rng.normal(size=3))
-    return StillRegion(standard[int(np.argmax(side))], radius_mm)
+    height, angle = BASE * rng.uniform(0.35, 0.65), np.pi + rng.uniform(-0.6, 0.6)
+    radius = outer_radius(height)
+    center = np.array([radius * np.cos(angle), radius * np.sin(angle), height])
+    return StillRegion(resting.shapes.mr_from_heart.apply_array(center), radius_mm)
 
 
 @lru_cache(maxsize=2)

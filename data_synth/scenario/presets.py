@@ -184,7 +184,8 @@ tool-unseen: the same looks, at a tool that images do not show.
 deformed: a retractor presses the free wall in by 8 mm, the heart is fuller (2.5 mm), and its shape differs by
     5 mm RMS from that in the MR.
 other-motion: the heart contracts 0.6 (even seeds) or 1.3 times (odd) as far as in the MR.
-still-wall: a region of the free wall, moving in the MR, stands still; 23 mm from its middle it moves by half.
+still-wall: a region half-way up the left ventricle's free wall, moving in the MR, stands still; 23 mm from
+    its middle it moves by half.
 ventilated: a ventilator moves the heart by 10 mm, 14 times a minute; its channels and a marker on the chest
     are recorded.
 breathing: the patient breathes, 6 mm, 14 times a minute and unevenly; a chest marker is recorded.

@@ -35,9 +35,19 @@ SERIES = (ESTIMATE, START, "#2a8c4a", "#8e44ad", "#7f6a55", WRONG)
 """Colours of series of equal rank, ours first."""
 BLUES = ("#9ecae1", "#4a9bd0", "#1f6fb4", "#123f6e")
 """Colours of a growing parameter, pale to dark."""
+LABELS_ON_GREY = (
+    *("#c3a1e0", "#77aadd", "#eedd88", "#99ddff", "#ffaabb", "#44bb99"),
+    *("#bbcc33", "#ff7fd0", "#aaaa00", "#dddddd", "#b08968", "#5b8c5a"),
+)
+"""Colours of tissue labels over ultrasound."""
 DPI = 110
 WIDE_IN = 10.5
 """Width of a figure that spans a page, inches."""
+
+
+def label_color(value: int) -> str:
+    """Return the colour of a tissue label over ultrasound."""
+    return LABELS_ON_GREY[(value - 1) % len(LABELS_ON_GREY)]
 
 
 def png_bytes(figure: Figure, dpi: int = DPI) -> bytes:
