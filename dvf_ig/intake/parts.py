@@ -319,10 +319,6 @@ def _read_ecg(at: Opened) -> Mapping[str, Any]:
     return {"ecg": read_session_ecg(at.config.ecg, at.folder, sweep)}
 
 
-def _read_tool(at: Opened) -> Mapping[str, Any]:
-    return {"tool": read_tool(at.config.tool, at.folder, at.read.get("sweep"))}
-
-
 def _read_respiration(at: Opened) -> Mapping[str, Any]:
     config = at.config.respiration
     if config is None:
@@ -354,10 +350,6 @@ def _read_tip(at: Opened) -> Mapping[str, Any]:
 def _read_device(at: Opened) -> Mapping[str, Any]:
     device = at.config.calibration.device
     return {} if device is None else {"device": read_device_place(at.folder / device)}
-
-
-def _read_start(at: Opened) -> Mapping[str, Any]:
-    return {"start": read_start(at.config.start, at.folder)}
 
 
 def _of_volumes(files: SessionFiles) -> bool:
@@ -396,7 +388,7 @@ PARTS = (
     Part(
         "tool",
         "tool",
-        _read_tool,
+        lambda at: {"tool": read_tool(at.config.tool, at.folder, at.read.get("sweep"))},
         lambda files: tool_contents(files.tool, files.sweep),
         lambda files: files.tool is not None,
         "replay",
@@ -454,7 +446,7 @@ PARTS = (
     Part(
         "start",
         "start",
-        _read_start,
+        lambda at: {"start": read_start(at.config.start, at.folder)},
         lambda files: start_contents(files.start),
         lambda files: any(
             one is not None for one in (files.start.start, files.start.landmarks_mr, files.start.touched)

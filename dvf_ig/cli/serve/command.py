@@ -152,7 +152,7 @@ def _serve(
     from dvf_ig.live.summary import LiveSummary
     from dvf_ig.session import SessionHistory, no_force
 
-    from .setup import recorded_session, write_run
+    from .setup import recorded_session, write_logged_run
 
     summary, history = LiveSummary(), SessionHistory(REMEMBERED if out is None else None)
     if out is None:
@@ -172,7 +172,7 @@ def _serve(
         warn(f"no force was given: {silent}")
     if out is not None and failure is None:
         if summary.answers:
-            write_run(out, ready, history)
+            write_logged_run(out, ready, history)
         else:
             warn("no pose of the tool came, so that there is nothing to replay or to view")
     if failure is not None:
