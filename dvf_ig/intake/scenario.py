@@ -177,9 +177,7 @@ def _session(config: ScenarioConfig, folder: Path, *, with_truth: bool) -> Sessi
             tip=PivotConfig(pivot=files.pivot),
         ),
         start=StartConfig(
-            transform=files.start,
-            landmarks_mr=files.landmarks_mr,
-            landmarks_tracker=files.landmarks_tracker,
+            transform=files.start, landmarks_mr=files.landmarks_mr, landmarks_tracker=files.landmarks_tracker
         ),
         fixtures=files.fixtures,
         truth=TRUTH if with_truth else None,

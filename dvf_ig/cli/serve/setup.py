@@ -43,11 +43,7 @@ class LiveSetup:
 
 
 def live_setup(
-    files: "SessionFiles",
-    model: Path | None,
-    fixtures: "FixtureSet",
-    retiming: "RetimeMode",
-    seed: int,
+    files: "SessionFiles", model: Path | None, fixtures: "FixtureSet", retiming: "RetimeMode", seed: int
 ) -> LiveSetup:
     """The setup of a session whose files agree.
 

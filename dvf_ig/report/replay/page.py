@@ -44,11 +44,7 @@ def replay_html(page: ReplayPage) -> str:
             _breath_note(page.breath),
             None if page.breath is None else breathing_figure(page.breath),
         ),
-        (
-            "Phase error over time",
-            "Against the ground truth.",
-            phase_error_figure(ticks),
-        ),
+        ("Phase error over time", "Against the ground truth.", phase_error_figure(ticks)),
         (
             "Force and distance",
             "Force of the fixture at the tool tip through the estimated pose and phase, and distance of the "

@@ -435,12 +435,7 @@ def _ticks(
 
 @kernel
 def tick_batch(
-    bound: Any,
-    scratch: Any,
-    xyz_mm: FloatArray,
-    ticks: FloatArray,
-    period_s: float,
-    force: FloatArray,
+    bound: Any, scratch: Any, xyz_mm: FloatArray, ticks: FloatArray, period_s: float, force: FloatArray
 ) -> None:
     """`servo_tick` at (n, 3) positions a period apart; `ticks` counts on."""
     bound, scratch, xyz_mm, force = borrowed(bound), borrowed(scratch), borrowed(xyz_mm), borrowed(force)

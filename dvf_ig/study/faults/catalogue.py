@@ -168,10 +168,7 @@ TOOL_ROWS: tuple[Row, ...] = (
         "age 15 ms above its median in 3 of 5 poses, at 30 mm/s: three frames, the jump, the arrival",
         tuple(
             tool_fault(
-                f"{1000 * by:g} ms later",
-                late(by),
-                LATE_FOR_S,
-                3 * FRAME_S + by + TOOL_ARRIVES_S + STEP_S,
+                f"{1000 * by:g} ms later", late(by), LATE_FOR_S, 3 * FRAME_S + by + TOOL_ARRIVES_S + STEP_S
             )
             for by in (0.018, 0.040, 0.100)
         ),
