@@ -19,7 +19,7 @@ from .findings import Disagreement, Finding, finding
 from .heart_in_images import HeartInImages, cycle_findings, mr_order_finding
 from .parts import SessionFiles
 from .places import place_findings
-from .preop import PreopFiles, heart_surfaces
+from .preop import PreopFiles, heart_surfaces, still_heart_key
 from .problems import Use
 from .readers import Sweep
 
@@ -64,6 +64,8 @@ def unit_findings(files: SessionFiles) -> Iterator[Finding]:
     """Find lengths and times in another unit."""
     if files.preop is not None:
         yield from _heart(files.preop)
+        if (key := still_heart_key(files.preop)) is not None:
+            yield finding(Disagreement.HEART_DOES_NOT_BEAT, key)
     if files.sweep is not None:
         if files.sweep.recorded.has_timestamps:
             yield from _stamps(files.sweep.recorded.t_s, "ultrasound", "ultrasound", "register")

@@ -8,7 +8,16 @@ from typing import Any
 
 import numpy as np
 
-from dvf_ig.core import DvfModel, FloatArray, Preop, SurfaceSeries, UnreadableFileError, Volume, VolumeSeries
+from dvf_ig.core import (
+    AnyArray,
+    DvfModel,
+    FloatArray,
+    Preop,
+    SurfaceSeries,
+    UnreadableFileError,
+    Volume,
+    VolumeSeries,
+)
 from dvf_ig.core.timing.cycle import CycleTiming
 from dvf_ig.io import dicom_patient_id, is_dicom_folder, read_cine_labels, read_json, read_model
 from dvf_ig.io.image.timing import timing_from_document
@@ -178,6 +187,22 @@ def heart_surfaces(files: PreopFiles) -> Iterator[tuple[str, FloatArray]]:
     fixture = [series for series in preop.surfaces if series.name == preop.surface]
     for series in fixture if model is None else ():
         yield "preop.surfaces_folder", np.asarray(series.vertices_mm[0])
+
+
+def still_heart_key(files: PreopFiles) -> str | None:
+    """Find the key of a heart that is the same in every phase; None if it beats, or is not read."""
+    preop, model = files.preop, files.model
+    if model is not None:
+        return "preop.model" if model.still else None
+    if preop.labels is not None:
+        return "preop.labels" if _all_equal(preop.labels.values) else None
+    fixture = next((series for series in preop.surfaces if series.name == preop.surface), None)
+    return "preop.surfaces_folder" if fixture is not None and _all_equal(fixture.vertices_mm) else None
+
+
+def _all_equal(phases: AnyArray) -> bool:
+    """Whether every phase (p, ...) is the same as the first."""
+    return all(np.array_equal(one, phases[0]) for one in phases[1:])
 
 
 def heart_vertices(files: PreopFiles) -> Iterator[FloatArray]:

@@ -57,6 +57,8 @@ class StampOrder:
         self.newest_s = float("-inf")
         self.restarted = False
         """Whether the clock has gone back and no later sample has come since."""
+        self.disordered = False
+        """Whether too many of the recent samples came late or twice."""
         self._waiting: deque[_Arrival] = deque()
         self._dropped: deque[bool] = deque(maxlen=WINDOW)
         self._dropped_in_a_row = 0
@@ -77,15 +79,14 @@ class StampOrder:
 
     def advance(self, now_s: float) -> None:
         """Count samples that arrived behind stamps until now; times in order."""
-        while self._waiting and self._waiting[0].from_s <= now_s:
-            arrival = self._waiting.popleft()
+        waiting = self._waiting
+        if not (waiting and waiting[0].from_s <= now_s):
+            return
+        while waiting and waiting[0].from_s <= now_s:
+            arrival = waiting.popleft()
             self._dropped.append(not arrival.later)
             self.restarted = arrival.back or (self.restarted and not arrival.later)
-
-    @property
-    def disordered(self) -> bool:
-        """Whether too many of the recent samples came late or twice."""
-        return sum(self._dropped) > DEGRADED_SHARE * WINDOW
+        self.disordered = sum(self._dropped) > DEGRADED_SHARE * WINDOW
 
 
 class _Arrival(NamedTuple):

@@ -344,21 +344,21 @@ def _changed_sweep(
 ) -> RegisteredHeart:
     """Register a sweep of the patient's heart, which is not the one in the MR, and measure its walls."""
     imaged, heart = _prepared(seed, None)
-    factor = change.contraction[seed % 2]
-    resting = imaged.anatomy.resting or imaged.anatomy
-    if factor != 1.0:
-        resting = replace(resting, scale=factor * resting.scale)
-    preset = replace(PRESETS[condition.quality], mismatch_mm=change.mismatch_mm, surgery=change.surgery)
+    preset = replace(
+        PRESETS[condition.quality],
+        mismatch_mm=change.mismatch_mm,
+        surgery=change.surgery,
+        contraction=change.contraction,
+    )
     same = replace(VARIED, anatomy_seed=seed, motion_seed=seed)
     spec = ScenarioSpec(condition.quality, _motion(seed), SWEEP_S, seed, changed=preset, heart=same)
-    patient = replace(imaged, anatomy=resting)
-    scenario = phantom_scenario(spec, imaged=patient)
+    scenario = phantom_scenario(spec, imaged=imaged)
     prepared, reference, start = _prepared_sweep(scenario, heart, seed, START_MM, rng)
     result = prepared.register(seed=seed)
     boundary = images_of_frames(prepared.recording, prepared.frames, perf_counter, warm=False).boundary
     if boundary is None or scenario.truth is None:
         raise TypeError("a phantom has the boundary of blood, and its truth")
-    walls = measure_walls(heart, result, boundary, scenario.truth, (imaged.anatomy, patient.of(spec)))
+    walls = measure_walls(heart, result, boundary, scenario.truth, (imaged.anatomy, imaged.of(spec)))
     return RegisteredHeart(result, start, reference, {"sweep_s": SWEEP_S}, walls=walls)
 
 
