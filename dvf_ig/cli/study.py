@@ -29,11 +29,11 @@ from dvf_ig.cli.shell import (
     out_folder,
     progress,
     set_options,
+    voxel_size,
     warn,
     whole_numbers,
     wrote,
 )
-from dvf_ig.cli.voxel_size import voxel_size
 
 if TYPE_CHECKING:
     from dvf_ig.study.driver import Study

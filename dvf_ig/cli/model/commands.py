@@ -11,15 +11,16 @@ from dvf_ig.cli.shell import (
     JsonFlag,
     SeedOption,
     ThreadsOption,
+    VoxelOption,
     command,
     cores_or,
     emit,
     out_file,
+    voxel_size,
     warn,
     whole_numbers,
     wrote,
 )
-from dvf_ig.cli.voxel_size import VoxelOption, voxel_size
 
 from .export import export
 from .output import file_megabytes, model_payload, model_rows, phase_rows
