@@ -20,17 +20,8 @@ from dvf_ig.calibration import MapUncertainty, accepted, calibrate_crosswire, ca
 from dvf_ig.calibration.probe.nwire import NWireOptions, calibrate_nwire, compare_nwire_methods
 from dvf_ig.calibration.probe.target_fit import TargetResult
 from dvf_ig.core import FloatArray, InvalidInputError
-from dvf_ig.study.driver import (
-    Driver,
-    Result,
-    Rows,
-    Study,
-    Trials,
-    option,
-    refusals,
-    seed_option,
-    seeds_option,
-)
+from dvf_ig.study.driver import Driver, Result, Rows, Study, Trials, refusals
+from dvf_ig.study.options import option, seed_option, seeds_option
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -23,7 +23,8 @@ from dvf_ig.core import InvalidInputError, PhaseTrack, Signal
 from dvf_ig.core.arrays import BoolArray, FloatArray, IntArray, read_only_arrays
 from dvf_ig.io import BeatAnnotations, read_annotations, read_ecg
 from dvf_ig.report.style import ESTIMATE, SERIES, START, png_bytes
-from dvf_ig.study.driver import Driver, Result, Rows, Study, option
+from dvf_ig.study.driver import Driver, Result, Rows, Study
+from dvf_ig.study.options import option
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -33,7 +33,8 @@ from dvf_ig.replay import Replay, events_of, run_replay
 from dvf_ig.replay.operator import SimulatedOperator
 from dvf_ig.replay.result.score import pose_errors_mm
 from dvf_ig.session import EcgSource, GuidanceState, RegistrationRecord, Session, SessionHistory, SessionSetup
-from dvf_ig.study.driver import Driver, Result, Rows, Study, option
+from dvf_ig.study.driver import Driver, Result, Rows, Study
+from dvf_ig.study.options import option
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -21,18 +21,8 @@ from data_synth.seeds import child_rng
 from dvf_ig.core import Grid, InvalidInputError, Rigid, Volume
 from dvf_ig.registration import register_pair
 from dvf_ig.study.cines import VOXEL_HELP, labelled_cines, read_labelled_cine
-from dvf_ig.study.driver import (
-    Driver,
-    Line,
-    Result,
-    Rows,
-    Settings,
-    Study,
-    Trials,
-    option,
-    seed_option,
-    seeds_option,
-)
+from dvf_ig.study.driver import Driver, Line, Result, Rows, Settings, Study, Trials
+from dvf_ig.study.options import option, seed_option, seeds_option
 from dvf_ig.study.statistics import FAILURE_MM, SUCCESS_MM, Share, number_text, share_of, share_text
 
 STARTS_MM = [4.0, 8.0]

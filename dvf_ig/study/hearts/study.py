@@ -21,7 +21,7 @@ import numpy as np
 from dvf_ig.core import DvfIgError, InvalidInputError
 from dvf_ig.registration import PoseChart, covariance_to_mm, predicted_error_mm, target_errors_mm
 from dvf_ig.registration.evidence.assessment import TABLES, features_of
-from dvf_ig.study.driver import Driver, Line, Result, Rows, Settings, Study, Trials, option, trials_of
+from dvf_ig.study.driver import Driver, Line, Result, Rows, Settings, Study, Trials, trials_of
 from dvf_ig.study.hearts.fit import fit_tables
 from dvf_ig.study.hearts.recordings import (
     ListName,
@@ -35,6 +35,7 @@ from dvf_ig.study.hearts.recordings import (
     trial_numbers,
 )
 from dvf_ig.study.hearts.summary import hearts_table, summarise_hearts
+from dvf_ig.study.options import option
 
 
 class Quality(StrEnum):

@@ -22,17 +22,8 @@ from dvf_ig.io import plain
 from dvf_ig.preop import signed_distance_mm
 from dvf_ig.preop.spline.fit import sample_grid
 from dvf_ig.report.style import GUIDE, SERIES, png_bytes
-from dvf_ig.study.driver import (
-    Driver,
-    Result,
-    Rows,
-    Study,
-    Trials,
-    option,
-    refusals,
-    seed_option,
-    seeds_option,
-)
+from dvf_ig.study.driver import Driver, Result, Rows, Study, Trials, refusals
+from dvf_ig.study.options import option, seed_option, seeds_option
 from dvf_ig.study.statistics import number_text
 from dvf_ig.study.training.trainers import (
     DEGREES,
