@@ -22,18 +22,8 @@ from dvf_ig.core import DvfIgError, InvalidInputError
 from dvf_ig.registration import PoseChart, covariance_to_mm, predicted_error_mm, target_errors_mm
 from dvf_ig.registration.evidence.assessment import TABLES, features_of
 from dvf_ig.study.driver import Driver, Line, Result, Rows, Settings, Study, Trials, trials_of
+from dvf_ig.study.hearts import recordings
 from dvf_ig.study.hearts.fit import fit_tables
-from dvf_ig.study.hearts.recordings import (
-    ListName,
-    RegisteredHeart,
-    conditions_of,
-    heart_list,
-    hearts_option,
-    list_option,
-    of_trial,
-    registered_heart,
-    trial_numbers,
-)
 from dvf_ig.study.hearts.summary import hearts_table, summarise_hearts
 from dvf_ig.study.options import option
 
@@ -59,7 +49,7 @@ class ChangeName(StrEnum):
 class HeartsSettings:
     """Options of the study."""
 
-    list: ListName = list_option()
+    list: recordings.ListName = recordings.list_option()
     world: Literal["first", "second"] = option(
         "The second shares no table with the first; reported only.", "first"
     )
@@ -81,7 +71,7 @@ class HeartsSettings:
         "errors of its walls are measured too.",
         (),
     )
-    hearts: int | None = hearts_option()
+    hearts: int | None = recordings.hearts_option()
     fit: tuple[Path, ...] = option(
         "Register nothing: fit probability and bound on the trials of this folder (repeatable).", ()
     )
@@ -95,7 +85,7 @@ def heart_trial(settings: Settings, number: int) -> Line:
             `disturbed`, `changes` (see `conditions_of`).
         number: of the trial.
     """
-    heart, condition = of_trial(number, settings)
+    heart, condition = recordings.of_trial(number, settings)
     named = {
         "world": settings["world"],
         "images": settings["images"],
@@ -105,13 +95,13 @@ def heart_trial(settings: Settings, number: int) -> Line:
         "change": condition.change,
     }
     try:
-        registered = registered_heart(settings, number)
+        registered = recordings.registered_heart(settings, number)
     except DvfIgError as exc:
         return {**named, "refused": str(exc)}
     return {**named, **registered.drawn, **_measured(registered)}
 
 
-def _measured(registered: RegisteredHeart) -> Line:
+def _measured(registered: recordings.RegisteredHeart) -> Line:
     """Errors at the targets, and what the result states about itself."""
     result, known = registered.result, registered.known
     pose, truth = result.target_from_source, known.truth
@@ -177,12 +167,12 @@ def run(settings: HeartsSettings, driver: Driver) -> Result:
         "disturbed": settings.disturbed,
         "changes": [chosen.value for chosen in settings.change],
     }
-    chosen = heart_list(settings.list)
+    chosen = recordings.heart_list(settings.list)
     hearts = (chosen.changed if settings.change else chosen.of_world(settings.world))[: settings.hearts]
     lines = driver.trials(
         Trials("hearts", conditions, heart_trial),
-        trial_numbers(hearts, conditions),
-        group_size=len(conditions_of(conditions)),
+        recordings.trial_numbers(hearts, conditions),
+        group_size=len(recordings.conditions_of(conditions)),
     )
     groups = summarise_hearts(lines)
     summary = {"list": settings.list, **conditions, "groups": groups}
