@@ -99,7 +99,7 @@ def sequence_rows(facts: Facts) -> list[Row]:
         _images(facts),
         *_clock(facts),
         *_tree(facts),
-        *_probe(facts),
+        *(("probe", f"{name}: {_moves(of)}") for name, of in facts.get("probe", {}).items()),
         *_fields(facts),
     ]
 
@@ -165,11 +165,6 @@ def _tree(facts: Facts) -> list[Row]:
         text = _transform(facts, parents[depth - 1], name) if depth else ""
         rows.append(("poses" if not rows else "", f"{line:<{width}}  {text}".rstrip()))
     return rows
-
-
-def _probe(facts: Facts) -> list[Row]:
-    """Describe the pose that the user named, joined from the recorded ones."""
-    return [("probe", f"{name}: {_moves(facts_of)}") for name, facts_of in facts.get("probe", {}).items()]
 
 
 def _fields(facts: Facts) -> list[Row]:
