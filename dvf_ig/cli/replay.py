@@ -6,23 +6,14 @@ from typing import Annotated, Any
 import typer
 from typer import Argument
 
-from .fixture_options import (
-    FixturesFileOption,
-    MarginOption,
-    RetimingOption,
-    chosen_fixtures,
-    chosen_retiming,
-    refuse_options,
-    takes_fixture,
-    with_margin,
-)
+from . import fixture_options
 from .patient_model import patient_model
 from .run_outputs import run_files, write_run
 from .session_argument import SESSION, ModelOption, read_agreeing
 from .shell import JsonFlag, SeedOption, ThreadsOption, command, emit, out_folder, progress, warn, wrote
 
 
-@takes_fixture
+@fixture_options.takes_fixture
 def replay(
     out: Annotated[Path, out_folder("Folder for the result, its page, the pose and the ticks.")],
     session: Annotated[
@@ -31,9 +22,9 @@ def replay(
     model: ModelOption = None,
     *,
     fixture: dict[str, Any],
-    fixtures: FixturesFileOption = None,
-    retiming: RetimingOption = None,
-    margin: MarginOption = None,
+    fixtures: fixture_options.FixturesFileOption = None,
+    retiming: fixture_options.RetimingOption = None,
+    margin: fixture_options.MarginOption = None,
     as_json: JsonFlag = False,
     seed: SeedOption = 0,
     threads: ThreadsOption = None,
@@ -50,12 +41,12 @@ def replay(
         from dvf_ig.io import output_folder
         from dvf_ig.replay import result_of, run_replay, table
 
-        options, of_file = chosen_fixtures(fixture, fixtures)
+        options, of_file = fixture_options.chosen_fixtures(fixture, fixtures)
         files, _ = read_agreeing(session, model, "replay")  # doubts are in the result
         if files.fixtures is not None:
-            refuse_options(fixture, fixtures)
+            fixture_options.refuse_options(fixture, fixtures)
             options = files.fixtures
-        mode = chosen_retiming(retiming, files.retiming or of_file)
+        mode = fixture_options.chosen_retiming(retiming, files.retiming or of_file)
         recorded = files.scenario
         with output_folder(out, run_files()):
             built, origin = patient_model(recorded.preop, files.model or model)
@@ -63,7 +54,7 @@ def replay(
                 done = run_replay(
                     recorded,
                     model=built,
-                    fixtures=with_margin(options, margin),
+                    fixtures=fixture_options.with_margin(options, margin),
                     retiming=mode,
                     seed=seed,
                     progress=report,

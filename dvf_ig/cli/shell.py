@@ -49,6 +49,13 @@ ReferenceNameOption = Annotated[
         help="What its poses are relative to (default: Reference where it is recorded, else Tracker).",
     ),
 ]
+VoxelOption = Annotated[
+    str | None,
+    Option(
+        "--voxel-mm",
+        help="Voxel size where the header has lost it, three numbers of mm, for example 1.5,1.5,10.",
+    ),
+]
 
 
 def output_file(path: Path | None) -> Path | None:
@@ -286,6 +293,21 @@ def whole_numbers(text: str, option: str, example: str) -> tuple[int, ...]:
         return tuple(int(part) for part in text.split(","))
     except ValueError as exc:
         raise typer.BadParameter(f"{option} is '{text}'; needed whole numbers such as {example}") from exc
+
+
+def voxel_size(text: str | None) -> tuple[float, float, float] | None:
+    """Parse X,Y,Z of --voxel-mm.
+
+    Raises:
+        typer.BadParameter: another form.
+    """
+    if text is None:
+        return None
+    try:
+        x, y, z = (float(part) for part in text.split(","))
+    except ValueError:
+        raise typer.BadParameter(f"--voxel-mm is '{text}'; needed three numbers, e.g. 1.5,1.5,10") from None
+    return x, y, z
 
 
 def emit(result: Mapping[str, Any], rows: Sequence[tuple[str, ...]], *, as_json: bool) -> None:

@@ -71,7 +71,7 @@ def write_latency_picture(path: Path | str, latency: LatencyResult, *, title: st
 
     Args:
         path: the file, .png.
-        found: the lag with its evidence.
+        latency: the lag with its evidence.
         title: one line with the result.
     Raises:
         InvalidInputError: a suffix that is not .png.

@@ -27,18 +27,8 @@ from dvf_ig.core import HEART_RADIUS_MM, BoolArray, FloatArray, PoseMotion, Resp
 from dvf_ig.registration import BeatMeasurement
 from dvf_ig.session import EcgSamples, RespirationSample
 from dvf_ig.session.breathing import BreathingRecord, BreathingTracker, no_log
-from dvf_ig.study.driver import (
-    Driver,
-    Line,
-    Result,
-    Rows,
-    Settings,
-    Study,
-    Trials,
-    option,
-    seed_option,
-    seeds_option,
-)
+from dvf_ig.study.driver import Driver, Line, Result, Rows, Settings, Study, Trials
+from dvf_ig.study.options import option, seed_option, seeds_option
 
 CENTER = np.zeros(3)
 NOISE_MM = 0.45

@@ -22,18 +22,8 @@ from dvf_ig.core import CycleTiming, FloatArray, Mesh, Preop, SeenPart, Volume, 
 from dvf_ig.core.model import DvfModel
 from dvf_ig.preop import CineModel, CineOptions, MotionOptions, check_surface, model_from_cine
 from dvf_ig.preop.build import ModelOptions, model_from_labels
-from dvf_ig.study.driver import (
-    Driver,
-    Line,
-    Result,
-    Rows,
-    Settings,
-    Study,
-    Trials,
-    refusals,
-    seed_option,
-    seeds_option,
-)
+from dvf_ig.study.driver import Driver, Line, Result, Rows, Settings, Study, Trials, refusals
+from dvf_ig.study.options import seed_option, seeds_option
 
 KNOT_MM = 8.0
 """Knots of the splines, which are fitted to the surfaces that are compared here."""

@@ -9,6 +9,7 @@ shows in the live session.
 
 import multiprocessing
 import threading
+from collections.abc import Sequence
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -31,8 +32,9 @@ from dvf_ig.live.summary import LiveSummary
 from dvf_ig.replay import Replay, events_of, run_replay
 from dvf_ig.replay.operator import SimulatedOperator
 from dvf_ig.replay.result.score import pose_errors_mm
-from dvf_ig.session import EcgSource, RegistrationRecord, Session, SessionHistory, SessionSetup
-from dvf_ig.study.driver import Driver, Result, Rows, Study, option
+from dvf_ig.session import EcgSource, GuidanceState, RegistrationRecord, Session, SessionHistory, SessionSetup
+from dvf_ig.study.driver import Driver, Result, Rows, Study
+from dvf_ig.study.options import option
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,6 +55,43 @@ SETTLE_S = 1.0
 CONNECT_WITHIN_S = 30.0
 
 
+@read_only_arrays
+@dataclass(frozen=True, slots=True, eq=False)
+class LiveSamples:
+    """States of a session as arrays.
+
+    Attributes:
+        t_s: (n,) times of the states, by the recording's clock.
+        force_n: (n, 3) in frame "tracker".
+        supervisor, status: (n,) codes.
+        mr_from_tracker: (n, 3, 4) NaN if none was in use.
+        tool_age_s: (n,) of the newest pose of the tool that had come.
+    """
+
+    t_s: FloatArray
+    force_n: FloatArray
+    supervisor: IntArray
+    status: IntArray
+    mr_from_tracker: FloatArray
+    tool_age_s: FloatArray
+
+
+def samples_of(states: Sequence[GuidanceState], offset_s: float = 0.0) -> LiveSamples:
+    """Gather states; `offset_s` is the recording's time less that of their clock."""
+    poses = np.full((len(states), 3, 4), np.nan)
+    for i, state in enumerate(states):
+        if state.transform.pose is not None and state.now_s < state.transform.pose_until_s:
+            poses[i] = state.transform.pose.matrices(np.array([state.now_s]))[0]
+    return LiveSamples(
+        t_s=np.array([state.now_s for state in states]) + offset_s,
+        force_n=np.array([state.force_n for state in states]).reshape(-1, 3),
+        supervisor=np.array([int(state.supervisor) for state in states], dtype=np.int64),
+        status=np.array([int(state.status) for state in states], dtype=np.int64),
+        mr_from_tracker=poses,
+        tool_age_s=np.array([state.tool.age_s for state in states]),
+    )
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class LiveRun:
     """Run of a live session on a recording.
@@ -68,6 +107,10 @@ class LiveRun:
     history: SessionHistory
     offset_s: float
     result: dict[str, Any]
+
+    @property
+    def samples(self) -> LiveSamples:
+        return samples_of([answer.state for answer in self.answers], self.offset_s)
 
 
 def run_live(
@@ -148,25 +191,8 @@ def _taken(
         return LiveRun(tuple(answers), history, loop.source.tool_offset_s - ORIGIN_S, result)
 
 
-@read_only_arrays
-@dataclass(frozen=True, slots=True, eq=False)
-class AskedStates:
-    """States of a session to which nothing comes late.
-
-    Attributes:
-        force_n: (n, 3) in frame "tracker".
-        status, supervisor: (n,) codes.
-        tool_age_s: (n,) of the newest pose of the tool.
-    """
-
-    force_n: FloatArray
-    status: IntArray
-    supervisor: IntArray
-    tool_age_s: FloatArray
-
-
-def asked_at(scenario: Scenario, setup: SessionSetup, t_s: FloatArray) -> AskedStates:
-    """States at (n,) times in order, by the recording's clock.
+def asked_at(scenario: Scenario, setup: SessionSetup, t_s: FloatArray) -> LiveSamples:
+    """States, at (n,) times in order by the recording's clock, of a session to which nothing comes late.
 
     Between two ticks of a replay a pose may have come: the force between them is that of neither.
     """
@@ -179,12 +205,7 @@ def asked_at(scenario: Scenario, setup: SessionSetup, t_s: FloatArray) -> AskedS
                 session.push(upcoming[1])
                 upcoming = next(events, (np.inf, upcoming[1]))
             states.append(session.state(now_s))
-    return AskedStates(
-        np.array([state.force_n for state in states]).reshape(-1, 3),
-        np.array([int(state.status) for state in states], dtype=np.int64),
-        np.array([int(state.supervisor) for state in states], dtype=np.int64),
-        np.array([state.tool.age_s for state in states]),
-    )
+    return samples_of(states)
 
 
 LATE_S = 0.001
@@ -194,46 +215,9 @@ SETTLED_S = 1.0
 """A force that fades, rises or is limited on either side is not compared until so long after."""
 
 
-@read_only_arrays
-@dataclass(frozen=True, slots=True, eq=False)
-class LiveSamples:
-    """The answers of a live session as arrays.
-
-    Attributes:
-        t_s: (n,) times of the states, by the recording's clock.
-        force_n: (n, 3) in frame "tracker".
-        supervisor, status: (n,) codes.
-        mr_from_tracker: (n, 3, 4) NaN if none was in use.
-        tool_age_s: (n,) of the newest pose of the tool that had come.
-    """
-
-    t_s: FloatArray
-    force_n: FloatArray
-    supervisor: IntArray
-    status: IntArray
-    mr_from_tracker: FloatArray
-    tool_age_s: FloatArray
-
-
-def samples_of(run: LiveRun) -> LiveSamples:
-    """Gather what a live session sent."""
-    states, poses = [answer.state for answer in run.answers], np.full((len(run.answers), 3, 4), np.nan)
-    for i, state in enumerate(states):
-        if state.transform.pose is not None and state.now_s < state.transform.pose_until_s:
-            poses[i] = state.transform.pose.matrices(np.array([state.now_s]))[0]
-    return LiveSamples(
-        t_s=np.array([state.now_s for state in states]) + run.offset_s,
-        force_n=np.array([state.force_n for state in states]),
-        supervisor=np.array([int(state.supervisor) for state in states]),
-        status=np.array([int(state.status) for state in states]),
-        mr_from_tracker=poses,
-        tool_age_s=np.array([state.tool.age_s for state in states]),
-    )
-
-
 def comparison(live: LiveRun, replay: Replay, truth: ScenarioTruth | None) -> dict[str, Any]:
     """Compare a live session with a replay; JSON values."""
-    samples, ticks = samples_of(live), replay.ticks
+    samples, ticks = live.samples, replay.ticks
     here = (samples.t_s > ticks.t_s[0]) & (samples.t_s < ticks.t_s[-1])
     at = np.clip(np.searchsorted(ticks.t_s, samples.t_s), 0, len(ticks) - 1)
     same_status = (samples.status == ticks.status[at])[here]
@@ -363,7 +347,7 @@ def after_cut(live: LiveRun, replay: Replay, cut_s: float) -> dict[str, Any]:
         `fading_s`: when the force began to fade; `back_s`: when the tool was known again; `phase_s`: when the
         phase was also locked again; null if that did not happen. `latched`: whether it took an operator.
     """
-    samples, recorded = samples_of(live), replay.scenario
+    samples, recorded = live.samples, replay.scenario
     first_s = min(float(recorded.ecg.t_s[0]), float(recorded.ultrasound.t_s[0]))
     since_s = samples.t_s - first_s - cut_s
     faded = samples.supervisor > SupervisorState.DEGRADED

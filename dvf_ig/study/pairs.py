@@ -20,19 +20,9 @@ from data_synth.organ_pair.pair import OrganPair, cine_pair, displaced_start, or
 from data_synth.seeds import child_rng
 from dvf_ig.core import Grid, InvalidInputError, Rigid, Volume
 from dvf_ig.registration import register_pair
-from dvf_ig.study.cines import labelled_cines, read_labelled_cine
-from dvf_ig.study.driver import (
-    Driver,
-    Line,
-    Result,
-    Rows,
-    Settings,
-    Study,
-    Trials,
-    option,
-    seed_option,
-    seeds_option,
-)
+from dvf_ig.study.cines import VOXEL_HELP, labelled_cines, read_labelled_cine
+from dvf_ig.study.driver import Driver, Line, Result, Rows, Settings, Study, Trials
+from dvf_ig.study.options import option, seed_option, seeds_option
 from dvf_ig.study.statistics import FAILURE_MM, SUCCESS_MM, Share, number_text, share_of, share_text
 
 STARTS_MM = [4.0, 8.0]
@@ -51,9 +41,7 @@ class PairsSettings:
         "Instead of brains: real MR at end-diastole of the cines in this folder.", None
     )
     patients: str | None = option("Only folders that end so: 002,003 (default: all).", None)
-    voxel_mm: tuple[float, float, float] | None = option(
-        "Voxel size where the header has lost it, three numbers of mm, for example 1.5,1.5,10.", None
-    )
+    voxel_mm: tuple[float, float, float] | None = option(VOXEL_HELP, None)
 
 
 @dataclass(frozen=True, slots=True)

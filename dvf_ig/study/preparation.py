@@ -26,18 +26,8 @@ from dvf_ig.intake.model_cache import cached_model
 from dvf_ig.intake.parts import SessionFiles
 from dvf_ig.replay import result_of, run_replay
 from dvf_ig.replay.registration import explain_refusal, prepare_registration
-from dvf_ig.study.driver import (
-    Driver,
-    Line,
-    Result,
-    Rows,
-    Settings,
-    Study,
-    Trials,
-    option,
-    seed_option,
-    seeds_option,
-)
+from dvf_ig.study.driver import Driver, Line, Result, Rows, Settings, Study, Trials
+from dvf_ig.study.options import option, seed_option, seeds_option
 
 OTHERS = 1000
 """Another patient's recordings are of a seed so much higher."""

@@ -33,18 +33,8 @@ from dvf_ig.replay.result.pose import bounded_rms_mm
 from dvf_ig.replay.result.score import CONTACT_MM, pose_errors_mm
 from dvf_ig.session.pose_states import ELSEWHERE_BEATS
 from dvf_ig.study.cines import VOXEL_HELP, labelled_cines, read_labelled_cine
-from dvf_ig.study.driver import (
-    Driver,
-    Line,
-    Result,
-    Rows,
-    Settings,
-    Study,
-    Trials,
-    option,
-    seed_option,
-    seeds_option,
-)
+from dvf_ig.study.driver import Driver, Line, Result, Rows, Settings, Study, Trials
+from dvf_ig.study.options import option, seed_option, seeds_option
 from dvf_ig.study.statistics import Estimate, estimate_text, median_of, number_text, share_over_hearts
 
 

@@ -26,8 +26,9 @@ from dvf_ig.session.beat_evaluation import ComparableBeat, ComparedBeat, evaluat
 from dvf_ig.session.pose_states import Confirmation, InUse, Pose
 from dvf_ig.session.pose_transition import BeatCompared, next_pose
 from dvf_ig.session.work import InlineExecutor, Job
-from dvf_ig.study.driver import Driver, Line, Result, Rows, Settings, Study, Trials, option
+from dvf_ig.study.driver import Driver, Line, Result, Rows, Settings, Study, Trials
 from dvf_ig.study.hearts.recordings import MOTION, VARIED, ListName, heart_list, hearts_option, list_option
+from dvf_ig.study.options import option
 from dvf_ig.study.statistics import Estimate, estimate_text, number_text, poisson_rate, share_over_hearts
 
 

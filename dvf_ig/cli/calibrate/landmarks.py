@@ -109,13 +109,7 @@ def _result(
         "second_rms_mm": fit.second_rms_mm if fit.second_rms_mm < float("inf") else None,
         "tip_shift_mm": checked.shift_mm.tolist(),
         "tip_spread_mm": [checked.spread_mm, checked.spread_after_mm],
-        "difference": None
-        if difference is None
-        else {
-            "rotation_deg": difference.rotation_deg,
-            "centroid_mm": difference.centroid_mm,
-            "largest_mm": difference.largest_mm,
-        },
+        "difference": difference,
         "target": fitted.target,
         "source": fitted.source,
     }

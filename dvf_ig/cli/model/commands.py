@@ -7,19 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from typer import Argument, Option
 
-from dvf_ig.cli.shell import (
-    JsonFlag,
-    SeedOption,
-    ThreadsOption,
-    command,
-    cores_or,
-    emit,
-    out_file,
-    warn,
-    whole_numbers,
-    wrote,
-)
-from dvf_ig.cli.voxel_size import VoxelOption, voxel_size
+from dvf_ig.cli import shell
 
 from .export import export
 from .output import file_megabytes, model_payload, model_rows, phase_rows
@@ -31,7 +19,7 @@ if TYPE_CHECKING:
     from .request import BuildRequest
 
 
-OutputOption = Annotated[Path, out_file("Model file to write (.npz).")]
+OutputOption = Annotated[Path, shell.out_file("Model file to write (.npz).")]
 MarginOption = Annotated[float, Option("--margin-mm", help="Box margin around the heart in mm.")]
 LABELS_HELP = (
     "A label image and its position in the model's cycle. PHASE with a decimal point is a fraction of the "
@@ -113,7 +101,7 @@ def build(
         ),
     ] = None,
     patient: Annotated[str | None, Option(help="Patient id (default: from the file's name).")] = None,
-    voxel_mm: VoxelOption = None,
+    voxel_mm: shell.VoxelOption = None,
     knot_mm: Annotated[float | None, Option(help="Spline knot pitch in mm (default 3).")] = None,
     accuracy_mm: Annotated[
         float | None,
@@ -123,12 +111,12 @@ def build(
         ),
     ] = None,
     margin_mm: MarginOption = 15.0,
-    threads: ThreadsOption = None,
-    seed: SeedOption = 0,
-    as_json: JsonFlag = False,
+    threads: shell.ThreadsOption = None,
+    seed: shell.SeedOption = 0,
+    as_json: shell.JsonFlag = False,
 ) -> None:
     """Fit signed-distance splines to a moving surface and write them as one model file."""
-    with command(threads):
+    with shell.command(threads):
         from .request import BuildRequest
 
         request = BuildRequest(
@@ -149,9 +137,9 @@ def build(
             knot_mm=knot_mm,
             accuracy_mm=accuracy_mm,
             margin_mm=margin_mm,
-            threads=cores_or(threads),
+            threads=shell.cores_or(threads),
             seed=seed,
-            voxel_mm=voxel_size(voxel_mm),
+            voxel_mm=shell.voxel_size(voxel_mm),
         )
         _build(request, as_json=as_json)
 
@@ -164,7 +152,7 @@ def _one_image(image: Path | None, sax: Path | None, dicom: Path | None) -> Path
 
 
 def _labels(text: str | None, option: str) -> tuple[int, ...]:
-    return whole_numbers(text, option, "1,2,5") if text else ()
+    return shell.whole_numbers(text, option, "1,2,5") if text else ()
 
 
 def _build(request: "BuildRequest", *, as_json: bool) -> None:
@@ -187,10 +175,10 @@ def _build(request: "BuildRequest", *, as_json: bool) -> None:
     size_mb = file_megabytes(output)
     payload = {**model_payload(model, result, request.seed, seconds, size_mb), **evidence}
     rows = model_rows(model, result, seconds, size_mb, evidence.get("anatomical_error_mm"))
-    emit(payload, rows, as_json=as_json)
+    shell.emit(payload, rows, as_json=as_json)
     for file in built.beside:
-        wrote(file.path, file.frame)
-    wrote(output, model.frame)
+        shell.wrote(file.path, file.frame)
+    shell.wrote(output, model.frame)
 
 
 @app.command("check")
@@ -207,10 +195,10 @@ def check(
             help="With --labels: label values inside the surface, for example 1,2,5 (default: all except 0)."
         ),
     ] = None,
-    voxel_mm: VoxelOption = None,
-    threads: ThreadsOption = None,
-    seed: SeedOption = 0,
-    as_json: JsonFlag = False,
+    voxel_mm: shell.VoxelOption = None,
+    threads: shell.ThreadsOption = None,
+    seed: shell.SeedOption = 0,
+    as_json: shell.JsonFlag = False,
 ) -> None:
     """Measure a model's spline fit error, at random points of the surfaces kept in it.
 
@@ -224,7 +212,7 @@ def check(
     values = _labels(organ, "--organ")
     if values and given_labels is None:
         raise typer.BadParameter("--organ needs --labels, the label image that it belongs to")
-    with command(threads):
+    with shell.command(threads):
         from dvf_ig.io import read_model
 
         start = time.perf_counter()
@@ -237,13 +225,13 @@ def check(
         payload = model_payload(model, result, seed, seconds, size_mb)
         if given_labels is not None:
             payload["labels"], label_rows = check_with_labels(
-                model, given_labels, values, points, seed, voxel_size(voxel_mm)
+                model, given_labels, values, points, seed, shell.voxel_size(voxel_mm)
             )
             rows += label_rows
         if surfaces is not None:
             payload["surfaces"], surface_rows = check_with_surfaces(model, surfaces, points, seed)
             rows += surface_rows
-        emit(payload, rows, as_json=as_json)
+        shell.emit(payload, rows, as_json=as_json)
 
 
 def _errors(model: "DvfModel", points: int, seed: int) -> "ModelCheck":
@@ -256,9 +244,9 @@ def _errors(model: "DvfModel", points: int, seed: int) -> "ModelCheck":
 
 def _warn_of_assumptions(model: "DvfModel") -> None:
     if model.timing.timing_assumed:
-        warn(
+        shell.warn(
             f"phase times are assumed: phase i at i/{model.phases} of the cycle; give the measured ones with "
             "--timing FILE, or in a timing.json next to the image"
         )
     if model.timing.rr_assumed:
-        warn(f"the RR interval is assumed: {model.timing.rr_s:g} s")
+        shell.warn(f"the RR interval is assumed: {model.timing.rr_s:g} s")

@@ -13,16 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer import Argument, Option
 
-from dvf_ig.cli.fixture_options import (
-    FixturesFileOption,
-    MarginOption,
-    RetimingOption,
-    chosen_fixtures,
-    chosen_retiming,
-    refuse_options,
-    takes_fixture,
-    with_margin,
-)
+from dvf_ig.cli import fixture_options
 from dvf_ig.cli.session_argument import ModelOption, require_own_model
 from dvf_ig.cli.shell import JsonFlag, SeedOption, ThreadsOption, command, emit, out_folder, output_file, warn
 
@@ -46,7 +37,7 @@ REMEMBERED = 200
 """Registrations and beats that are kept where there is no record: a session may last for hours."""
 
 
-@takes_fixture
+@fixture_options.takes_fixture
 def serve(
     session: Annotated[
         Path,
@@ -94,9 +85,9 @@ def serve(
     ] = None,
     *,
     fixture: dict[str, Any],
-    fixtures: FixturesFileOption = None,
-    retiming: RetimingOption = None,
-    margin: MarginOption = None,
+    fixtures: fixture_options.FixturesFileOption = None,
+    retiming: fixture_options.RetimingOption = None,
+    margin: fixture_options.MarginOption = None,
     as_json: JsonFlag = False,
     seed: SeedOption = 0,
     threads: ThreadsOption = None,
@@ -116,11 +107,11 @@ def serve(
 
         require_own_model(session, model)
         files = read_session(session, "live")
-        options, of_file = chosen_fixtures(fixture, fixtures)
+        options, of_file = fixture_options.chosen_fixtures(fixture, fixtures)
         if files.fixtures is not None:
-            refuse_options(fixture, fixtures)
+            fixture_options.refuse_options(fixture, fixtures)
             options = files.fixtures
-        mode = chosen_retiming(retiming, files.retiming or of_file)
+        mode = fixture_options.chosen_retiming(retiming, files.retiming or of_file)
         changes: dict[str, Any] = {"host": host, "port": port, "role": "server" if listen else None}
         changes["allow"] = None if not allow else (*files.required_live.allow, *allow)
         live = files.required_live.model_copy(update={key: v for key, v in changes.items() if v is not None})
@@ -129,7 +120,7 @@ def serve(
         if hardware is not None:
             place_of(hardware, files.device)
             options = replace(options, device=limits_of(hardware, options.device))
-        ready = live_setup(files, model, with_margin(options, margin), mode, seed)
+        ready = live_setup(files, model, fixture_options.with_margin(options, margin), mode, seed)
         typer.echo(ready.origin, err=True)
         for found in ready.findings:
             warn(f"{found.key}: {found.sentence}")
@@ -152,7 +143,7 @@ def _serve(
     from dvf_ig.live.summary import LiveSummary
     from dvf_ig.session import SessionHistory, no_force
 
-    from .setup import recorded_session, write_run
+    from .setup import recorded_session, write_logged_run
 
     summary, history = LiveSummary(), SessionHistory(REMEMBERED if out is None else None)
     if out is None:
@@ -172,7 +163,7 @@ def _serve(
         warn(f"no force was given: {silent}")
     if out is not None and failure is None:
         if summary.answers:
-            write_run(out, ready, history)
+            write_logged_run(out, ready, history)
         else:
             warn("no pose of the tool came, so that there is nothing to replay or to view")
     if failure is not None:

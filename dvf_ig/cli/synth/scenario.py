@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 from typer import Option
 
-from dvf_ig.cli.shell import JsonFlag, ThreadsOption, command, out_folder
-from dvf_ig.cli.voxel_size import VoxelOption, voxel_size
+from dvf_ig.cli.shell import JsonFlag, ThreadsOption, VoxelOption, command, out_folder, voxel_size
 
 if TYPE_CHECKING:
     from dvf_ig.cli.synth.spec import SpecFile

@@ -69,7 +69,7 @@ def read_session_log(path: Path, *, images: bool = True) -> SessionFiles:
             if topic == IMAGE:
                 shown.append(ros.grey_levels(message))
             else:
-                arrays[topic].append(_numbers(message))
+                arrays[topic].append(np.array(message.data, dtype=np.float64))
         scenario = _recorded(document, heart, arrays, shown)
         if isinstance(scenario.ecg, Signal):
             require_plausible(path, scenario.ecg)
@@ -197,7 +197,3 @@ def _heart(path: Path, document: SessionDocument, attached: dict[str, bytes]) ->
         except InvalidInputError as exc:
             reason = str(exc).replace(f"{folder}/", "its ")
             raise UnreadableFileError(f"{path}: {reason}") from exc
-
-
-def _numbers(message: ros.Message) -> FloatArray:
-    return np.array(message.data, dtype=np.float64)

@@ -105,10 +105,11 @@ def indexed_sequence(path: Path, raw: RawSequence) -> tuple[TrackedSequence, Int
         t_s = t_s[order]
         stored = require_orientation(path, raw.orientation)
         turned = turned_orientation(stored) if raw.columns else None
+        status = "ImageStatus" if "ImageStatus" in raw.frame_fields else "Status"  # the second in NRRD files
         sequence = TrackedSequence(
             t_s=t_s,
             images=_images(path, raw, order, stored),
-            image_valid=_statuses(path, raw, _image_status_field(raw))[order],
+            image_valid=_statuses(path, raw, status)[order],
             poses=_streams(path, raw, t_s, order),
             has_timestamps=has_timestamps,
             orientation=turned or stored,
@@ -231,11 +232,6 @@ def _statuses(path: Path, raw: RawSequence, name: str) -> BoolArray:
         log.warning("%s: the status '%s' of %s is not known and counts as lost", path, unknown[0][:20], name)
     absent = "" if "OK" in texts.values() else "OK"
     return np.array([texts.get(i, absent) == "OK" for i in range(raw.frames)])
-
-
-def _image_status_field(raw: RawSequence) -> str:
-    """Return the name of the image status: ImageStatus in MetaImage files, Status in NRRD files."""
-    return "ImageStatus" if "ImageStatus" in raw.frame_fields else "Status"
 
 
 def _streams(path: Path, raw: RawSequence, t_s: FloatArray, order: IntArray) -> dict[str, PoseStream]:

@@ -15,7 +15,6 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -61,20 +60,21 @@ class CppFloor:
         )
         self._per_knot, self._law = 1.0 / float(model.knot_spacing_mm), law
 
-    def forces(self, xyz_mm: FloatArray, phase: FloatArray) -> Callable[[int, int, FloatArray], None]:
-        """A function of begin, end and (n, 4) output: forces (N) and distance (mm) at those points."""
+    def forces(self, xyz_mm: FloatArray, phase: FloatArray, out: FloatArray) -> Callable[[int, int], None]:
+        """A function of begin and end that puts forces (N) and distance (mm) at those points into (n, 4)."""
         c, shape, origin, pose = (a.ctypes.data_as(ctypes.c_void_p) for a in self._arrays)
         xyz, phi = (np.ascontiguousarray(a) for a in (xyz_mm, phase))
         numbers = (ctypes.c_double(self._law.gamma_per_mm), ctypes.c_double(self._law.cap_n))
         data = (xyz.ctypes.data_as(ctypes.c_void_p), phi.ctypes.data_as(ctypes.c_void_p))
         per_knot, function = ctypes.c_double(self._per_knot), self._function
 
-        def run(begin: int, end: int, out: FloatArray) -> None:
-            place = out.ctypes.data_as(ctypes.c_void_p)
+        place = out.ctypes.data_as(ctypes.c_void_p)
+
+        def run(begin: int, end: int) -> None:
             span = (ctypes.c_long(begin), ctypes.c_long(end))
             function(c, shape, origin, per_knot, pose, *numbers, *data, *span, place)
 
-        run.__dict__["kept"] = (xyz, phi, self)
+        run.__dict__["kept"] = (xyz, phi, out, self)
         return run
 
 
@@ -308,7 +308,7 @@ def bench_tick(model: DvfModel, seed: int) -> TickCost:
     if floor is not None:
         out = np.empty((POINTS, 4))
         for what, places, when in (("floor", path, phase), ("floor, random", anywhere, anywhen)):
-            passes[f"C++ {what}"] = partial(_into, floor.forces(places, when), out)
+            passes[f"C++ {what}"] = floor.forces(places, when, out)
     spent = _alternating(passes)
     rows = tuple(
         row("C++" if what.startswith("C++") else "dvf_ig", what, us, None, calls_per_sample=CALLS)
@@ -328,10 +328,6 @@ def bench_tick(model: DvfModel, seed: int) -> TickCost:
             "servo tick / C++ floor": median["servo tick"] / median["C++ floor"],
         }
     return TickCost(rows, ratios)
-
-
-def _into(function: Callable[[int, int, FloatArray], None], out: FloatArray, begin: int, end: int) -> None:
-    function(begin, end, out)
 
 
 def _alternating(passes: dict[str, Pass]) -> dict[str, FloatArray]:
@@ -435,12 +431,7 @@ def _ticks(
 
 @kernel
 def tick_batch(
-    bound: Any,
-    scratch: Any,
-    xyz_mm: FloatArray,
-    ticks: FloatArray,
-    period_s: float,
-    force: FloatArray,
+    bound: Any, scratch: Any, xyz_mm: FloatArray, ticks: FloatArray, period_s: float, force: FloatArray
 ) -> None:
     """`servo_tick` at (n, 3) positions a period apart; `ticks` counts on."""
     bound, scratch, xyz_mm, force = borrowed(bound), borrowed(scratch), borrowed(xyz_mm), borrowed(force)

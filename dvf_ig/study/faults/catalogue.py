@@ -168,10 +168,7 @@ TOOL_ROWS: tuple[Row, ...] = (
         "age 15 ms above its median in 3 of 5 poses, at 30 mm/s: three frames, the jump, the arrival",
         tuple(
             tool_fault(
-                f"{1000 * by:g} ms later",
-                late(by),
-                LATE_FOR_S,
-                3 * FRAME_S + by + TOOL_ARRIVES_S + STEP_S,
+                f"{1000 * by:g} ms later", late(by), LATE_FOR_S, 3 * FRAME_S + by + TOOL_ARRIVES_S + STEP_S
             )
             for by in (0.018, 0.040, 0.100)
         ),
@@ -367,13 +364,9 @@ def _drift_row(stream: str, faulty: Callable[[ArrivalsChange], Fault]) -> Row:
 
 def _drift(label: str, fault: Fault, rate: float) -> Severity:
     """The fault lasts until it must have been found, and a little longer."""
-    limit_s = _drift_limit_s(rate)
+    # 6 ms (100 ppm over 60 s) at this rate, and three blocks of 2 s of which the least latency is taken
+    limit_s = 0.006 / abs(rate) + 6.0
     return Severity(label, SessionFault(fault, limit_s + 2.0, 2.0, 0.01), limit_s)
-
-
-def _drift_limit_s(rate: float) -> float:
-    """6 ms (100 ppm over 60 s) at this rate, and three blocks of 2 s of which the least latency is taken."""
-    return 0.006 / abs(rate) + 6.0
 
 
 CLOCK_ROWS: tuple[Row, ...] = (

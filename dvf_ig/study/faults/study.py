@@ -18,23 +18,13 @@ from typing import TYPE_CHECKING, Any
 
 from dvf_ig.report.page import html_page, image_tag, section, table
 from dvf_ig.report.style import ESTIMATE, GUIDE, START
-from dvf_ig.study.driver import (
-    Driver,
-    Line,
-    Result,
-    Rows,
-    Settings,
-    Study,
-    Trials,
-    option,
-    seed_option,
-    seeds_option,
-)
+from dvf_ig.study.driver import Driver, Line, Result, Rows, Settings, Study, Trials
 from dvf_ig.study.faults.catalogue import ROWS, SEVERITIES, Row, Severity
 from dvf_ig.study.faults.clean import SECONDS, clean_trial
 from dvf_ig.study.faults.servo_trial import ServoFault, run_servo_fault
 from dvf_ig.study.faults.session_trial import SessionFault, judge, run_session_fault
 from dvf_ig.study.faults.start_trial import StartFault, refused
+from dvf_ig.study.options import option, seed_option, seeds_option
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

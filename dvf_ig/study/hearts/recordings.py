@@ -31,7 +31,8 @@ from dvf_ig.registration.result import RegistrationResult
 from dvf_ig.replay.registration import PreparedRegistration, prepare_registration
 from dvf_ig.session import Heart, build_heart, label_map, register_gated_volumes
 from dvf_ig.session.ultrasound_registration import images_of_frames
-from dvf_ig.study.driver import Settings, option
+from dvf_ig.study.driver import Settings
+from dvf_ig.study.options import option
 
 from .walls import WallErrors, measure_walls
 

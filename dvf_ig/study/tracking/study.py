@@ -20,7 +20,8 @@ from dvf_ig.core import BoolArray, part_of
 from dvf_ig.guidance import DEVICES, SimulatedDevice
 from dvf_ig.guidance.blend import BLEND_CODES
 from dvf_ig.report.style import SERIES, TRUTH, open_frame, png_bytes
-from dvf_ig.study.driver import Driver, Result, Rows, Study, option, seed_option, seeds_option
+from dvf_ig.study.driver import Driver, Result, Rows, Study
+from dvf_ig.study.options import option, seed_option, seeds_option
 from dvf_ig.study.tracking.stylus import (
     HeldStylus,
     StylusRun,

@@ -135,7 +135,7 @@ DRAWN = ("breathing", "ecg", "force", "overlay", "phase_error", "pose", "supervi
 def undrawn(blank_pictures: None, monkeypatch: pytest.MonkeyPatch) -> None:
     """For a test of the page's words: other tests draw the same figures."""
     for name in ("distance_histogram", *(f"{one}_figure" for one in DRAWN)):
-        monkeypatch.setattr(f"dvf_ig.report.replay.page.{name}", lambda *_: Figure())
+        monkeypatch.setattr(f"dvf_ig.report.replay.figures.{name}", lambda *_: Figure())
 
 
 @pytest.mark.usefixtures("blank_pictures")
