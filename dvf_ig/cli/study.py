@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_args, get_origin, get_type_hints
 
 import typer
+from typer import Argument, Option
 from typer.core import TyperCommand, TyperGroup
 from typer.main import get_command
 
@@ -25,8 +26,9 @@ from dvf_ig.cli.shell import (
     cores_or,
     emit,
     limit_threads,
-    output_dir,
+    out_folder,
     progress,
+    set_options,
     warn,
     whole_numbers,
     wrote,
@@ -115,12 +117,7 @@ def _command_of(module: str, name: str, about: str, epilog: str) -> Any:
         settings = {one.name: _value(one, hints[one.name], values.pop(one.name)) for one in chosen}
         _run(study, study.settings(**settings), **values)
 
-    parameters = [
-        inspect.Parameter(key, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
-        for key, (annotation, default) in options.items()
-    ]
-    run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
-    run.__annotations__ = {key: annotation for key, (annotation, _) in options.items()}
+    set_options(run, options)
     alone = typer.Typer(context_settings={"help_option_names": ["-h", "--help"]}, add_completion=False)
     alone.command(name, help=about, epilog=epilog)(run)
     return get_command(alone)
@@ -131,14 +128,14 @@ def _option(one: "Field[Any]", hint: Any) -> tuple[Any, Any]:
     about = one.metadata
     flag = about["flag"] or f"--{one.name.replace('_', '-')}"
     if _is_numbers(hint):
-        return Annotated[str | None, typer.Option(flag, help=about["help"])], _with_commas(one)
+        return Annotated[str | None, Option(flag, help=about["help"])], _with_commas(one)
     if get_origin(hint) is tuple:
-        return Annotated[list[get_args(hint)[0]] | None, typer.Option(flag, help=about["help"])], None  # type: ignore[misc]
+        return Annotated[list[get_args(hint)[0]] | None, Option(flag, help=about["help"])], None  # type: ignore[misc]
     default = inspect.Parameter.empty if one.default is MISSING else one.default
     if about["argument"]:
-        return Annotated[hint, typer.Argument(help=about["help"])], default
+        return Annotated[hint, Argument(help=about["help"])], default
     bounds = {"min": about["least"], "max": about["most"]}
-    return Annotated[hint, typer.Option(flag, help=about["help"], **bounds)], default
+    return Annotated[hint, Option(flag, help=about["help"], **bounds)], default
 
 
 def _is_numbers(hint: Any) -> bool:
@@ -166,17 +163,17 @@ def _shared(study: "Study") -> dict[str, tuple[Any, Any]]:
     about = (
         "Folder; a study that was stopped goes on where it was." if study.trials else "Folder for results."
     )
-    folder = typer.Option("-o", "--out", callback=output_dir, help=about)
+    folder = out_folder(about)
     options: dict[str, tuple[Any, Any]] = {
         "out": (Annotated[Path, folder], inspect.Parameter.empty)
         if study.needs_folder
         else (Annotated[Path | None, folder], None)
     }
     if study.trials:
-        workers = typer.Option("--workers", min=1, help="Processes (default: one for each core).")
+        workers = Option("--workers", min=1, help="Processes (default: one for each core).")
         address = "Work on this dask.distributed scheduler instead (tcp://HOST:8786)."
         options["workers"] = (Annotated[int | None, workers], None)
-        options["scheduler"] = (Annotated[str | None, typer.Option("--scheduler", help=address)], None)
+        options["scheduler"] = (Annotated[str | None, Option("--scheduler", help=address)], None)
     if study.threads:
         options["threads"] = (ThreadsOption, None)
     return {**options, "as_json": (JsonFlag, False)}

@@ -3,10 +3,11 @@
 from typing import Annotated
 
 import typer
+from typer import Option
 
 VoxelOption = Annotated[
     str | None,
-    typer.Option(
+    Option(
         "--voxel-mm",
         help="Voxel size where the header has lost it, three numbers of mm, for example 1.5,1.5,10.",
     ),

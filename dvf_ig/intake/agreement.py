@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from dvf_ig.core.arrays import AnyArray, FloatArray
+from dvf_ig.core import AnyArray, FloatArray, ImageMap, Landmarks, Points, PoseStream, Preop
 from dvf_ig.core.plausible import (
     HEART_MM,
     IMAGE_MM,
@@ -14,16 +14,12 @@ from dvf_ig.core.plausible import (
     TIP_MM,
     USUAL_TIP_MM,
 )
-from dvf_ig.core.recordings.scenario import Preop
-from dvf_ig.core.recordings.stream import PoseStream
-from dvf_ig.core.space.image_map import ImageMap
-from dvf_ig.core.space.points import Landmarks, Points
 
 from .findings import Disagreement, Finding, finding
 from .heart_in_images import HeartInImages, cycle_findings, mr_order_finding
 from .parts import SessionFiles
 from .places import place_findings
-from .preop import PreopFiles, heart_surfaces
+from .preop import PreopFiles, heart_surfaces, still_heart_key
 from .problems import Use
 from .readers import Sweep
 
@@ -68,6 +64,8 @@ def unit_findings(files: SessionFiles) -> Iterator[Finding]:
     """Find lengths and times in another unit."""
     if files.preop is not None:
         yield from _heart(files.preop)
+        if (key := still_heart_key(files.preop)) is not None:
+            yield finding(Disagreement.HEART_DOES_NOT_BEAT, key)
     if files.sweep is not None:
         if files.sweep.recorded.has_timestamps:
             yield from _stamps(files.sweep.recorded.t_s, "ultrasound", "ultrasound", "register")

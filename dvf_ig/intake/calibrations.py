@@ -7,31 +7,14 @@ from typing import Protocol
 
 import numpy as np
 
-from dvf_ig.calibration import (
-    LatencyResult,
-    NWireResult,
-    PivotResult,
-    PlaneTarget,
-    PointTarget,
-    TargetResult,
-    accepted,
-    calibrate_crosswire,
-    calibrate_pivot,
-    calibrate_wall,
-    compare_nwire_methods,
-    estimate_latency,
-)
-from dvf_ig.core import (
-    DvfIgError,
-    ImageMap,
-    InvalidInputError,
-    LatencyRecording,
-    NWireRecording,
-    Points,
-    PoseStream,
-    Scenario,
-    TargetRecording,
-)
+from dvf_ig.calibration import LatencyResult, PointTarget, TargetResult, calibrate_crosswire, estimate_latency
+from dvf_ig.calibration.pivot.pivot import PivotResult, calibrate_pivot
+from dvf_ig.calibration.probe.nwire import NWireResult, compare_nwire_methods
+from dvf_ig.calibration.probe.wall import PlaneTarget, calibrate_wall
+from dvf_ig.calibration.refusal import accepted
+from dvf_ig.core import ImageMap, LatencyRecording, NWireRecording, PoseStream, Scenario, TargetRecording
+from dvf_ig.core.errors import DvfIgError, InvalidInputError
+from dvf_ig.core.space.points import Points
 from dvf_ig.session import CalibrationsInUse, UltrasoundCalibration
 
 ProbeResult = NWireResult | TargetResult[PointTarget] | TargetResult[PlaneTarget]

@@ -9,24 +9,11 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dvf_ig.core.errors import InvalidInputError
-from dvf_ig.core.model import DvfModel
+from dvf_ig.core import DvfModel, Fan, ImageMap, InvalidInputError, Points, PoseStream, Rigid, TriggerTimes
 from dvf_ig.core.recordings.phantom import NWireRecording, TargetRecording
 from dvf_ig.core.recordings.scenario import LatencyRecording, Preop, Scenario, ScenarioTruth
-from dvf_ig.core.recordings.sequence import Fan
 from dvf_ig.core.recordings.signal import Respiration, Signal
-from dvf_ig.core.recordings.stream import PoseStream
-from dvf_ig.core.space.image_map import ImageMap
-from dvf_ig.core.space.points import Points
-from dvf_ig.core.space.rigid import Rigid
-from dvf_ig.core.timing.trigger import TriggerTimes
-from dvf_ig.io.image.gated_volume import (
-    GatedVolumeFile,
-    gated_volume_files,
-    read_gated_volumes,
-    sequence_volumes,
-)
-from dvf_ig.io.plus.names import ProbeNames
+from dvf_ig.io import GatedVolumeFile, ProbeNames, gated_volume_files, read_gated_volumes, sequence_volumes
 from dvf_ig.io.respiration import read_respiration, split_respiration
 
 from .contents import (

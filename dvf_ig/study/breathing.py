@@ -18,12 +18,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from data_synth import PRESETS, EcgSpec, RhythmSpec, beat_series, synthetic_ecg
 from data_synth.breathing.breaths import BreathEvent, BreathSpec, draw_breaths
 from data_synth.breathing.motion import Breathing, breathing_of
 from data_synth.breathing.recorded import recorded_breathing
-from data_synth.scenario.presets import PRESETS
-from data_synth.signals.ecg import EcgSpec, synthetic_ecg
-from data_synth.signals.rhythm import RhythmSpec, beat_series
 from dvf_ig.cardiac import detect_r_peaks
 from dvf_ig.core import HEART_RADIUS_MM, BoolArray, FloatArray, PoseMotion, Respiration, Rigid
 from dvf_ig.registration import BeatMeasurement

@@ -7,29 +7,16 @@ One synthetic calibration recording a trial. The unit is the recording.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from enum import StrEnum
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
-from data_synth.phantoms.crosswire import CrossWireSpec, crosswire_recording
-from data_synth.phantoms.nwire import nwire_recording
+from data_synth import CrossWireSpec, Preset, SectorProbe, child_rng, crosswire_recording, nwire_recording
 from data_synth.phantoms.wall import WallSpec, wall_recording
 from data_synth.phantoms.watertank import watertank_recording
 from data_synth.scenario.ground_truth import GroundTruth, draw_ground_truth
-from data_synth.scenario.presets import Preset
-from data_synth.seeds import child_rng
-from data_synth.ultrasound.probe import SectorProbe
-from dvf_ig.calibration import (
-    MapUncertainty,
-    NWireOptions,
-    accepted,
-    calibrate_crosswire,
-    calibrate_nwire,
-    calibrate_wall,
-    compare_nwire_methods,
-    estimate_latency,
-)
+from dvf_ig.calibration import MapUncertainty, accepted, calibrate_crosswire, calibrate_wall, estimate_latency
+from dvf_ig.calibration.probe.nwire import NWireOptions, calibrate_nwire, compare_nwire_methods
 from dvf_ig.core import FloatArray, InvalidInputError
 from dvf_ig.study.driver import (
     Driver,
@@ -44,20 +31,11 @@ from dvf_ig.study.driver import (
 )
 
 
-class Kind(StrEnum):
-    """Which calibration."""
-
-    nwire = "nwire"
-    wall = "wall"
-    watertank = "watertank"
-    crosswire = "cross-wire"
-
-
 @dataclass(frozen=True, kw_only=True)
 class CalibrationSettings:
     """Options of the study."""
 
-    kind: Kind = option("Which calibration.")
+    kind: Literal["nwire", "wall", "watertank", "cross-wire"] = option("Which calibration.")
     seeds: int = seeds_option(200)
     method: str = option("N-wire: linear, orthogonal, isotropic, all-wires or chosen.", "orthogonal")
     seed: int = seed_option(1)
@@ -215,8 +193,8 @@ _MAPS: dict[str, Callable[..., tuple[MapUncertainty, dict[str, Any]]]] = {
 
 def run(settings: CalibrationSettings, driver: Driver) -> Result:
     """Calibrate every seed's recording."""
-    method = {"method": settings.method} if settings.kind is Kind.nwire else {}
-    fields = {"kind": settings.kind.value} | method
+    method = {"method": settings.method} if settings.kind == "nwire" else {}
+    fields = {"kind": settings.kind} | method
     seeds = range(settings.seed, settings.seed + settings.seeds)
     lines = driver.trials(Trials("calibration", fields, calibration_trial), seeds)
     entries = interval_coverage(lines)

@@ -17,23 +17,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dvf_ig.cardiac import (
-    PREDICTORS,
-    PredictorName,
-    RPeak,
-    make_predictor,
-    phase_from_peaks,
-    stream_recording,
-)
-from dvf_ig.core import (
-    BoolArray,
-    FloatArray,
-    IntArray,
-    InvalidInputError,
-    PhaseTrack,
-    Signal,
-    read_only_arrays,
-)
+from dvf_ig.cardiac import PREDICTORS, PredictorName, make_predictor, phase_from_peaks, stream_recording
+from dvf_ig.cardiac.rpeak import RPeak
+from dvf_ig.core import InvalidInputError, PhaseTrack, Signal
+from dvf_ig.core.arrays import BoolArray, FloatArray, IntArray, read_only_arrays
 from dvf_ig.io import BeatAnnotations, read_annotations, read_ecg
 from dvf_ig.report.style import ESTIMATE, SERIES, START, png_bytes
 from dvf_ig.study.driver import Driver, Result, Rows, Study, option

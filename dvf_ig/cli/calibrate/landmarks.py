@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
+from typer import Argument, Option
 
 from dvf_ig.cli.shell import JsonFlag, command, warn
 
@@ -18,13 +18,10 @@ TIP_SHIFT_MM = 1.0
 
 
 def landmarks(
-    stylus: Annotated[
-        Path, typer.Argument(help="PLUS sequence of a stylus resting on the landmarks in order.")
-    ],
+    stylus: Annotated[Path, Argument(help="PLUS sequence of a stylus resting on the landmarks in order.")],
     device_set: DeviceSetOption,
     compare: Annotated[
-        Path | None,
-        typer.Option("--compare", help="PLUS XML with another placement (default: the device set's)."),
+        Path | None, Option(help="PLUS XML with another placement (default: the device set's).")
     ] = None,
     output: OutputOption = None,
     as_json: JsonFlag = False,

@@ -21,13 +21,8 @@ from .output import (
 )
 
 if TYPE_CHECKING:
-    from dvf_ig.calibration import (
-        CalibrationErrors,
-        NWireResult,
-        NWireVariants,
-        WireImageOptions,
-        WireSegmentation,
-    )
+    from dvf_ig.calibration import CalibrationErrors, WireImageOptions, WireSegmentation
+    from dvf_ig.calibration.probe.nwire import NWireResult, NWireVariants
     from dvf_ig.core import NWireRecording, WireSearch
     from dvf_ig.io import ProbeNames
 
@@ -56,13 +51,8 @@ def read_wires(
     """
     from dvf_ig.calibration import recording_of, segment_wires
     from dvf_ig.core import InvalidInputError
-    from dvf_ig.io import (
-        phantom_from_probe,
-        read_nwire_phantom,
-        read_nwire_recording,
-        read_sequence,
-        read_wire_search,
-    )
+    from dvf_ig.io import phantom_from_probe, read_nwire_phantom, read_nwire_recording, read_wire_search
+    from dvf_ig.io.plus.sequence_read import read_sequence
     from dvf_ig.report import write_wire_picture
 
     if table is not None:

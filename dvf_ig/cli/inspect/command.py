@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
+from typer import Argument
 
 from dvf_ig.cli.shell import (
     EcgLeadOption,
@@ -13,7 +13,7 @@ from dvf_ig.cli.shell import (
     ReferenceNameOption,
     command,
     emit,
-    output_file,
+    out_file,
     wrote,
 )
 
@@ -22,21 +22,13 @@ SHOWN_VALUES = 12
 
 
 def inspect(
-    file: Annotated[
-        str, typer.Argument(help="A file or folder, or an ECG as wfdb:, edf:, csv: or plus:PATH.")
-    ],
+    file: Annotated[str, Argument(help="A file or folder, or an ECG as wfdb:, edf:, csv: or plus:PATH.")],
     rate: EcgRateOption = None,
     lead: EcgLeadOption = None,
     probe_name: ProbeNameOption = None,
     reference_name: ReferenceNameOption = None,
     output: Annotated[
-        Path | None,
-        typer.Option(
-            "-o",
-            "--out",
-            callback=output_file,
-            help="Of a DICOM examination: draw where its slices lie (PNG).",
-        ),
+        Path | None, out_file("Of a DICOM examination: draw where its slices lie (PNG).")
     ] = None,
     as_json: JsonFlag = False,
 ) -> None:

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from typer import Argument, Option
 
 from dvf_ig.cli.shell import (
     JsonFlag,
@@ -13,7 +14,7 @@ from dvf_ig.cli.shell import (
     command,
     cores_or,
     emit,
-    output_file,
+    out_file,
     warn,
     whole_numbers,
     wrote,
@@ -30,92 +31,8 @@ if TYPE_CHECKING:
     from .request import BuildRequest
 
 
-OutputOption = Annotated[
-    Path, typer.Option("-o", "--out", callback=output_file, help="Model file to write (.npz).")
-]
-SurfacesOption = Annotated[
-    Path | None,
-    typer.Option(
-        "--surfaces",
-        help="Folder (or archive) of surfaces, one mesh a phase; or one mesh file, of a structure "
-        "that does not beat (an oesophagus, a nerve).",
-    ),
-]
-SurfaceOption = Annotated[str, typer.Option("--surface", help="Name of the surface to guard.")]
-LabelsOption = Annotated[
-    Path | None,
-    typer.Option(
-        "--labels",
-        help="4-D label image; with --image, a 3-D one of end-diastole is enough (also .seg.nrrd). A 3-D one "
-        "alone: of a structure that does not beat.",
-    ),
-]
-ImageOption = Annotated[
-    Path | None, typer.Option("--image", help="4-D image, for the motion of --labels or --seeds.")
-]
-DicomOption = Annotated[
-    Path | None,
-    typer.Option(
-        "--dicom",
-        help="Folder of an examination with all its series: short-axis stack and long-axis cines are found "
-        "by their geometry; the rest is left out with a reason.",
-    ),
-]
-SaxOption = Annotated[
-    Path | None, typer.Option("--sax", help="Short-axis 4-D stack, as --image, which --lax goes with.")
-]
-LaxOption = Annotated[
-    list[Path] | None,
-    typer.Option("--lax", help="Long-axis cine of one slice, with --sax or --image; once for each view."),
-]
-SeedsOption = Annotated[
-    Path | None,
-    typer.Option(
-        "--seeds",
-        help="Points named heart, cavity, background, any number of each name (.mrk.json, .fcsv, JSON).",
-    ),
-]
-OrganOption = Annotated[
-    str | None,
-    typer.Option(
-        "--organ",
-        help="Label values inside the surface, for example 1,2,5 (default with --image: all except 0).",
-    ),
-]
-CavityOption = Annotated[
-    str | None,
-    typer.Option(
-        "--cavity",
-        help="Label values of blood, the left ventricle's first, for example 3,1: end-systole is the phase "
-        "in which the first is smallest; ultrasound shows the boundaries of all (default: those that "
-        ".seg.nrrd names so).",
-    ),
-]
-EdPhaseOption = Annotated[
-    int, typer.Option("--ed-phase", min=0, help="With --image: the phase that is labelled.")
-]
-MotionOption = Annotated[str, typer.Option("--motion", help="With --image: bspline or demons.")]
-TimingOption = Annotated[
-    Path | None,
-    typer.Option(
-        "--timing",
-        help='JSON file of phase times and RR: {"fractions": [0.0, 0.05, ...], "rr_s": 0.86} (default: '
-        "timing.json next to the image).",
-    ),
-]
-PatientOption = Annotated[
-    str | None, typer.Option("--patient", help="Patient id (default: from the file's name).")
-]
-KnotOption = Annotated[float | None, typer.Option("--knot-mm", help="Spline knot pitch in mm (default 3).")]
-AccuracyOption = Annotated[
-    float | None,
-    typer.Option(
-        "--accuracy-mm",
-        help="Required mean surface error in mm (p99: four times that): the coarsest knots that reach it "
-        "on the most contracted phase.",
-    ),
-]
-MarginOption = Annotated[float, typer.Option("--margin-mm", help="Box margin around the heart in mm.")]
+OutputOption = Annotated[Path, out_file("Model file to write (.npz).")]
+MarginOption = Annotated[float, Option("--margin-mm", help="Box margin around the heart in mm.")]
 LABELS_HELP = (
     "A label image and its position in the model's cycle. PHASE with a decimal point is a fraction of the "
     "cycle in [0, 1), a whole number one of the model's phases, counted from 0: es.nii.gz@0.35, "
@@ -136,23 +53,75 @@ app.command("export")(export)
 @app.command("build")
 def build(
     output: OutputOption,
-    surfaces: SurfacesOption = None,
-    surface: SurfaceOption = "EPICARDIAL",
-    labels: LabelsOption = None,
-    image: ImageOption = None,
-    dicom: DicomOption = None,
-    sax: SaxOption = None,
-    lax: LaxOption = None,
-    seeds: SeedsOption = None,
-    cavity: CavityOption = None,
-    ed_phase: EdPhaseOption = 0,
-    motion: MotionOption = "bspline",
-    organ: OrganOption = None,
-    timing: TimingOption = None,
-    patient: PatientOption = None,
+    surfaces: Annotated[
+        Path | None,
+        Option(
+            help="Folder (or archive) of surfaces, one mesh a phase; or one mesh file, of a structure "
+            "that does not beat (an oesophagus, a nerve)."
+        ),
+    ] = None,
+    surface: Annotated[str, Option(help="Name of the surface to guard.")] = "EPICARDIAL",
+    labels: Annotated[
+        Path | None,
+        Option(
+            help="4-D label image; with --image, a 3-D one of end-diastole is enough (also .seg.nrrd). A "
+            "3-D one alone: of a structure that does not beat."
+        ),
+    ] = None,
+    image: Annotated[Path | None, Option(help="4-D image, for the motion of --labels or --seeds.")] = None,
+    dicom: Annotated[
+        Path | None,
+        Option(
+            help="Folder of an examination with all its series: short-axis stack and long-axis cines are "
+            "found by their geometry; the rest is left out with a reason."
+        ),
+    ] = None,
+    sax: Annotated[
+        Path | None, Option(help="Short-axis 4-D stack, as --image, which --lax goes with.")
+    ] = None,
+    lax: Annotated[
+        list[Path] | None,
+        Option(help="Long-axis cine of one slice, with --sax or --image; once for each view."),
+    ] = None,
+    seeds: Annotated[
+        Path | None,
+        Option(
+            help="Points named heart, cavity, background, any number of each name (.mrk.json, .fcsv, JSON)."
+        ),
+    ] = None,
+    cavity: Annotated[
+        str | None,
+        Option(
+            help="Label values of blood, the left ventricle's first, for example 3,1: end-systole is the "
+            "phase in which the first is smallest; ultrasound shows the boundaries of all (default: those "
+            "that .seg.nrrd names so)."
+        ),
+    ] = None,
+    ed_phase: Annotated[int, Option(min=0, help="With --image: the phase that is labelled.")] = 0,
+    motion: Annotated[str, Option(help="With --image: bspline or demons.")] = "bspline",
+    organ: Annotated[
+        str | None,
+        Option(
+            help="Label values inside the surface, for example 1,2,5 (default with --image: all except 0)."
+        ),
+    ] = None,
+    timing: Annotated[
+        Path | None,
+        Option(
+            help='JSON file of phase times and RR: {"fractions": [0.0, 0.05, ...], "rr_s": 0.86} (default: '
+            "timing.json next to the image)."
+        ),
+    ] = None,
+    patient: Annotated[str | None, Option(help="Patient id (default: from the file's name).")] = None,
     voxel_mm: VoxelOption = None,
-    knot_mm: KnotOption = None,
-    accuracy_mm: AccuracyOption = None,
+    knot_mm: Annotated[float | None, Option(help="Spline knot pitch in mm (default 3).")] = None,
+    accuracy_mm: Annotated[
+        float | None,
+        Option(
+            help="Required mean surface error in mm (p99: four times that): the coarsest knots that reach it "
+            "on the most contracted phase."
+        ),
+    ] = None,
     margin_mm: MarginOption = 15.0,
     threads: ThreadsOption = None,
     seed: SeedOption = 0,
@@ -226,20 +195,16 @@ def _build(request: "BuildRequest", *, as_json: bool) -> None:
 
 @app.command("check")
 def check(
-    model_file: Annotated[Path, typer.Argument(metavar="MODEL", help="Model file.")],
-    points: Annotated[
-        int, typer.Option("--points", min=10, help="Random points on each phase.")
-    ] = CHECK_POINTS,
-    labels: Annotated[str | None, typer.Option("--labels", help=LABELS_HELP, metavar="FILE@PHASE")] = None,
+    model_file: Annotated[Path, Argument(metavar="MODEL", help="Model file.")],
+    points: Annotated[int, Option(min=10, help="Random points on each phase.")] = CHECK_POINTS,
+    labels: Annotated[str | None, Option(help=LABELS_HELP, metavar="FILE@PHASE")] = None,
     surfaces: Annotated[
-        Path | None,
-        typer.Option("--surfaces", help="Folder of surfaces of the same heart by another method: distances."),
+        Path | None, Option(help="Folder of surfaces of the same heart by another method: distances.")
     ] = None,
     organ: Annotated[
         str | None,
-        typer.Option(
-            "--organ",
-            help="With --labels: label values inside the surface, for example 1,2,5 (default: all except 0).",
+        Option(
+            help="With --labels: label values inside the surface, for example 1,2,5 (default: all except 0)."
         ),
     ] = None,
     voxel_mm: VoxelOption = None,

@@ -7,31 +7,21 @@ from typing import Any
 
 import numpy as np
 
+from dvf_ig.core import ImageMap, LatencyRecording, NWireRecording, PoseStream, Scenario, Signal, TriggerTimes
 from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
-from dvf_ig.core.recordings.phantom import NWireRecording
-from dvf_ig.core.recordings.scenario import LatencyRecording, Scenario
-from dvf_ig.core.recordings.signal import Signal
-from dvf_ig.core.recordings.stream import PoseStream
-from dvf_ig.core.space.image_map import ImageMap
-from dvf_ig.core.timing.trigger import TriggerTimes
 from dvf_ig.intake.scenario import CONFIG
 from dvf_ig.intake.session import read_scenario
-from dvf_ig.io.dicom.cine import is_dicom_folder
+from dvf_ig.io import ProbeNames, is_dicom_folder, read_annotations, read_label_names, read_points, read_poses
 from dvf_ig.io.dicom.examination import is_examination
-from dvf_ig.io.ecg.beat_annotations import read_annotations
 from dvf_ig.io.ecg.recording import foreign_recording, names_ecg, read_ecg
-from dvf_ig.io.image.labels import read_label_names
 from dvf_ig.io.itk_transform import is_itk_text
 from dvf_ig.io.landmarks import is_markups
 from dvf_ig.io.mesh.file import DECODERS
 from dvf_ig.io.mesh.series import surface_names
 from dvf_ig.io.number_table import read_number_table
 from dvf_ig.io.plus.feature_points import read_feature_points, tracked_probe
-from dvf_ig.io.plus.names import ProbeNames
-from dvf_ig.io.plus.poses import read_poses
 from dvf_ig.io.plus.sequence_read import PIXEL_FRAMES, read_sequence
 from dvf_ig.io.plus.xml import CoordinateDefinition, parse_xml, read_transforms
-from dvf_ig.io.points_file import read_points
 from dvf_ig.io.reading import read_bytes
 from dvf_ig.io.respiration import names_breathing, read_respiration
 

@@ -5,11 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from dvf_ig.core.arrays import BoolArray, FloatArray
-from dvf_ig.core.errors import UnreadableFileError
+from dvf_ig.core import BoolArray, FloatArray, Signal, TrackedSequence, UnreadableFileError
 from dvf_ig.core.plausible import marker_problem
-from dvf_ig.core.recordings.sequence import TrackedSequence
-from dvf_ig.core.recordings.signal import Signal
 from dvf_ig.core.recordings.stream import MAX_GAP_S, PoseStream
 from dvf_ig.io.plus.ecg_field import ecg_fields, ecg_of_sequence
 from dvf_ig.io.plus.numeric_fields import numeric_fields

@@ -10,8 +10,7 @@ from urllib.parse import unquote
 
 import numpy as np
 
-from dvf_ig.core.arrays import FloatArray
-from dvf_ig.core.errors import UnreadableFileError
+from dvf_ig.core import FloatArray, UnreadableFileError
 from dvf_ig.io import limits
 
 from .header import (

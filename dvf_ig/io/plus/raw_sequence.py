@@ -12,8 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from dvf_ig.core.arrays import AnyArray, BoolArray, FloatArray
-from dvf_ig.core.errors import UnreadableFileError
+from dvf_ig.core import AnyArray, BoolArray, FloatArray, UnreadableFileError
 from dvf_ig.io import limits
 from dvf_ig.io.file_within import file_within
 from dvf_ig.io.inflate import inflated, require_size

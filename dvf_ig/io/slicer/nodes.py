@@ -11,11 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dvf_ig.core.arrays import AnyArray, FloatArray
-from dvf_ig.core.errors import InvalidInputError, OutputError
-from dvf_ig.core.space.frames import RAS_FROM_LPS
-from dvf_ig.core.space.points import Landmarks
-from dvf_ig.core.space.volume import Grid
+from dvf_ig.core import RAS_FROM_LPS, AnyArray, FloatArray, Grid, InvalidInputError, Landmarks, OutputError
 from dvf_ig.io.json_file import write_json
 from dvf_ig.io.landmarks import markup_document
 from dvf_ig.io.transform import affine_text

@@ -10,17 +10,8 @@ import numpy as np
 
 import dvf_ig
 from dvf_ig.core import BoolArray, DvfModel, Fan, FloatArray, Landmarks, Mesh, Warp
-from dvf_ig.guidance import (
-    HAZARD_RULES,
-    Evaluator,
-    FixtureOptions,
-    FixtureSet,
-    Gaussian,
-    Hazard,
-    Sigmoid,
-    Status,
-    SupervisorState,
-)
+from dvf_ig.guidance import HAZARD_RULES, Evaluator, Gaussian, Hazard, Sigmoid, Status, SupervisorState
+from dvf_ig.guidance.fixtures import FixtureOptions, FixtureSet
 from dvf_ig.kernels.warp import LARGEST_SIGMA_MM
 
 from .packing import packed, packed_exactly

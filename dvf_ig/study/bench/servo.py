@@ -21,33 +21,13 @@ from typing import Any
 
 import numpy as np
 
-from dvf_ig.core import (
-    RIGID_SIGMA_MM,
-    DvfModel,
-    FloatArray,
-    Grid,
-    Mesh,
-    Rigid,
-    Tissue,
-    Volume,
-    Warp,
-    WarpMotion,
-)
+from dvf_ig.core import RIGID_SIGMA_MM, FloatArray, Grid, Mesh, Rigid, Tissue, Volume, Warp, WarpMotion
+from dvf_ig.core.model import DvfModel
 from dvf_ig.core.space.warp import CELLS, knots
-from dvf_ig.guidance import (
-    Evaluator,
-    FixtureOptions,
-    Fixtures,
-    FixtureSet,
-    Gaussian,
-    Hazard,
-    PathTarget,
-    PoseAndPhase,
-    Sigmoid,
-    Status,
-)
+from dvf_ig.guidance import Evaluator, Gaussian, Hazard, PathTarget, PoseAndPhase, Sigmoid, Status
 from dvf_ig.guidance.device import COMMON_DEVICE
 from dvf_ig.guidance.devices.recorded import RecordedDevice
+from dvf_ig.guidance.fixtures import FixtureOptions, Fixtures, FixtureSet
 from dvf_ig.guidance.servo import Deadlines, Servo, ServoInputs, ServoOptions, TrackedServo
 from dvf_ig.guidance.servo.bound import bind_fixtures
 from dvf_ig.guidance.servo.inputs import Publication

@@ -8,14 +8,10 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from data_synth import PhantomAnatomy, phantom_anatomy
-from data_synth.phantoms.nwire import NWireSpec, nwire_recording
-from data_synth.seeds import child_rng
-from data_synth.signals.tracker import TrackerSpec
+from data_synth import NWireSpec, PhantomAnatomy, TrackerSpec, child_rng, nwire_recording, phantom_anatomy
 from data_synth.ultrasound.probe import SectorProbe
-from dvf_ig.calibration import validate_nwire
+from dvf_ig.calibration import Refusal, validate_nwire
 from dvf_ig.calibration.probe.errors import known_points_refusals
-from dvf_ig.calibration.refusal import Refusal
 from dvf_ig.core import DvfIgError, DvfModel, FloatArray, ImageMap, Landmarks, Mesh, Points, Rigid
 from dvf_ig.io import read_model, read_transform, write_model, write_transform
 from dvf_ig.registration.start import require_on_model, require_unflipped, start_from_landmarks

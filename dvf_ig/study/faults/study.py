@@ -87,22 +87,17 @@ def fault_trial(settings: Settings, number: int) -> Line:
 
 
 def _judged(row: Row, severity: Severity, fault: SessionFault | ServoFault, seed: int) -> Line:
-    if isinstance(fault, SessionFault):
-        session = run_session_fault(fault, seed)
-        trace, begin_s, end_s, rearm_s = session.trace, session.begin_s, session.end_s, session.rearm_s
-    else:
-        servo = run_servo_fault(fault, seed)
-        trace, begin_s, end_s, rearm_s = servo.trace, servo.begin_s, servo.end_s, servo.rearm_s
+    run = run_session_fault(fault, seed) if isinstance(fault, SessionFault) else run_servo_fault(fault, seed)
     judgement = judge(
-        trace,
+        run.trace,
         row.hazards,
-        begin_s=begin_s,
-        end_s=end_s,
+        begin_s=run.begin_s,
+        end_s=run.end_s,
         limit_s=severity.limit_s,
-        rearm_s=rearm_s,
+        rearm_s=run.rearm_s,
         by_pose=isinstance(fault, SessionFault) and fault.by_pose,
     )
-    stays = isinstance(fault, ServoFault) and fault.restarts
+    stays, back_s = isinstance(fault, ServoFault) and fault.restarts, judgement.recovery_s
     return {
         "detected": judgement.detected_s <= severity.limit_s + 1e-9,
         "detected_s": judgement.detected_s if isfinite(judgement.detected_s) else None,
@@ -111,12 +106,8 @@ def _judged(row: Row, severity: Severity, fault: SessionFault | ServoFault, seed
         "error_n": judgement.error_n,
         "error_s": judgement.error_s,
         "latched": judgement.latched,
-        "recovery_s": judgement.recovery_s
-        if judgement.recovery_s is None or isfinite(judgement.recovery_s)
-        else None,
-        "recovered": judgement.recovered
-        if not stays
-        else judgement.recovery_s is not None and not judgement.recovered,
+        "recovery_s": None if back_s is None or not isfinite(back_s) else back_s,
+        "recovered": back_s is not None and not judgement.recovered if stays else judgement.recovered,
     }
 
 

@@ -14,19 +14,14 @@ import math
 from dataclasses import asdict, dataclass, fields
 from enum import StrEnum
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from dvf_ig.core import DvfIgError, FloatArray, InvalidInputError, Rigid
-from dvf_ig.registration import (
-    PoseChart,
-    RegistrationResult,
-    covariance_to_mm,
-    predicted_error_mm,
-    target_errors_mm,
-)
+from dvf_ig.registration import PoseChart, covariance_to_mm, predicted_error_mm, target_errors_mm
 from dvf_ig.registration.evidence.assessment import TABLES, features_of
+from dvf_ig.registration.result import RegistrationResult
 from dvf_ig.study.driver import Driver, Line, Result, Rows, Settings, Study, Trials, option, trials_of
 from dvf_ig.study.hearts.fit import fit_tables
 from dvf_ig.study.hearts.recordings import (
@@ -41,13 +36,6 @@ from dvf_ig.study.hearts.recordings import (
     trial_numbers,
 )
 from dvf_ig.study.hearts.summary import hearts_table, summarise_hearts
-
-
-class World(StrEnum):
-    """Synthetic worlds."""
-
-    first = "first"
-    second = "second"
 
 
 class Quality(StrEnum):
@@ -67,25 +55,18 @@ class ChangeName(StrEnum):
     other_motion = "other-motion"
 
 
-class Images(StrEnum):
-    """Kinds of registered images."""
-
-    sweep = "sweep"
-    sweep_of_sax = "sweep-of-sax"
-    sweep_of_sax_lax = "sweep-of-sax+lax"
-    volumes = "volumes"
-
-
 @dataclass(frozen=True, kw_only=True)
 class HeartsSettings:
     """Options of the study."""
 
     list: ListName = list_option()
-    world: World = option("The second shares no table with the first; reported only.", World.first)
-    images: Images = option(
+    world: Literal["first", "second"] = option(
+        "The second shares no table with the first; reported only.", "first"
+    )
+    images: Literal["sweep", "sweep-of-sax", "sweep-of-sax+lax", "volumes"] = option(
         "A tracked sweep of 14 s, the same of a heart that short-axis slices alone or with long-axis views "
         "cover in part, or gated 3-D volumes.",
-        Images.sweep,
+        "sweep",
     )
     quality: tuple[Quality, ...] = option("Image quality (repeatable; default: both).", ())
     disturbed: int = option(
@@ -110,7 +91,7 @@ def heart_trial(settings: Settings, number: int) -> Line:
     """One recording of one heart of a list.
 
     Args:
-        settings: `world` ("first", "second"), `images` (see `Images`), `qualities` (presets of scenarios),
+        settings: `world` ("first", "second"), `images`, `qualities` (presets of scenarios),
             `disturbed`, `changes` (see `conditions_of`).
         number: of the trial.
     """
@@ -208,25 +189,25 @@ def run(settings: HeartsSettings, driver: Driver) -> Result:
     """Register every heart of the list, or fit tables on trials."""
     if settings.fit:
         return _fitted(settings.fit)
-    plain = settings.world is World.first and settings.images is Images.sweep and not settings.disturbed
+    plain = settings.world == "first" and settings.images == "sweep" and not settings.disturbed
     if settings.change and not plain:
         raise InvalidInputError("--change belongs to undisturbed sweeps of the first world")
     conditions: Settings = {
-        "world": settings.world.value,
-        "images": settings.images.value,
+        "world": settings.world,
+        "images": settings.images,
         "qualities": [chosen.value for chosen in settings.quality or Quality],
         "disturbed": settings.disturbed,
         "changes": [chosen.value for chosen in settings.change],
     }
-    chosen = heart_list(settings.list.value)
-    hearts = (chosen.changed if settings.change else chosen.of_world(settings.world.value))[: settings.hearts]
+    chosen = heart_list(settings.list)
+    hearts = (chosen.changed if settings.change else chosen.of_world(settings.world))[: settings.hearts]
     lines = driver.trials(
         Trials("hearts", conditions, heart_trial),
         trial_numbers(hearts, conditions),
         group_size=len(conditions_of(conditions)),
     )
     groups = summarise_hearts(lines)
-    summary = {"list": settings.list.value, **conditions, "groups": groups}
+    summary = {"list": settings.list, **conditions, "groups": groups}
     return Result(summary, hearts_table(groups), {"summary.json": summary})
 
 
