@@ -74,25 +74,6 @@ class _Part(JITCodeLibrary):  # type: ignore[misc]
         return [self, *self._linking_libraries]
 
 
-class _Flags(compiler.Flags):  # type: ignore[misc]
-    """Flags that are equal where the same ones are set.
-
-    numba hashes and compares all of them, with their defaults, for each function that it looks up: a tenth of
-    the time to compile.
-    """
-
-    __slots__ = ()
-    _HASH = hash(compiler.Flags())  # of their names, which are the same for all
-
-    def __hash__(self) -> int:
-        return self._HASH
-
-    def __eq__(self, other: object) -> bool:
-        if isinstance(other, compiler.Flags) and self._values == other._values:
-            return True
-        return bool(super().__eq__(other))
-
-
 class _Kernel(CPUDispatcher):  # type: ignore[misc]
     """Kernel that is compiled where Python calls it, and a part of the code of each kernel that calls it."""
 
@@ -127,7 +108,7 @@ class _Kernel(CPUDispatcher):  # type: ignore[misc]
     def _part(self, arguments: tuple[Any, ...]) -> None:
         if arguments in self._parts:
             return
-        flags = _Flags()
+        flags = compiler.Flags()
         self.targetdescr.options.parse_as_flags(flags, self.targetoptions)
         flags.no_compile = flags.no_cpython_wrapper = flags.no_cfunc_wrapper = True
         library = _Part(self.targetctx.codegen(), self.__qualname__)

@@ -79,14 +79,11 @@ class StampOrder:
 
     def advance(self, now_s: float) -> None:
         """Count samples that arrived behind stamps until now; times in order."""
-        waiting = self._waiting
-        if not (waiting and waiting[0].from_s <= now_s):
-            return
-        while waiting and waiting[0].from_s <= now_s:
-            arrival = waiting.popleft()
+        while self._waiting and self._waiting[0].from_s <= now_s:
+            arrival = self._waiting.popleft()
             self._dropped.append(not arrival.later)
+            self.disordered = sum(self._dropped) > DEGRADED_SHARE * WINDOW
             self.restarted = arrival.back or (self.restarted and not arrival.later)
-        self.disordered = sum(self._dropped) > DEGRADED_SHARE * WINDOW
 
 
 class _Arrival(NamedTuple):
