@@ -136,6 +136,10 @@ class PhantomAnatomy:
     def surface_triangles(self) -> IntArray:
         return self.triangles
 
+    @property
+    def mr_from_heart(self) -> Rigid:
+        return self.shapes.mr_from_heart
+
     @cached_property
     def long_axis_mm(self) -> FloatArray:
         """Epicardial apex (2, 3) of the left ventricle and middle of its base at end-diastole."""

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_synth.heart.motion import PullBack
-from data_synth.heart.reference import ReferenceMap, ReferenceShapes
+from data_synth.heart.reference import ReferenceMap
 from data_synth.heart.tissue import LABEL_NAMES
 from dvf_ig.core import FloatArray, InvalidInputError, Preop, Rigid, Volume, VolumeSeries, read_only_arrays
 
@@ -39,8 +39,8 @@ class ExaminedHeart(Protocol):
     """A heart before the intervention, frame "mr": `PhantomAnatomy` is one."""
 
     @property
-    def shapes(self) -> ReferenceShapes:
-        """Implicit shapes at end-diastole."""
+    def mr_from_heart(self) -> Rigid:
+        """Frame of its shapes, whose x axis points towards the right heart."""
         ...
 
     @property
@@ -162,7 +162,7 @@ def _long_axis_frame(anatomy: ExaminedHeart) -> Rigid:
     """Return mr_from_heart: origin at the epicardial apex, z to the base, x towards the right heart."""
     apex, base = anatomy.long_axis_mm
     z = (base - apex) / np.linalg.norm(base - apex)
-    x = anatomy.shapes.mr_from_heart.rotation[:, 0]
+    x = anatomy.mr_from_heart.rotation[:, 0]
     x = x - (x @ z) * z
     x /= np.linalg.norm(x)
     return Rigid("mr", "heart", np.column_stack([x, np.cross(z, x), z]), apex)

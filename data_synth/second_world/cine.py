@@ -7,14 +7,14 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 from scipy.spatial.transform import Rotation
 
-from data_synth.heart.reference import ReferenceMap, ReferenceShapes
+from data_synth.heart.reference import ReferenceMap
 from data_synth.heart.tissue import FIRST_OUTSIDE, LABEL_NAMES, Tissue
 from data_synth.kernels import tissue_map
 from data_synth.mr.examination import RR_JITTER, SHIFT_MM, Examination, ExamName, examination
 from data_synth.mr.stack import StackProtocol
 from data_synth.seeds import child_rng
 from data_synth.threads import for_each
-from dvf_ig.core import CycleTiming, FloatArray, Grid, Preop, VolumeSeries, read_only_arrays
+from dvf_ig.core import CycleTiming, FloatArray, Grid, Preop, Rigid, VolumeSeries, read_only_arrays
 
 from .clock import CycleLaw
 from .drawn import Drawn
@@ -80,8 +80,8 @@ class _Examined:
     fields: TissueFields
 
     @property
-    def shapes(self) -> ReferenceShapes:
-        return self.heart.shapes
+    def mr_from_heart(self) -> Rigid:
+        return self.heart.mr_from_heart
 
     @property
     def reference(self) -> ReferenceMap:

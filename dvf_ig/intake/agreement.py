@@ -55,7 +55,7 @@ def unit_findings(files: SessionFiles) -> Iterator[Finding]:
     """Find lengths and times in another unit."""
     if files.preop is not None:
         yield from _heart(files.preop)
-        if (key := still_heart_key(files.preop)) is not None:
+        if files.tool is not None and (key := still_heart_key(files.preop)) is not None:
             yield finding(Disagreement.HEART_DOES_NOT_BEAT, key)
     if files.sweep is not None:
         if files.sweep.recorded.has_timestamps:

@@ -195,7 +195,10 @@ def still_heart_key(files: PreopFiles) -> str | None:
     if model is not None:
         return "preop.model" if model.still else None
     if preop.labels is not None:
-        return "preop.labels" if _all_equal(preop.labels.values) else None
+        drawn = (
+            np.isin(preop.labels.values, preop.organ_labels) if preop.organ_labels else preop.labels.values
+        )
+        return "preop.labels" if drawn.any() and _all_equal(drawn) else None
     fixture = next((series for series in preop.surfaces if series.name == preop.surface), None)
     return "preop.surfaces_folder" if fixture is not None and _all_equal(fixture.vertices_mm) else None
 
