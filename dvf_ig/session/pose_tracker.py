@@ -174,7 +174,8 @@ class PoseTracker:
             middle_s = float(record.frames.event_s[record.frames.used].mean())
             beats = sum(middle_s < peak.t_s < now_s for peak in self._work.peaks)
             estimate = _estimate_of(record.result)
-            self._apply(Registered(now_s, record, estimate, beats, self._plan.landmarks.fit))
+            landmarks = self._plan.landmarks.fit_through(estimate.warp)
+            self._apply(Registered(now_s, record, estimate, beats, landmarks))
             self._watch_recent(estimate, record.asked_s, now_s)
             self._compare_recent(estimate, record.asked_s, now_s)
 

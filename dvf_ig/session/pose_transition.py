@@ -78,7 +78,8 @@ class Registered:
         now_s: when it is taken.
         registration: its record; estimate: its pose.
         beats: heart beats since the middle of its frames.
-        landmarks: mr_from_tracker by touched landmarks; None without any.
+        landmarks: mr_from_tracker by touched landmarks, where the change of shape has taken them; None without
+            any.
     """
 
     now_s: float

@@ -7,7 +7,7 @@ from math import inf
 import numpy as np
 
 from dvf_ig.cardiac import RPeak
-from dvf_ig.core import InvalidInputError, Landmarks, Points, Rigid
+from dvf_ig.core import InvalidInputError, Landmarks, Points, Rigid, Warp
 from dvf_ig.registration import LandmarkPrior, prior_from_landmarks, start_from_landmarks
 
 from .events import Landmark
@@ -38,15 +38,32 @@ class TouchedLandmarks:
     def __post_init__(self) -> None:
         if len(self.marks) < 3:
             return
-        names, marks = tuple(self.marks), self.marks.values()
-        mr = Landmarks(names, Points("mr", np.array([mark.mr_mm for mark in marks])))
-        tracker = Landmarks(names, Points("tracker", np.array([mark.tracker_mm for mark in marks])))
+        mr, tracker = self._pairs
         try:
             fit = start_from_landmarks(mr, tracker).mr_from_tracker
         except InvalidInputError:
             return  # all on one line; one more landmark may end that
         object.__setattr__(self, "fit", fit)
         object.__setattr__(self, "prior", prior_from_landmarks(mr, tracker))
+
+    @property
+    def _pairs(self) -> tuple[Landmarks, Landmarks]:
+        """The landmarks in the MR and at the patient."""
+        names, marks = tuple(self.marks), self.marks.values()
+        mr = Landmarks(names, Points("mr", np.array([mark.mr_mm for mark in marks])))
+        return mr, Landmarks(names, Points("tracker", np.array([mark.tracker_mm for mark in marks])))
+
+    def fit_through(self, warp: Warp | None) -> Rigid | None:
+        """Fit mr_from_tracker where a change of the heart's shape has taken the landmarks; None as `fit`.
+
+        Raises:
+            InvalidInputError: it has taken them onto one line.
+        """
+        if warp is None or self.fit is None:
+            return self.fit
+        mr, tracker = self._pairs
+        now = Points("mr", warp.patient_places(mr.points.xyz_mm))
+        return start_from_landmarks(Landmarks(mr.names, now), tracker).mr_from_tracker
 
     def touched(self, landmark: Landmark) -> "TouchedLandmarks":
         """Add a landmark; one that is touched again replaces the older."""

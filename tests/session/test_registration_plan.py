@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from toy_session import HOME
 
-from dvf_ig.core import FloatArray
+from dvf_ig.core import FloatArray, Warp
+from dvf_ig.core.space.warp import knots
 from dvf_ig.registration.start import LEAST_SIGMA_MM, MIN_FOR_PRIOR
 from dvf_ig.session import Landmark
 from dvf_ig.session.registration_plan import TouchedLandmarks
@@ -30,6 +31,23 @@ def test_three_points_give_a_fit_and_five_a_prior() -> None:
     assert MIN_FOR_PRIOR == 5
     assert landmarks.prior is not None
     assert landmarks.prior.sigma_mm == LEAST_SIGMA_MM
+
+
+def test_a_change_of_shape_takes_landmarks_along() -> None:
+    origin = np.full(3, -100.0)
+    places = knots(origin, 200.0 / 12)
+    m_mm = 6.0 * np.exp(-0.5 * ((places - POINTS[0]) ** 2).sum(axis=1, keepdims=True) / 30.0**2)
+    warp = Warp.through("mr", origin, 200.0 / 12, m_mm * np.array([[0.6, 0.8, 0.0]]), np.ones(len(places)))
+    landmarks = TouchedLandmarks()
+    assert landmarks.fit_through(warp) is None
+    for k, now in enumerate(warp.patient_places(POINTS)):
+        landmarks = landmarks.touched(Landmark(0.0, f"point {k}", POINTS[k], HOME.inverse().apply_array(now)))
+    found = landmarks.fit_through(warp)
+    assert found is not None
+    assert landmarks.fit is not None
+    np.testing.assert_allclose(found.matrix, HOME.matrix, atol=1e-6)
+    assert np.abs(landmarks.fit.matrix - HOME.matrix).max() > 0.5
+    assert landmarks.fit_through(None) is landmarks.fit
 
 
 def test_a_point_that_is_touched_again_replaces_the_older() -> None:
