@@ -78,7 +78,7 @@ class Registered:
         now_s: when it is taken.
         registration: its record; estimate: its pose.
         beats: heart beats since the middle of its frames.
-        landmarks: mr_from_tracker by touched landmarks, where the change of shape has taken them; None without
+        landmarks: mr_from_tracker by touched landmarks, as the change of shape has moved them; None without
             any.
     """
 
