@@ -43,11 +43,12 @@ def disagreements(
 
 
 def _all(files: SessionFiles, peaks_s: FloatArray, seen: HeartInImages | None) -> Iterator[Finding]:
-    yield from unit_findings(files)
+    units = tuple(unit_findings(files))
+    yield from units
     yield from name_findings(files)
     yield from clock_findings(files, peaks_s)
     yield from cycle_findings(seen, files)
-    if not any(one.refused for one in unit_findings(files)):
+    if not any(one.refused for one in units):
         yield from place_findings(files)
 
 
@@ -166,9 +167,8 @@ def name_findings(files: SessionFiles) -> Iterator[Finding]:
         yield finding(Disagreement.MR_IS_LABELS, "preop.mr")
     if heart is not None and (absent := _absent_labels(heart.preop)):
         yield finding(Disagreement.LABELS_ABSENT, "preop.labels", values=", ".join(map(str, absent)))
-    beats = heart is not None and still_heart_key(heart) is None
-    order = mr_order_finding(heart) if heart is not None and beats else None
-    if order is not None:
+    order = None if heart is None else mr_order_finding(heart)
+    if heart is not None and order is not None and still_heart_key(heart) is None:
         yield order
     marked, touched = start.landmarks_mr, start.landmarks_tracker
     if marked is not None and touched is not None and _same_points(marked, touched):

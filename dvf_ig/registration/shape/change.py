@@ -20,7 +20,7 @@ from dvf_ig.registration.pose_chart import DISTINCT_MM, rigid_motion
 
 from .blocks import BlockedMatch
 from .modes import ShapeModes, shape_modes
-from .posterior import FIXED, SeenBoundary, ShapePosterior, ShapeProblem
+from .posterior import FIXED, ImagedBlocks, SeenBoundary, ShapePosterior, ShapeProblem
 
 MODES = 200
 """Modes of a change of shape. With points exactly on the boundary of a heart 5 mm different, 100 leave 1.1 mm
@@ -196,11 +196,12 @@ def change_of_shape(
         match: blocks of images, whose LC2 counts beside the boundary; None: the boundary alone.
     """
     modes = modes_of(boundary.target, tuple(center_mm.tolist()))
-    seen = SeenBoundary(boundary, offset_mm, pose, organ, match)
+    images = None if match is None else ImagedBlocks(match, pose, modes, MODES)
+    seen = SeenBoundary(boundary, offset_mm, pose, organ)
     problem = ShapeProblem(seen, modes, MODES)
     if len(problem) < LEAST_POINTS:
         return None
-    about = problem.fit(ABOUT_SCALE_MM, NOISE_FACTORS[0], images=True)
+    about = problem.fit(ABOUT_SCALE_MM, NOISE_FACTORS[0], images=images)
     if np.linalg.norm(about.state[:6]) > DISTINCT_MM or _rms(problem.shift_mm(about)) < least_mm:
         return None
     problem = ShapeProblem(seen, modes, MODES, about)
@@ -210,7 +211,7 @@ def change_of_shape(
     evidence = best.log_evidence - problem.fit(0.0, noise).log_evidence
     if evidence < LEAST_EVIDENCE:
         return None
-    best = problem.fit(best.scale_mm, noise, best, images=True)
+    best = problem.fit(best.scale_mm, noise, best, images=images)
     change = _change(boundary.target, problem, modes, best, evidence)
     if change.followed is None:
         return change

@@ -88,14 +88,12 @@ class SeenBoundary:
         offset_mm: of the points from the model's boundary, about which it is free.
         pose: target_from_source.
         organ: outer surface, from which depths are measured; None: no wall counts as thin.
-        match: blocks of the images that show the boundary; None if the boundary counts alone.
     """
 
     boundary: Boundary
     offset_mm: float
     pose: Rigid
     organ: BoundaryTarget | None
-    match: BlockedMatch | None
 
 
 class ImagedBlocks:
@@ -175,18 +173,16 @@ class ShapeProblem:
         every = modes.variance_along(feet, gradient[near])
         self._left_out = np.maximum(every - (inside**2).sum(axis=1), 0.0)
         self._shared = shared_error(oriented.points[near])
-        self._blocks = None if seen.match is None else ImagedBlocks(seen.match, pose, modes, count)
 
     def __len__(self) -> int:
         return len(self.places_mm)
 
     def part(self, keep: BoolArray) -> "ShapeProblem":
-        """Keep some of the points, without the images."""
+        """Keep some of the points."""
         some = copy(self)
         for name, of_points in vars(self).items():
-            if name not in ("_splines", "_offset_mm", "_blocks"):
+            if name not in ("_splines", "_offset_mm"):
                 setattr(some, name, of_points[keep])
-        some._blocks = None
         return some
 
     def _distance(self, places_mm: FloatArray, phases: IntArray) -> tuple[FloatArray, FloatArray]:
@@ -201,8 +197,7 @@ class ShapeProblem:
         noise: float,
         begin: ShapePosterior | None = None,
         steps: int = STEPS,
-        *,
-        images: bool = False,
+        images: ImagedBlocks | None = None,
     ) -> ShapePosterior:
         """Fit at one scale of the change of shape; 0 keeps the heart rigid.
 
@@ -210,7 +205,7 @@ class ShapeProblem:
             noise: factor on NOISE_MM and SHARED_MM.
             begin: fit to begin at.
             steps: most steps with OUTLIER_MM.
-            images: whether LC2 of the images counts as well, at steps with OUTLIER_MM.
+            images: whose LC2 counts as well, at steps with OUTLIER_MM; None: the boundary alone.
         """
         modes = self._modes if scale_mm > 0 else self._modes[:, :, :0]
         count, rows = modes.shape[2], noise * self._shared
@@ -235,8 +230,8 @@ class ShapeProblem:
             mixed, last = half[:, :-1], half[:, -1]
             reduced = expected.T @ expected - mixed.T @ mixed + np.diag(prior)
             slope = expected.T @ (root * residual) + prior * state - mixed.T @ last
-            if images and self._blocks is not None and step >= len(far):
-                curvature, gradient = self._blocks.expansion(state)
+            if images is not None and step >= len(far):
+                curvature, gradient = images.expansion(state)
                 reduced, slope = reduced + curvature, slope + gradient
             change = -np.linalg.solve(reduced, slope)
             state = state + change
