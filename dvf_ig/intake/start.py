@@ -82,7 +82,11 @@ def landmarks_start(scenario: Startable) -> bool:
 
 
 def landmark_prior(scenario: Startable) -> LandmarkPrior | None:
-    """Landmarks as a prior of the pose; None without any, or if a start pose takes their place."""
-    if scenario.start is not None or scenario.landmarks_mr is None or scenario.landmarks_tracker is None:
+    """Landmarks as a prior of the pose, or of the probe's calibration alone where a start is given.
+
+    None without any, or with too few.
+    """
+    if scenario.landmarks_mr is None or scenario.landmarks_tracker is None:
         return None
-    return prior_from_landmarks(scenario.landmarks_mr, scenario.landmarks_tracker)
+    in_search = scenario.start is None
+    return prior_from_landmarks(scenario.landmarks_mr, scenario.landmarks_tracker, in_search=in_search)

@@ -61,11 +61,13 @@ class LandmarkPrior:
         target: (n, 3) marked on the model.
         source: (n, 3) touched on the patient.
         sigma_mm: standard deviation of a touched point per coordinate.
+        in_search: whether the pose must agree with them; else they only test the probe's calibration.
     """
 
     target: Points
     source: Points
     sigma_mm: float
+    in_search: bool = True
 
     def energy(self, pose: Rigid) -> float:
         """Half the squared distance of the landmarks in standard deviations: −log of their likelihood."""
@@ -79,7 +81,9 @@ class LandmarkPrior:
         return flat.T @ flat, flat.T @ (self.target.xyz_mm - at).ravel() / self.sigma_mm
 
 
-def prior_from_landmarks(mr: Landmarks, tracker: Landmarks) -> LandmarkPrior | None:
+def prior_from_landmarks(
+    mr: Landmarks, tracker: Landmarks, *, in_search: bool = True
+) -> LandmarkPrior | None:
     """Prior from the landmarks that both sets name, its sigma from their own residuals.
 
     None with fewer than MIN_FOR_PRIOR pairs: too few residuals to know how far off the points are.
@@ -89,7 +93,7 @@ def prior_from_landmarks(mr: Landmarks, tracker: Landmarks) -> LandmarkPrior | N
         return None
     residuals = start_from_landmarks(mr, tracker).residuals_mm
     spread = float(np.sqrt((residuals**2).sum() / (3 * len(target) - 6)))
-    return LandmarkPrior(target, source, max(spread, LEAST_SIGMA_MM))
+    return LandmarkPrior(target, source, max(spread, LEAST_SIGMA_MM), in_search)
 
 
 def start_from_landmarks(mr: Landmarks, tracker: Landmarks) -> LandmarkStart:

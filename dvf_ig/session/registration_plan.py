@@ -1,7 +1,7 @@
 """When the next registration begins, from which frames, and at which pose."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import inf
 
 import numpy as np
@@ -122,7 +122,9 @@ class RegistrationPlan:
         if isinstance(pose, InUse) and now_s >= pose.confirmation.until_s:
             self.landmarks = self.landmarks.since(pose.confirmation.confirmed_s)
         from_s = max(self._frames_from_s, now_s - MEMORY_S)
-        prior = None if self._start is not None else self.landmarks.prior
+        prior = self.landmarks.prior
+        if prior is not None and self._start is not None:
+            prior = replace(prior, in_search=False)
         return RegistrationRequest(from_s, now_s, *start, prior, peaks)
 
     def _start_pose(self, pose: Pose) -> tuple[Rigid, bool] | None:

@@ -54,7 +54,7 @@ class RegistrationRequest:
     Attributes:
         from_s, until_s: event times of the frames.
         start: pose to begin at; `warm` relies on it and skips displaced starts.
-        prior: touched landmarks that the pose must also agree with.
+        prior: touched landmarks.
         peaks: R peaks that were known at the request.
     """
 
