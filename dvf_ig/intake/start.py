@@ -1,16 +1,19 @@
 """The pose that a registration starts from, and what was touched on the patient to check it."""
 
+from functools import partial
+
 import numpy as np
 
 from dvf_ig.core import DvfModel, InvalidInputError, QualityGateError, Rigid, Scenario
 from dvf_ig.registration import (
+    LandmarkFit,
     LandmarkPrior,
     TouchedPoints,
     TouchedSurface,
+    pose_through,
     prior_from_landmarks,
     require_on_model,
     require_unflipped,
-    start_from_landmarks,
     start_from_surface_points,
 )
 from dvf_ig.session import Heart
@@ -69,11 +72,17 @@ def touched_surface(scenario: Startable, model: DvfModel) -> TouchedSurface | No
     return TouchedSurface(TouchedPoints(scenario.touched, np.full(len(scenario.touched), at)), model)
 
 
-def landmark_pose(scenario: Startable) -> Rigid | None:
-    """Fit the touched landmarks; None without any."""
+def landmark_fit(scenario: Startable) -> LandmarkFit | None:
+    """Return how the touched landmarks are fitted; None without any."""
     if scenario.landmarks_mr is None or scenario.landmarks_tracker is None:
         return None
-    return start_from_landmarks(scenario.landmarks_mr, scenario.landmarks_tracker).mr_from_tracker
+    return partial(pose_through, scenario.landmarks_mr, scenario.landmarks_tracker)
+
+
+def landmark_pose(scenario: Startable) -> Rigid | None:
+    """Fit the touched landmarks; None without any."""
+    fit = landmark_fit(scenario)
+    return None if fit is None else fit(None)
 
 
 def landmarks_start(scenario: Startable) -> bool:

@@ -34,7 +34,7 @@ from .images import HeartTarget, Problem, RegistrationOptions, UltrasoundImages
 from .pose_chart import DISTINCT_MM, PoseChart, predicted_error_mm
 from .result import RegistrationResult
 from .search import Refined, find_candidates, refine
-from .start import LandmarkPrior, landmarks_disagree
+from .start import LandmarkFit, LandmarkPrior, landmarks_disagree
 
 LARGEST_OF_PART_MM = 5.0
 """Bound on the largest error over the covered part of a heart above which its pose is refused: a force on a
@@ -57,7 +57,7 @@ def register(
     rng: np.random.Generator,
     clock: Callable[[], float],
     prior: LandmarkPrior | None = None,
-    landmarks: Rigid | None = None,
+    landmarks: LandmarkFit | None = None,
     touched: TouchedSurface | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> RegistrationResult:
@@ -69,7 +69,7 @@ def register(
         rng: draws the displaced starts and the wrong poses.
         clock: seconds from any origin, for the result's `seconds`; nothing else depends on it.
         prior: touched landmarks that the pose, or the probe's calibration alone, must also agree with.
-        landmarks: target_from_source of touched landmarks, which rule out a pose far from it.
+        landmarks: fit of touched landmarks, which rules out a pose far from it.
         touched: points touched on the heart's surface, which rule out a pose that puts them off it.
         progress: called with the fraction done.
     Returns:
@@ -320,16 +320,18 @@ def _assessed(
 
 
 def against_touched(
-    result: RegistrationResult, landmarks: Rigid | None, touched: TouchedSurface | None
+    result: RegistrationResult, landmarks: LandmarkFit | None, touched: TouchedSurface | None
 ) -> RegistrationResult:
     """Compare a pose with what was touched on the patient; it ends in DISAGREEMENT where that lies elsewhere.
 
     Args:
-        landmarks: target_from_source of touched landmarks; None without any.
+        landmarks: fit of touched landmarks, looked for where a change of shape that fixtures follow has taken
+            them; None without any.
         touched: points touched on the heart's surface; None without any.
     """
     pose = result.target_from_source
-    apart_mm = None if landmarks is None else mean_displacement_mm(pose, landmarks, result.center_mm)
+    warp = None if result.shape is None else result.shape.followed
+    apart_mm = None if landmarks is None else mean_displacement_mm(pose, landmarks(warp), result.center_mm)
     surface = None if touched is None else touched.disagreement(pose)
     checked = replace(result, landmarks_mm=apart_mm, touched=surface)
     elsewhere = landmarks_disagree(apart_mm) or (surface is not None and not surface.agrees)

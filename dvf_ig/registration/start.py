@@ -5,6 +5,7 @@ rigidity can see it, and a fit to landmarks absorbs it. The model, which the mar
 given in addition to the landmarks reveal it.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +18,7 @@ from dvf_ig.core import (
     Landmarks,
     Points,
     Rigid,
+    Warp,
     read_only_arrays,
 )
 from dvf_ig.core.space.paired import fit_paired_points
@@ -112,6 +114,21 @@ def start_from_landmarks(mr: Landmarks, tracker: Landmarks) -> LandmarkStart:
     pose = fit_paired_points(target, source)
     residuals = np.linalg.norm(pose.apply(source).xyz_mm - target.xyz_mm, axis=1)
     return LandmarkStart(pose, names, residuals)
+
+
+LandmarkFit = Callable[[Warp | None], Rigid]
+"""`pose_through` of some landmarks."""
+
+
+def pose_through(mr: Landmarks, tracker: Landmarks, warp: Warp | None) -> Rigid:
+    """Fit mr_from_tracker to landmarks where a change of the heart's shape has taken them; None: none has.
+
+    Raises:
+        InvalidInputError: as `start_from_landmarks`.
+    """
+    if warp is not None:
+        mr = Landmarks(mr.names, Points(mr.points.frame, warp.patient_places(mr.points.xyz_mm)))
+    return start_from_landmarks(mr, tracker).mr_from_tracker
 
 
 def landmarks_disagree(apart_mm: float | None) -> bool:
