@@ -38,8 +38,8 @@ from .search import Refined, find_candidates, refine
 from .start import LandmarkFit, LandmarkPrior, landmarks_disagree
 
 LARGEST_OF_PART_MM = 8.0
-"""Bound on the largest error over the covered part of a heart above which its pose is refused: that of a
-covariance whose RMS error there is bounded by 5 mm, beyond which a session withholds any pose."""
+"""Bound on the largest error over the covered part of a heart above which its pose is refused: 1.6 times the
+5 mm of RMS error there from which on a session withholds a pose, as covariances of stacks have it."""
 PART_EVIDENCE = 255.0
 """Evidence of a change of shape from which a heart known from a short-axis stack alone is refused, where a
 sweep images all of the covered part; where it images a share, that share of it. Shifts between breath-holds
@@ -301,10 +301,10 @@ def _assessed(
     Args:
         features: by which probability and bound are stated; unexplained: without what a change of the heart's
             shape that fixtures follow explains, by which the pose is judged.
-        of_part_mm: bound of the covariance before it is scaled on the largest error over the covered part;
-            None of a heart that its images cover. The rest pulls poses aside by more than any check's limit
-            shows: without a bound up to LARGEST_OF_PART_MM such a pose is UNBOUNDED, which may renew a pose
-            in use, but begin none.
+        of_part_mm: bound on the largest error over the covered part by the covariance before it is scaled;
+            None if the heart's images cover all of it. What they do not cover pulls poses aside by more than
+            any check's limit shows: without a bound up to LARGEST_OF_PART_MM such a pose is UNBOUNDED, which
+            may renew a pose in use, but begin none.
     """
     assessment = replace(
         assess(table, features, statistics), doubtful=assess(table, unexplained, statistics).doubtful
