@@ -1,5 +1,6 @@
 """Register ECG-gated ultrasound to the pre-operative heart, from a coarse start to a pose with evidence."""
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -31,14 +32,14 @@ from dvf_ig.registration.surface_points.touched import TouchedSurface
 from .coverage import Coverage
 from .fuse import Fused, fuse
 from .images import HeartTarget, Problem, RegistrationOptions, UltrasoundImages
-from .pose_chart import DISTINCT_MM, PoseChart, predicted_error_mm
+from .pose_chart import DISTINCT_MM, PoseChart, largest_error_bound_mm, predicted_error_mm
 from .result import RegistrationResult
 from .search import Refined, find_candidates, refine
 from .start import LandmarkFit, LandmarkPrior, landmarks_disagree
 
-LARGEST_OF_PART_MM = 5.0
-"""Bound on the largest error over the covered part of a heart above which its pose is refused: a force on a
-pose further off is a hazard."""
+LARGEST_OF_PART_MM = 8.0
+"""Bound on the largest error over the covered part of a heart above which its pose is refused: 1.6 times the
+5 mm of RMS error there from which on a session withholds a pose, as covariances of stacks have it."""
 PART_EVIDENCE = 255.0
 """Evidence of a change of shape from which a heart known from a short-axis stack alone is refused, where a
 sweep images all of the covered part; where it images a share, that share of it. Shifts between breath-holds
@@ -125,7 +126,9 @@ def register(
             features_of(evidence, similarity, predicted_error_mm(fused.covariance), share),
             features_of(unexplained, similarity, predicted_error_mm(fused.covariance), share),
             statistics,
-            partly=covered is not None,
+            None
+            if covered is None
+            else largest_error_bound_mm(fused.covariance, covered.surface_mm, heart.center_mm),
         )
         result = RegistrationResult(
             target_from_source=fused.pose,
@@ -287,8 +290,7 @@ def _assessed(
     features: dict[str, float | None],
     unexplained: dict[str, float | None],
     statistics: ImageStatistics,
-    *,
-    partly: bool,
+    of_part_mm: float | None,
 ) -> tuple[Stop, Assessment]:
     """State the error that may be expected, and refuse a pose whose checks together are too bad.
 
@@ -299,19 +301,22 @@ def _assessed(
     Args:
         features: by which probability and bound are stated; unexplained: without what a change of the heart's
             shape that fixtures follow explains, by which the pose is judged.
-        partly: the heart's images cover it in part. What they do not hold pulls poses aside by more than any
-            check's limit shows: without a bound up to LARGEST_OF_PART_MM its pose is UNBOUNDED, which may
-            renew a pose in use, but begin none.
+        of_part_mm: bound on the largest error over the covered part by the covariance before it is scaled;
+            None if the heart's images cover all of it. What they do not cover pulls poses aside by more than
+            any check's limit shows: without a bound up to LARGEST_OF_PART_MM such a pose is UNBOUNDED, which
+            may renew a pose in use, but begin none.
     """
     assessment = replace(
         assess(table, features, statistics), doubtful=assess(table, unexplained, statistics).doubtful
     )
-    bound_mm = assessment.tre_bound_mm
+    if of_part_mm is not None and table is not None and not assessment.outside:
+        scaled_mm = math.sqrt(assessment.covariance_scale) * of_part_mm
+        assessment = replace(assessment, tre_bound_mm=scaled_mm)
     if stop.usable and not assessment.doubtful:
-        if not partly:
+        bound_mm = assessment.tre_bound_mm
+        if of_part_mm is None or (bound_mm is not None and bound_mm <= LARGEST_OF_PART_MM):
             return stop, assessment
-        bounded = bound_mm is not None and bound_mm <= LARGEST_OF_PART_MM
-        return (stop if bounded else Stop.UNBOUNDED), assessment
+        return Stop.UNBOUNDED, assessment
     chance = assessment.success_probability
     if not stop.usable and table is not None and chance is not None:
         chance = min(chance, table.refused_probability)
