@@ -37,6 +37,8 @@ _LOGGER = logging.getLogger(__name__)
 
 def compile_kernel(function: Callable[..., Any], sources: KernelSources, **options: Any) -> Any:
     """Compile a function at its first call, or load it; `options` are those of `numba.njit`."""
+    # stated, because numba otherwise takes it from the kernel that is being compiled at the first call
+    options = {"forceinline": False, **options}
     compiled = _Kernel(function, targetoptions={"nopython": True, "boundscheck": None, **options})
     compiled._cache = _cache_of(function, sources)
     return compiled

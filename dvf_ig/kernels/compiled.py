@@ -28,7 +28,10 @@ time."""
 
 
 def kernel(function: Callable[P, R]) -> Callable[P, R]:
-    """Compile a function called from Python or from other kernels."""
+    """Compile a function called from Python or from other kernels; the compiler decides whether to inline it.
+
+    A call that is not inlined passes every number of every array of a tuple: 50 ns for all of a servo's.
+    """
     compiled: Callable[P, R] = compile_kernel(function, SOURCES, **OPTIONS)
     return compiled
 

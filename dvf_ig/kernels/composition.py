@@ -11,7 +11,7 @@ import numpy as np
 
 from dvf_ig.core import FloatArray
 
-from .compiled import kernel
+from .compiled import inlined, kernel
 
 COMPOSED = np.dtype(
     [
@@ -47,7 +47,7 @@ def work_size(fixtures: int) -> tuple[int, int]:
     return fixtures, COLUMNS + 2 * fixtures + 1
 
 
-@kernel
+@inlined
 def ordered(forces_n: FloatArray, caps_n: FloatArray, order: FloatArray) -> None:
     """Sort indices by value into `order`, so that not even rounding depends on the caller's order."""
     for i in range(len(forces_n)):
@@ -135,7 +135,7 @@ def _solve_multipliers(work: FloatArray, count: int) -> None:
             work[leaving, CLASS] = work[leaving, LAMBDA] = 0.0
 
 
-@kernel
+@inlined
 def _regions(
     forces_n: FloatArray, caps_n: FloatArray, forbidden: FloatArray, order: FloatArray, work: FloatArray
 ) -> int:
@@ -192,7 +192,7 @@ def without_inward_part(
             guidance_n[k] -= push * work[i, k]
 
 
-@kernel
+@inlined
 def compose_forces(
     forces_n: FloatArray,
     caps_n: FloatArray,

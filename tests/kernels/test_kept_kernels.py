@@ -18,7 +18,7 @@ from numba.extending import _Intrinsic
 
 import data_synth.kernels
 import dvf_ig.kernels
-from dvf_ig.kernels.compiled import kernel
+from dvf_ig.kernels.compiled import inlined, kernel
 
 REPO = Path(dvf_ig.__file__).parent.parent
 COMPILED = (CFunc, Dispatcher, _Intrinsic)
@@ -42,6 +42,29 @@ def test_a_kernel_is_a_part_of_its_callers_and_compiled_alone_only_for_python():
     with pytest.raises(ValueError, match="negative"):
         quarter(-8.0)
     assert half(3.0) == 1.5
+
+
+@kernel
+def third(x):
+    return x / 3.0
+
+
+@inlined
+def ninth(x):
+    return third(third(x))
+
+
+@kernel
+def twenty_seventh(x):
+    return third(ninth(x))
+
+
+def test_a_kernel_that_an_inlined_one_calls_first_is_not_inlined_itself():
+    """numba gives a function without the flag that of the kernel whose compilation asks for it first."""
+    assert twenty_seventh(54.0) == 2.0
+    for compiled, flag in ((third, False), (ninth, True)):
+        (part,) = compiled._parts.values()  # type: ignore[attr-defined]
+        assert ("alwaysinline" in str(part.library._final_module)) is flag
 
 
 def child(*arguments, folder, **environment):

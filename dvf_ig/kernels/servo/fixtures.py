@@ -109,14 +109,11 @@ def _structure_output(bound: Any, i: int, place: Vector, phi: float, slope: Slop
     return output
 
 
-@kernel
+@inlined
 def _add_others(
     bound: Any, place: Vector, phi: float, slope: Slope, forces: FloatArray, first: Output
 ) -> Output:
-    """Put the forces of paths and further structures into `forces`; output of the first fixture within reach.
-
-    Not inlined: most sessions have none.
-    """
+    """Put forces of paths and further structures into `forces`; output of the first fixture within reach."""
     of = bound.settings[0].fixtures
     begun = False
     for i in range(len(bound.packed)):
@@ -153,14 +150,13 @@ def _forces(bound: Any, place: Vector, phi: float, slope: Slope, forces: FloatAr
     return output
 
 
-@kernel
+@inlined
 def _warped_forces(
     bound: Any, inputs: Any, warps: Any, t_s: float, place: Vector, phi: float, forces: FloatArray
 ) -> tuple[Output, float, float]:
     """Forces as of `_forces` through the warp, variance of the wall's place, −∂d/∂t by the warp's motion.
 
-    Not inlined: most hearts have kept their shape. The output's distance and gradient are those through the
-    warp (`through_warp`).
+    The output's distance and gradient are those through the warp (`through_warp`).
     """
     at, slope, variance, moving = warp_at(warps, inputs.pose_and_phase, t_s, place)
     share = known_share(variance)

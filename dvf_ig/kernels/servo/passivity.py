@@ -19,12 +19,12 @@ reference energy); surface motion and the trapezoid as the reference are this pr
 from typing import Any
 
 from dvf_ig.core import FloatArray
-from dvf_ig.kernels.compiled import kernel
+from dvf_ig.kernels.compiled import inlined
 
 from .layout import SENT_KEPT
 
 
-@kernel
+@inlined
 def observe(
     p: Any, xyz: FloatArray, field: FloatArray, dt_s: float, delay_ticks: int, following: bool
 ) -> None:
@@ -57,7 +57,7 @@ def observe(
         p.last_xyz_mm[k], p.last_field_n[k] = xyz[k], field[k]
 
 
-@kernel
+@inlined
 def control(
     p: Any, speed: FloatArray, surface_speed: FloatArray, dt_s: float, largest: float, out: FloatArray
 ) -> None:
@@ -81,7 +81,7 @@ def control(
         out[k] -= damping * (speed[k] - surface_speed[k])
 
 
-@kernel
+@inlined
 def note_sent(p: Any, sent: FloatArray) -> None:
     """Remember a force that was sent, (3,) N."""
     at = p.sent_count % SENT_KEPT

@@ -7,7 +7,7 @@ import math
 from typing import Any
 
 from dvf_ig.core import FloatArray
-from dvf_ig.kernels.compiled import kernel
+from dvf_ig.kernels.compiled import inlined, kernel
 
 from .layout import CLAMPS
 
@@ -57,7 +57,7 @@ def _release(s: Any, hazards: Any, t_s: float) -> None:
         _begin_rise(s, t_s)
 
 
-@kernel
+@inlined
 def _follow(s: Any, limits: Any, hazards: Any, t_s: float, dt_s: float, wanted: FloatArray) -> None:
     risen = (t_s - s.rise_start_s) / s.rise_s if s.rise_s > 0.0 else 1.0
     scale = 0.5 * (1.0 - math.cos(math.pi * min(max(risen, 0.0), 1.0))) if risen < 1.0 else 1.0
@@ -96,7 +96,7 @@ def _too_many_clamps(s: Any, limits: Any, t_s: float) -> bool:
     return bool(t_s - s.clamps_s[(count + 1) % CLAMPS] <= limits.clamps_within_s)
 
 
-@kernel
+@inlined
 def supervise(s: Any, limits: Any, hazards: Any, t_s: float, wanted: FloatArray, active: int) -> None:
     """One step: fills sent force, state, hazards, cause, scale and clamped of the memory.
 

@@ -16,7 +16,7 @@ from typing import Any
 
 from dvf_ig.core import FloatArray
 from dvf_ig.kernels import status as code
-from dvf_ig.kernels.compiled import inlined, kernel
+from dvf_ig.kernels.compiled import inlined
 from dvf_ig.kernels.dynamic import field_at
 from dvf_ig.kernels.fixture_field import TIMES
 from dvf_ig.kernels.lanes import fma, load_row, pack, unpack
@@ -100,12 +100,9 @@ def _stick(m: Any, of: Any, x: Vector, slopes: Any, n: Vector, largest_n: float)
     return f * e[0], f * e[1], f * e[2]
 
 
-@kernel
+@inlined
 def tissue_force(bound: Any, scratch: Any, inputs: Any, t_s: float, xyz: FloatArray, status: int) -> int:
-    """Force of the touched tissue at one place and time into `composed`; the rest as `fixtures_force`.
-
-    Not inlined: a session that guides has none.
-    """
+    """Force of the touched tissue at one place and time into `composed`; the rest as `fixtures_force`."""
     m, sample, composed = scratch.memory[0], scratch.sample[0], scratch.composed[0]
     p = inputs.pose_and_phase
     if status == code.OK:
