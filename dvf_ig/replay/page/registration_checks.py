@@ -8,7 +8,8 @@ from dvf_ig.core import HEART_RADIUS_MM, Stop
 from dvf_ig.registration import LANDMARKS_MM, PairEvidence, RegistrationResult
 from dvf_ig.registration.evidence.checks import WRONG_MM
 from dvf_ig.registration.evidence.phase_offset import SUSPICIOUS_LOG_RATIO, SUSPICIOUS_S
-from dvf_ig.registration.shape.change import LARGEST_APART_MM, LARGEST_SHARED, LARGEST_SLOPE, Halves
+from dvf_ig.registration.shape.change import LARGEST_APART_MM, LARGEST_SHARED, Halves
+from dvf_ig.registration.shape.estimate import LARGEST_SLOPE
 from dvf_ig.report.registration import Check, Outcome
 
 BOUNDARY_UNSEEN = "no boundary seen"

@@ -133,13 +133,14 @@ def test_a_pressed_wall_is_found_where_it_is(seed: int) -> None:
 def test_the_error_of_the_guarded_walls_is_stated() -> None:
     change = _change(2, pressed=1.0)
     assert change is not None
-    assert change.guarded is not None
+    assert change.estimate is not None
+    walls = change.estimate.walls
     wall, normal = _on_wall(800, np.random.default_rng(7))
     now = wall + _pressed_mm(wall)
     pulled, variance = change.warp.at(now)
     left = np.einsum("ni,ni->n", normal, now - pulled - wall)[variance <= LARGEST_MM2]
-    assert np.mean(left**2) < change.guarded.variance_mm2 < LARGEST_MM2
-    assert 1.0 < change.guarded.variance_mm2**2 / change.guarded.square_mm4 < len(left)
+    assert np.mean(left**2) < walls.variance_mm2 < LARGEST_MM2
+    assert 1.0 < walls.variance_mm2**2 / change.guarded.square_mm4 < len(left)
 
 
 def test_images_show_walls_beside_the_boundary_that_is_seen() -> None:

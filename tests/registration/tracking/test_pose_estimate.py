@@ -10,8 +10,8 @@ from dvf_ig.core import HEART_RADIUS_MM, Rigid, Warp, mean_displacement_mm
 from dvf_ig.core.space.warp import RIGID_SIGMA_MM, knots
 from dvf_ig.registration import BeatMeasurement, Lc2, PoseChart, PoseEstimate, channels_from_mr, measure_beat
 from dvf_ig.registration.pose_chart import covariance_from_mm, rigid_motion
-from dvf_ig.registration.shape.change import GuardedWalls
-from dvf_ig.registration.tracking.pose_estimate import PROCESS_NOISE_MM, TARGET_RADIUS_MM
+from dvf_ig.registration.shape.estimate import PROCESS_NOISE_MM, GuardedWalls
+from dvf_ig.registration.tracking.pose_estimate import TARGET_RADIUS_MM
 
 MR = toy_mr()
 MODEL = channels_from_mr(MR, smoothing_mm=2.0)
