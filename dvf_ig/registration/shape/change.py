@@ -111,6 +111,11 @@ class ShapeChange:
         return None if self.partly or self.doubt is not None else self.warp
 
     @property
+    def explains(self) -> bool:
+        """Whether it is followed, and so large that it explains why parts of a rigid heart disagree."""
+        return self.needed and self.followed is not None
+
+    @property
     def refusal(self) -> str | None:
         """Why fixtures cannot follow a change that they would have to; None if they can, or need not."""
         if self.partly:
