@@ -1,6 +1,7 @@
 """ECG-gated rigid US/MR registration: from gated, tracked slices to `mr_from_tracker` with its evidence."""
 
 from .boundary.fit import Boundary as Boundary
+from .boundary.points import BoundaryPoints as BoundaryPoints
 from .boundary.points import boundary_points as boundary_points
 from .boundary.target import BoundaryTarget as BoundaryTarget
 from .boundary.target import target_from_labels as target_from_labels
@@ -54,6 +55,7 @@ from .pose_chart import target_errors_mm as target_errors_mm
 from .register import register as register
 from .result import RegistrationResult as RegistrationResult
 from .shape.change import ShapeChange as ShapeChange
+from .shape.estimate import ShapeEstimate as ShapeEstimate
 from .start import LANDMARKS_MM as LANDMARKS_MM
 from .start import LandmarkFit as LandmarkFit
 from .start import LandmarkPrior as LandmarkPrior

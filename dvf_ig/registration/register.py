@@ -112,8 +112,8 @@ def register(
             overlap=overlap if coverage is None else inside.overlap,
             information=refined.inside.information,
         )
-        followed = shape is not None and shape.followed is not None
-        unexplained = evidence.of_changed_shape() if followed else evidence
+        explained = shape is not None and shape.explains
+        unexplained = evidence.of_changed_shape() if explained else evidence
         stop = _stop(images.options, refined, fused, unexplained, moved_mm=moved_mm, overlap=overlap)
         if shape is not None and shape.refusal is not None and stop in (Stop.CONVERGED, Stop.DISAGREEMENT):
             stop = Stop.CHANGED_SHAPE  # also why parts disagree on where a rigid heart is

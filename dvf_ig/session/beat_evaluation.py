@@ -15,12 +15,15 @@ from dvf_ig.core import FloatArray, IntArray, Rigid, read_only_arrays
 from dvf_ig.registration import (
     DENSITY_WIDTH_MM,
     BeatMeasurement,
+    BoundaryPoints,
     CoveredPart,
     FrameRejection,
     Lc2,
     PoseEstimate,
+    ShapeEstimate,
     SliceSet,
     SliceThreads,
+    boundary_points,
     measure_beat,
 )
 
@@ -56,6 +59,8 @@ class BeatEvaluation:
         in_use: the pose was in use, not waiting to be confirmed.
         seconds: computing time, preparation included.
         view_mm: (3, 3) three points of the mean plane of its slices, frame "tracker".
+        shape: the change of shape of the estimate it was compared with, corrected by its boundary; None if
+            that follows none.
     """
 
     begin_s: float
@@ -67,6 +72,7 @@ class BeatEvaluation:
     in_use: bool
     seconds: float
     view_mm: FloatArray
+    shape: ShapeEstimate | None = None
 
 
 @read_only_arrays
@@ -82,6 +88,7 @@ class BeatSlices:
         seconds: computing time of the preparation.
         clock: seconds of computing time, from any origin.
         numbers: indices of the slices' frames in the recording.
+        slices: those that are compared.
     """
 
     begin_s: float
@@ -94,6 +101,11 @@ class BeatSlices:
     seconds: float
     clock: Callable[[], float]
     numbers: IntArray
+    slices: SliceSet
+
+    def boundary(self) -> BoundaryPoints:
+        """Find the boundary between blood and wall that the beat shows."""
+        return boundary_points(self.slices)
 
     def measure(self, pose: Rigid, center_mm: FloatArray) -> BeatMeasurement | None:
         """Measure the beat at a pose; None if the slices hardly overlap the model."""
@@ -132,7 +144,11 @@ def evaluation_of(beat: "ComparableBeat", tested: PoseEstimate, *, in_use: bool)
     evaluation = beat.evaluate_beat(pose, tested.center_mm, in_use=in_use)
     if evaluation is None:
         return None
-    return replace(evaluation, measurement=evaluation.measurement.of(tested, variance_mm2))
+    points = None if tested.shape is None else beat.boundary()
+    shape = None
+    if tested.shape is not None and points is not None:
+        shape = tested.shape.predicted(1.0).corrected(points, tested.pose)
+    return replace(evaluation, measurement=evaluation.measurement.of(tested, variance_mm2), shape=shape)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -175,6 +191,10 @@ class ComparableBeat(Protocol):
 
     def evaluate_beat(self, pose: Rigid, center_mm: FloatArray, *, in_use: bool) -> BeatEvaluation | None:
         """Compare the beat with a pose; None if they hardly overlap."""
+        ...
+
+    def boundary(self) -> BoundaryPoints | None:
+        """Find the boundary between blood and wall that the beat shows; None without images."""
         ...
 
 
@@ -259,6 +279,7 @@ def _prepared(
         seconds=clock() - began,
         clock=clock,
         numbers=frames.first + frames.used,
+        slices=slices,
     )
     return beat, False
 

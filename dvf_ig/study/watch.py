@@ -177,6 +177,9 @@ class DisplacedBeat:
     def view_mm(self) -> FloatArray:
         return self.beat.view_mm
 
+    def boundary(self) -> None:
+        """Show no boundary: images of the displaced heart there are none."""
+
     def evaluate_beat(self, pose: Rigid, center_mm: FloatArray, *, in_use: bool) -> BeatEvaluation | None:
         """See `ComparableBeat`."""
         back = moved(pose, -self.shift_mm)

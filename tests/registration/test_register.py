@@ -265,10 +265,10 @@ def test_a_heart_of_another_shape_is_refused_by_name(
     assert ("check the probe calibration first" in off) is (stop is Stop.CHANGED_SHAPE)
 
 
-@pytest.mark.parametrize("seen_mm", [0.9, 2.0])
-def test_landmarks_are_fitted_through_a_change_of_shape_that_is_followed(seen_mm: float) -> None:
+@pytest.mark.parametrize("shared", [0.2, 0.8])
+def test_landmarks_are_fitted_through_a_change_of_shape_that_is_followed(shared: float) -> None:
     warp = Warp("mr", np.zeros(3), 16.0, np.zeros((15, 15, 15, 4), np.float32))
-    change = ShapeChange(warp, 3.0, 90.0, seen_mm, "left", 4.0, 0.3, 0.2, Halves(0.5, 0.4))
+    change = ShapeChange(warp, 3.0, 90.0, 0.9, "left", 4.0, 0.3, shared, Halves(0.5, 0.4))
     fits: dict[Warp | None, float] = {warp: 1.0, None: 6.0}
 
     def landmarks(through: Warp | None) -> Rigid:
@@ -277,8 +277,8 @@ def test_landmarks_are_fitted_through_a_change_of_shape_that_is_followed(seen_mm
     pose = toy_pose()
     result = replace(any_result(), target_from_source=pose, center_mm=CENTER_MM, shape=change)
     checked = register_module.against_touched(result, landmarks, None)
-    assert checked.landmarks_mm == pytest.approx(1.0 if seen_mm > 1.0 else 6.0)
-    assert (checked.stop is Stop.DISAGREEMENT) is (seen_mm < 1.0)
+    assert checked.landmarks_mm == pytest.approx(1.0 if shared < 0.7 else 6.0)
+    assert (checked.stop is Stop.DISAGREEMENT) is (shared > 0.7)
 
 
 @pytest.mark.parametrize("imaged", [0.6, 1.0])

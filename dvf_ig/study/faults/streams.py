@@ -92,6 +92,9 @@ class KnownBeat:
     pose: Rigid
     view_mm: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
 
+    def boundary(self) -> None:
+        """Show no boundary: there are no images."""
+
     def evaluate_beat(self, pose: Rigid, center_mm: FloatArray, *, in_use: bool) -> BeatEvaluation:
         """Compare the beat with a pose."""
         information = np.eye(6) / SIGMA_MM**2
