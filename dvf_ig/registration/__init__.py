@@ -1,7 +1,6 @@
 """ECG-gated rigid US/MR registration: from gated, tracked slices to `mr_from_tracker` with its evidence."""
 
 from .boundary.fit import Boundary as Boundary
-from .boundary.points import BoundaryPoints as BoundaryPoints
 from .boundary.points import boundary_points as boundary_points
 from .boundary.target import BoundaryTarget as BoundaryTarget
 from .boundary.target import target_from_labels as target_from_labels

@@ -15,7 +15,6 @@ from dvf_ig.core import FloatArray, IntArray, Rigid, read_only_arrays
 from dvf_ig.registration import (
     DENSITY_WIDTH_MM,
     BeatMeasurement,
-    BoundaryPoints,
     CoveredPart,
     FrameRejection,
     Lc2,
@@ -103,9 +102,10 @@ class BeatSlices:
     numbers: IntArray
     slices: SliceSet
 
-    def boundary(self) -> BoundaryPoints:
-        """Find the boundary between blood and wall that the beat shows."""
-        return boundary_points(self.slices)
+    def correct(self, shape: ShapeEstimate, pose: Rigid) -> tuple[ShapeEstimate, float]:
+        """Correct a change of shape by the boundary that the beat shows; with it the computing time, s."""
+        began = self.clock()
+        return shape.predicted(1.0).corrected(boundary_points(self.slices), pose), self.clock() - began
 
     def measure(self, pose: Rigid, center_mm: FloatArray) -> BeatMeasurement | None:
         """Measure the beat at a pose; None if the slices hardly overlap the model."""
@@ -144,11 +144,11 @@ def evaluation_of(beat: "ComparableBeat", tested: PoseEstimate, *, in_use: bool)
     evaluation = beat.evaluate_beat(pose, tested.center_mm, in_use=in_use)
     if evaluation is None:
         return None
-    points = None if tested.shape is None else beat.boundary()
-    shape = None
-    if tested.shape is not None and points is not None:
-        shape = tested.shape.predicted(1.0).corrected(points, tested.pose)
-    return replace(evaluation, measurement=evaluation.measurement.of(tested, variance_mm2), shape=shape)
+    evaluation = replace(evaluation, measurement=evaluation.measurement.of(tested, variance_mm2))
+    if tested.shape is None:
+        return evaluation
+    shape, seconds = beat.correct(tested.shape, tested.pose)
+    return replace(evaluation, shape=shape, seconds=evaluation.seconds + seconds)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -193,8 +193,8 @@ class ComparableBeat(Protocol):
         """Compare the beat with a pose; None if they hardly overlap."""
         ...
 
-    def boundary(self) -> BoundaryPoints | None:
-        """Find the boundary between blood and wall that the beat shows; None without images."""
+    def correct(self, shape: ShapeEstimate, pose: Rigid) -> tuple[ShapeEstimate | None, float]:
+        """Correct a change of shape at a pose, None without images; with it the computing time, s."""
         ...
 
 
