@@ -108,7 +108,7 @@ class ShapeChange:
     @property
     def followed(self) -> Warp | None:
         """The warp that fixtures follow, however small the change; None if they cannot."""
-        return None if self.partly or self.doubt is not None else self.warp
+        return None if self.partly or self.contradiction is not None else self.warp
 
     @property
     def explains(self) -> bool:
@@ -120,11 +120,11 @@ class ShapeChange:
         """Why fixtures cannot follow a change that they would have to; None if they can, or need not."""
         if self.partly:
             return "the images cover a part of the heart, and do not show how the rest has changed"
-        return self.doubt if self.needed else None
+        return self.contradiction if self.needed else None
 
     @property
-    def doubt(self) -> str | None:
-        """What speaks against the change; None if nothing does."""
+    def contradiction(self) -> str | None:
+        """Why the change may not be followed; None if it may."""
         if self.seen_mm > ANOTHER_HEART_MM:
             return "it has changed by more than load and filling change a heart"
         if self.warp.steepest > LARGEST_SLOPE:

@@ -4,7 +4,7 @@ The state of `ShapePosterior` is Gaussian; from beat to beat
 
     predict   ξ walks at random by PROCESS_NOISE_MM; z ← a z, with as much noise as keeps the variance s² of
               its prior: the heart changes its shape far more slowly than it moves
-    correct   by the boundary of the beat, whose shared error w is integrated out anew
+    correct   by the boundary of the beat, whose shared error w is integrated out again
 A registration begins it. A later one is made of frames that the beats have used: both count half, which is
 right whatever their errors share (covariance intersection: Julier and Uhlmann 1997).
 """
@@ -108,17 +108,17 @@ class Places:
         """(n, 3) pull-back m."""
         return np.asarray(self.moved @ best.state[FIXED:] - self.motion @ best.state[:6])
 
-    def known_along(self, best: ShapePosterior) -> tuple[FloatArray, FloatArray]:
+    def covariance_along(self, best: ShapePosterior) -> tuple[FloatArray, FloatArray]:
         """(n, k) F and (n,) v: the errors of q − m(q) along normals have the covariance F Fᵀ + diag(v)."""
         kept = np.r_[:6, FIXED : len(best.state)]  # all but the offsets
-        known = np.linalg.cholesky(best.covariance_mm2[np.ix_(kept, kept)])
+        root = np.linalg.cholesky(best.covariance_mm2[np.ix_(kept, kept)])
         alone = SIGMA_FACTOR**2 * best.scale_mm**2 * self.left_out
         floor = SIGMA_FLOOR_MM**2 + (SIGMA_SHARE * best.scale_mm) ** 2
-        return SIGMA_FACTOR * self.columns @ known, alone + floor
+        return SIGMA_FACTOR * self.columns @ root, alone + floor
 
     def variance_mm2(self, best: ShapePosterior) -> FloatArray:
         """(n,) variance of q − m(q) along the normals."""
-        columns, alone = self.known_along(best)
+        columns, alone = self.covariance_along(best)
         return np.asarray((columns**2).sum(axis=1) + alone)
 
 
@@ -183,13 +183,13 @@ class ShapeEstimate:
     def intersected_with(self, registered: "ShapeEstimate") -> "ShapeEstimate":
         """Fuse with a registration of frames that the beats have used, at the same pose.
 
-        Offsets of the boundary are anew those of the registration.
+        Offsets of the boundary become those of the registration.
         """
         kept = np.r_[:6, FIXED : len(self.posterior.state)]
         both = [self.posterior, registered.posterior]
-        known = [np.linalg.inv(one.covariance_mm2[np.ix_(kept, kept)]) for one in both]
-        covariance = np.linalg.inv(0.5 * (known[0] + known[1]))
-        right = 0.5 * sum(inverse @ one.state[kept] for inverse, one in zip(known, both, strict=True))
+        inverses = [np.linalg.inv(one.covariance_mm2[np.ix_(kept, kept)]) for one in both]
+        covariance = np.linalg.inv(0.5 * (inverses[0] + inverses[1]))
+        right = 0.5 * sum(inverse @ one.state[kept] for inverse, one in zip(inverses, both, strict=True))
         state, whole = registered.posterior.state.copy(), np.zeros_like(registered.posterior.covariance_mm2)
         state[kept] = covariance @ right
         whole[np.ix_(kept, kept)] = 0.5 * (covariance + covariance.T)
@@ -228,7 +228,7 @@ def _guarded_walls(
 ) -> GuardedWalls:
     """Evaluate a state at walls whose place is certain enough for a force, or at all if none is."""
     places = _at_walls(target, center_mm)
-    columns, alone = places.known_along(posterior)
+    columns, alone = places.covariance_along(posterior)
     variance = (columns**2).sum(axis=1) + alone
     served = variance <= LARGEST_MM2
     if not served.any():

@@ -284,12 +284,12 @@ class ShapeProblem:
             noise: factor on NOISE_MM and SHARED_MM.
         """
         rows, variance = noise * self._shared, self._variance(before.scale_mm, noise)
-        known = np.linalg.inv(before.covariance_mm2)
+        precision = np.linalg.inv(before.covariance_mm2)
         state, w = before.state, np.zeros(rows.shape[1])
         for _ in range(CORRECTION_STEPS):
             at = self._normal_equations(state, w, self._modes, rows, variance, OUTLIER_MM)
-            curvature = at.curvature + known
-            change = np.asarray(-np.linalg.solve(curvature, at.slope + known @ (state - before.state)))
+            curvature = at.curvature + precision
+            change = np.asarray(-np.linalg.solve(curvature, at.slope + precision @ (state - before.state)))
             state, w = state + change, w + at.shared_change(change)
             if np.linalg.norm(change[:6]) < SETTLED_MM:
                 break
