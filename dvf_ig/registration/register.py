@@ -112,7 +112,7 @@ def register(
             overlap=overlap if coverage is None else inside.overlap,
             information=refined.inside.information,
         )
-        explained = shape is not None and shape.explains
+        explained = shape is not None and shape.followed is not None
         unexplained = evidence.of_changed_shape() if explained else evidence
         stop = _stop(images.options, refined, fused, unexplained, moved_mm=moved_mm, overlap=overlap)
         if shape is not None and shape.refusal is not None and stop in (Stop.CONVERGED, Stop.DISAGREEMENT):

@@ -36,12 +36,11 @@ LEAST_POINTS = 150
 PATCH_MM, PATCH_POINTS = 30.0, 8
 """Edge of a patch of wall whose shift is stated, and the points it needs."""
 LARGEST_RIGID_MM = 1.0
-"""RMS shift of the seen walls up to which a pose may be used although fixtures cannot follow the change:
-hearts 1.2 mm different, which margins hold, show up to 0.85 mm."""
-PLAINLY_RIGID_MM = 0.4
-"""RMS shift of the seen walls by the first fit below which the heart is taken to be rigid: margins hold such
-a change. In threshold sessions 2111 to 2114, 1.2 mm different, the first fit has 0.5 to 0.8, the last fit
-between 0.2 mm less and as much."""
+"""RMS shift of the seen walls up to which fixtures stay rigid: hearts 1.2 mm different, which margins hold,
+show up to 0.85 mm. Followed, a patient's shift is noticed a beat later (docs/decisions/0042)."""
+PLAINLY_RIGID_MM = 0.8
+"""RMS shift of the seen walls by the first fit below which the heart is taken to be rigid: in threshold
+hearts 2101 to 2110, up to 5 mm different, the last fit has between 0.1 mm less and a fifth more."""
 ANOTHER_HEART_MM = 3.5
 """RMS shift of the seen walls beyond which the model may be another patient's: load and filling move the
 walls of one heart by up to 5 mm, 3 mm RMS."""
@@ -107,24 +106,16 @@ class ShapeChange:
 
     @property
     def followed(self) -> Warp | None:
-        """The warp that fixtures follow, however small the change; None if they cannot."""
-        return None if self.partly or self.contradiction is not None else self.warp
-
-    @property
-    def explains(self) -> bool:
-        """Whether it is followed, and so large that it explains why parts of a rigid heart disagree."""
-        return self.needed and self.followed is not None
+        """The warp that fixtures follow; None if they need not, or cannot."""
+        return self.warp if self.needed and self.refusal is None else None
 
     @property
     def refusal(self) -> str | None:
         """Why fixtures cannot follow a change that they would have to; None if they can, or need not."""
         if self.partly:
             return "the images cover a part of the heart, and do not show how the rest has changed"
-        return self.contradiction if self.needed else None
-
-    @property
-    def contradiction(self) -> str | None:
-        """Why the change may not be followed; None if it may."""
+        if not self.needed:
+            return None
         if self.seen_mm > ANOTHER_HEART_MM:
             return "it has changed by more than load and filling change a heart"
         if self.warp.steepest > LARGEST_SLOPE:

@@ -72,7 +72,7 @@ def _z_score(result: RegistrationResult) -> Check:
 
 def _disagreements(result: RegistrationResult) -> list[Check]:
     evidence, limits = result.evidence, result.options.limits
-    if result.shape is not None and result.shape.explains:
+    if result.shape is not None and result.shape.followed is not None:
         evidence = evidence.of_changed_shape()
     return [
         _at_most(
