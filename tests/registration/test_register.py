@@ -268,7 +268,7 @@ def test_a_heart_of_another_shape_is_refused_by_name(
 @pytest.mark.parametrize("shared", [0.2, 0.8])
 def test_landmarks_are_fitted_through_a_change_of_shape_that_is_followed(shared: float) -> None:
     warp = Warp("mr", np.zeros(3), 16.0, np.zeros((15, 15, 15, 4), np.float32))
-    change = ShapeChange(warp, 3.0, 90.0, 0.9, "left", 4.0, 0.3, shared, Halves(0.5, 0.4))
+    change = ShapeChange(warp, 3.0, 90.0, 1.4, "left", 4.0, 0.3, shared, Halves(0.5, 0.4))
     fits: dict[Warp | None, float] = {warp: 1.0, None: 6.0}
 
     def landmarks(through: Warp | None) -> Rigid:

@@ -122,6 +122,7 @@ class Places:
         return np.asarray((columns**2).sum(axis=1) + alone)
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class ShapeEstimate:
     """A change of shape at one pose, and how well it is known; made by `estimate_of`.
