@@ -4,11 +4,14 @@ import ast
 import re
 import shlex
 from pathlib import Path
+from typing import Any
 
 import pytest
 import typer.main
+from toy_touched import beating_model
 
 from dvf_ig.cli.main import app
+from dvf_ig.io import write_model
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = sorted([ROOT / "README.md", ROOT / "CHANGELOG.md", *(ROOT / "dvf_ig" / "docs").rglob("*.md")])
@@ -111,3 +114,12 @@ def test_equations_are_three_steps_from_the_readme() -> None:
         "R peak",
     ):
         assert f"| [{sought}" in rows, sought
+
+
+def test_the_python_of_the_readme_gives_a_force(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (code,) = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), re.DOTALL)
+    write_model(beating_model(), tmp_path / "heart.npz")
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, Any] = {}
+    exec(compile(code, "README.md", "exec"), names)
+    assert names["samples"].force_n.any()
