@@ -107,7 +107,7 @@ KEYS: dict[str, Key] = {
                     "the model's blood", "cine.nrrd", FILE, "--mr --cine CINE", HEART),
     "preop.views": Key("long-axis cines of the examination whose short-axis stack `mr` is, one slice each",
                        "the base's motion is not known; a pose is used only if the sweep images enough of "
-                       "the stack to bound its error by 5 mm", "[lax_4ch.nrrd]", FILE),
+                       "the stack to bound its error by 8 mm", "[lax_4ch.nrrd]", FILE),
     "preop.labels": Key("4-D labels, or 3-D ones of `ed_phase` with `mr`", "", "labels.nii.gz", FILE,
                         "--labels FILE"),
     "preop.ed_phase": Key("phase of `mr` that 3-D labels belong to", "0", "0"),

@@ -1,16 +1,19 @@
 """The pose that a registration starts from, and what was touched on the patient to check it."""
 
+from functools import partial
+
 import numpy as np
 
 from dvf_ig.core import DvfModel, InvalidInputError, QualityGateError, Rigid, Scenario
 from dvf_ig.registration import (
+    LandmarkFit,
     LandmarkPrior,
     TouchedPoints,
     TouchedSurface,
+    pose_through,
     prior_from_landmarks,
     require_on_model,
     require_unflipped,
-    start_from_landmarks,
     start_from_surface_points,
 )
 from dvf_ig.session import Heart
@@ -69,11 +72,17 @@ def touched_surface(scenario: Startable, model: DvfModel) -> TouchedSurface | No
     return TouchedSurface(TouchedPoints(scenario.touched, np.full(len(scenario.touched), at)), model)
 
 
-def landmark_pose(scenario: Startable) -> Rigid | None:
-    """Fit the touched landmarks; None without any."""
+def landmark_fit(scenario: Startable) -> LandmarkFit | None:
+    """Return how the touched landmarks are fitted; None without any."""
     if scenario.landmarks_mr is None or scenario.landmarks_tracker is None:
         return None
-    return start_from_landmarks(scenario.landmarks_mr, scenario.landmarks_tracker).mr_from_tracker
+    return partial(pose_through, scenario.landmarks_mr, scenario.landmarks_tracker)
+
+
+def landmark_pose(scenario: Startable) -> Rigid | None:
+    """Fit the touched landmarks; None without any."""
+    fit = landmark_fit(scenario)
+    return None if fit is None else fit(None)
 
 
 def landmarks_start(scenario: Startable) -> bool:
@@ -82,7 +91,11 @@ def landmarks_start(scenario: Startable) -> bool:
 
 
 def landmark_prior(scenario: Startable) -> LandmarkPrior | None:
-    """Landmarks as a prior of the pose; None without any, or if a start pose takes their place."""
-    if scenario.start is not None or scenario.landmarks_mr is None or scenario.landmarks_tracker is None:
+    """Landmarks as a prior of the pose, or of the probe's calibration alone where a start is given.
+
+    None without any, or with too few.
+    """
+    if scenario.landmarks_mr is None or scenario.landmarks_tracker is None:
         return None
-    return prior_from_landmarks(scenario.landmarks_mr, scenario.landmarks_tracker)
+    in_search = scenario.start is None
+    return prior_from_landmarks(scenario.landmarks_mr, scenario.landmarks_tracker, in_search=in_search)

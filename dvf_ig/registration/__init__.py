@@ -54,9 +54,12 @@ from .pose_chart import target_errors_mm as target_errors_mm
 from .register import register as register
 from .result import RegistrationResult as RegistrationResult
 from .shape.change import ShapeChange as ShapeChange
+from .shape.estimate import ShapeEstimate as ShapeEstimate
 from .start import LANDMARKS_MM as LANDMARKS_MM
+from .start import LandmarkFit as LandmarkFit
 from .start import LandmarkPrior as LandmarkPrior
 from .start import landmarks_disagree as landmarks_disagree
+from .start import pose_through as pose_through
 from .start import prior_from_landmarks as prior_from_landmarks
 from .start import require_on_model as require_on_model
 from .start import require_unflipped as require_unflipped

@@ -1,5 +1,6 @@
 """Register ECG-gated ultrasound to the pre-operative heart, from a coarse start to a pose with evidence."""
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -31,14 +32,14 @@ from dvf_ig.registration.surface_points.touched import TouchedSurface
 from .coverage import Coverage
 from .fuse import Fused, fuse
 from .images import HeartTarget, Problem, RegistrationOptions, UltrasoundImages
-from .pose_chart import DISTINCT_MM, PoseChart, predicted_error_mm
+from .pose_chart import DISTINCT_MM, PoseChart, largest_error_bound_mm, predicted_error_mm
 from .result import RegistrationResult
 from .search import Refined, find_candidates, refine
-from .start import LandmarkPrior, landmarks_disagree
+from .start import LandmarkFit, LandmarkPrior, landmarks_disagree
 
-LARGEST_OF_PART_MM = 5.0
-"""Bound on the largest error over the covered part of a heart above which its pose is refused: a force on a
-pose further off is a hazard."""
+LARGEST_OF_PART_MM = 8.0
+"""Bound on the largest error over the covered part of a heart above which its pose is refused: 1.6 times the
+5 mm of RMS error there from which on a session withholds a pose, as covariances of stacks have it."""
 PART_EVIDENCE = 255.0
 """Evidence of a change of shape from which a heart known from a short-axis stack alone is refused, where a
 sweep images all of the covered part; where it images a share, that share of it. Shifts between breath-holds
@@ -57,7 +58,7 @@ def register(
     rng: np.random.Generator,
     clock: Callable[[], float],
     prior: LandmarkPrior | None = None,
-    landmarks: Rigid | None = None,
+    landmarks: LandmarkFit | None = None,
     touched: TouchedSurface | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> RegistrationResult:
@@ -68,8 +69,8 @@ def register(
         start: target_from_source to start from.
         rng: draws the displaced starts and the wrong poses.
         clock: seconds from any origin, for the result's `seconds`; nothing else depends on it.
-        prior: touched landmarks that the pose must also agree with.
-        landmarks: target_from_source of touched landmarks, which rule out a pose far from it.
+        prior: touched landmarks that the pose, or the probe's calibration alone, must also agree with.
+        landmarks: fit of touched landmarks, which rules out a pose far from it.
         touched: points touched on the heart's surface, which rule out a pose that puts them off it.
         progress: called with the fraction done.
     Returns:
@@ -82,7 +83,8 @@ def register(
         limits = limits_of_part(options.limits)
         images = replace(images, options=replace(options, limits=limits, min_overlap=least))
     with SliceThreads() as threads:
-        problem = Problem(images, heart, prior, threads)
+        in_search = prior if prior is not None and prior.in_search else None
+        problem = Problem(images, heart, in_search, threads)
         coarse = problem.coarse_lc2()  # section 4: LC2 as a function of the pose
         candidates = find_candidates(  # section 3: many starts by the boundary, optimised on coarse slices
             problem, coarse, start, rng=rng, report_progress=lambda x: report(0.4 * x)
@@ -99,7 +101,7 @@ def register(
         coverage = None if covered is None else covered.imaged_by(shown, fused.pose)
         shape = _change_of_shape(problem, fused, coverage)  # section 5b: is the heart the one in the model?
         report(0.95)
-        evidence = _evidence(problem, coarse, refined, fused, shape, rng)  # trust.md: every check
+        evidence = _evidence(problem, coarse, refined, fused, shape, prior, rng)  # trust.md: every check
         inside = refined.inside.score(fused.pose)
         similarity = inside.similarity
         overlap = refined.whole.score(fused.pose).overlap if coverage is None else coverage.share
@@ -110,8 +112,8 @@ def register(
             overlap=overlap if coverage is None else inside.overlap,
             information=refined.inside.information,
         )
-        followed = shape is not None and shape.followed is not None
-        unexplained = evidence.of_changed_shape() if followed else evidence
+        explained = shape is not None and shape.explains
+        unexplained = evidence.of_changed_shape() if explained else evidence
         stop = _stop(images.options, refined, fused, unexplained, moved_mm=moved_mm, overlap=overlap)
         if shape is not None and shape.refusal is not None and stop in (Stop.CONVERGED, Stop.DISAGREEMENT):
             stop = Stop.CHANGED_SHAPE  # also why parts disagree on where a rigid heart is
@@ -124,7 +126,9 @@ def register(
             features_of(evidence, similarity, predicted_error_mm(fused.covariance), share),
             features_of(unexplained, similarity, predicted_error_mm(fused.covariance), share),
             statistics,
-            partly=covered is not None,
+            None
+            if covered is None
+            else largest_error_bound_mm(fused.covariance, covered.surface_mm, heart.center_mm),
         )
         result = RegistrationResult(
             target_from_source=fused.pose,
@@ -162,6 +166,7 @@ def _evidence(
     refined: Refined,
     fused: Fused,
     shape: ShapeChange | None,
+    marks: LandmarkPrior | None,
     rng: np.random.Generator,
 ) -> Evidence:
     """Test the pose by subsets of the slices, wrong poses, the boundary and shifts of the phase."""
@@ -174,7 +179,7 @@ def _evidence(
         half_volume_mm=parts.half_volume_mm,
         boundary_mm=_boundary_distance_mm(problem, best, fused),
         phase_offset=None if rr_s is None else phase_offset(coarse, fused.pose, rr_s),
-        image_offset=_image_offset(problem, best, fused, shape),
+        image_offset=_image_offset(problem, best, fused, shape, marks),
     )
 
 
@@ -184,20 +189,25 @@ def _other_calibration(evidence: Evidence) -> bool:
 
 
 def _image_offset(
-    problem: Problem, pose: Rigid, fused: Fused, shape: ShapeChange | None
+    problem: Problem,
+    pose: Rigid,
+    fused: Fused,
+    shape: ShapeChange | None,
+    marks: LandmarkPrior | None,
 ) -> ImageOffset | None:
     """How the image lies to its probe by the views; None if the probe is not to be checked.
 
     Args:
         pose: of the best match; fused, shape: the pose with a change of shape.
+        marks: touched landmarks, which say nothing of the probe once the heart has changed its shape.
     """
     probe = problem.images.probe
     if probe is None:
         return None
     metric = problem.coarse_lc2(problem.compared(problem.images.coarse, pose))
-    offset = fit_image_offset(probe, metric, pose, problem.center_mm)
     if shape is None or not shape.needed:
-        return offset
+        return fit_image_offset(probe, metric, pose, problem.center_mm, marks)
+    offset = fit_image_offset(probe, metric, pose, problem.center_mm)
     explained = shape_log_ratio(metric, pose, fused.pose, shape.warp, problem.center_mm)
     return replace(offset, shape_log_ratio=explained)
 
@@ -280,8 +290,7 @@ def _assessed(
     features: dict[str, float | None],
     unexplained: dict[str, float | None],
     statistics: ImageStatistics,
-    *,
-    partly: bool,
+    of_part_mm: float | None,
 ) -> tuple[Stop, Assessment]:
     """State the error that may be expected, and refuse a pose whose checks together are too bad.
 
@@ -292,19 +301,22 @@ def _assessed(
     Args:
         features: by which probability and bound are stated; unexplained: without what a change of the heart's
             shape that fixtures follow explains, by which the pose is judged.
-        partly: the heart's images cover it in part. What they do not hold pulls poses aside by more than any
-            check's limit shows: without a bound up to LARGEST_OF_PART_MM its pose is UNBOUNDED, which may
-            renew a pose in use, but begin none.
+        of_part_mm: bound on the largest error over the covered part by the covariance before it is scaled;
+            None if the heart's images cover all of it. What they do not cover pulls poses aside by more than
+            any check's limit shows: without a bound up to LARGEST_OF_PART_MM such a pose is UNBOUNDED, which
+            may renew a pose in use, but begin none.
     """
     assessment = replace(
         assess(table, features, statistics), doubtful=assess(table, unexplained, statistics).doubtful
     )
-    bound_mm = assessment.tre_bound_mm
+    if of_part_mm is not None and table is not None and not assessment.outside:
+        scaled_mm = math.sqrt(assessment.covariance_scale) * of_part_mm
+        assessment = replace(assessment, tre_bound_mm=scaled_mm)
     if stop.usable and not assessment.doubtful:
-        if not partly:
+        bound_mm = assessment.tre_bound_mm
+        if of_part_mm is None or (bound_mm is not None and bound_mm <= LARGEST_OF_PART_MM):
             return stop, assessment
-        bounded = bound_mm is not None and bound_mm <= LARGEST_OF_PART_MM
-        return (stop if bounded else Stop.UNBOUNDED), assessment
+        return Stop.UNBOUNDED, assessment
     chance = assessment.success_probability
     if not stop.usable and table is not None and chance is not None:
         chance = min(chance, table.refused_probability)
@@ -313,16 +325,18 @@ def _assessed(
 
 
 def against_touched(
-    result: RegistrationResult, landmarks: Rigid | None, touched: TouchedSurface | None
+    result: RegistrationResult, landmarks: LandmarkFit | None, touched: TouchedSurface | None
 ) -> RegistrationResult:
     """Compare a pose with what was touched on the patient; it ends in DISAGREEMENT where that lies elsewhere.
 
     Args:
-        landmarks: target_from_source of touched landmarks; None without any.
+        landmarks: fit of touched landmarks, looked for where a change of shape that fixtures follow has taken
+            them; None without any.
         touched: points touched on the heart's surface; None without any.
     """
     pose = result.target_from_source
-    apart_mm = None if landmarks is None else mean_displacement_mm(pose, landmarks, result.center_mm)
+    warp = None if result.shape is None else result.shape.followed
+    apart_mm = None if landmarks is None else mean_displacement_mm(pose, landmarks(warp), result.center_mm)
     surface = None if touched is None else touched.disagreement(pose)
     checked = replace(result, landmarks_mm=apart_mm, touched=surface)
     elsewhere = landmarks_disagree(apart_mm) or (surface is not None and not surface.agrees)

@@ -5,6 +5,7 @@ rigidity can see it, and a fit to landmarks absorbs it. The model, which the mar
 given in addition to the landmarks reveal it.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +18,7 @@ from dvf_ig.core import (
     Landmarks,
     Points,
     Rigid,
+    Warp,
     read_only_arrays,
 )
 from dvf_ig.core.space.paired import fit_paired_points
@@ -61,11 +63,13 @@ class LandmarkPrior:
         target: (n, 3) marked on the model.
         source: (n, 3) touched on the patient.
         sigma_mm: standard deviation of a touched point per coordinate.
+        in_search: whether the pose must agree with them; else they only test the probe's calibration.
     """
 
     target: Points
     source: Points
     sigma_mm: float
+    in_search: bool = True
 
     def energy(self, pose: Rigid) -> float:
         """Half the squared distance of the landmarks in standard deviations: −log of their likelihood."""
@@ -79,7 +83,9 @@ class LandmarkPrior:
         return flat.T @ flat, flat.T @ (self.target.xyz_mm - at).ravel() / self.sigma_mm
 
 
-def prior_from_landmarks(mr: Landmarks, tracker: Landmarks) -> LandmarkPrior | None:
+def prior_from_landmarks(
+    mr: Landmarks, tracker: Landmarks, *, in_search: bool = True
+) -> LandmarkPrior | None:
     """Prior from the landmarks that both sets name, its sigma from their own residuals.
 
     None with fewer than MIN_FOR_PRIOR pairs: too few residuals to know how far off the points are.
@@ -89,7 +95,7 @@ def prior_from_landmarks(mr: Landmarks, tracker: Landmarks) -> LandmarkPrior | N
         return None
     residuals = start_from_landmarks(mr, tracker).residuals_mm
     spread = float(np.sqrt((residuals**2).sum() / (3 * len(target) - 6)))
-    return LandmarkPrior(target, source, max(spread, LEAST_SIGMA_MM))
+    return LandmarkPrior(target, source, max(spread, LEAST_SIGMA_MM), in_search)
 
 
 def start_from_landmarks(mr: Landmarks, tracker: Landmarks) -> LandmarkStart:
@@ -108,6 +114,21 @@ def start_from_landmarks(mr: Landmarks, tracker: Landmarks) -> LandmarkStart:
     pose = fit_paired_points(target, source)
     residuals = np.linalg.norm(pose.apply(source).xyz_mm - target.xyz_mm, axis=1)
     return LandmarkStart(pose, names, residuals)
+
+
+LandmarkFit = Callable[[Warp | None], Rigid]
+"""`pose_through` of some landmarks."""
+
+
+def pose_through(mr: Landmarks, tracker: Landmarks, warp: Warp | None) -> Rigid:
+    """Fit mr_from_tracker to landmarks where a change of the heart's shape has taken them; None: none has.
+
+    Raises:
+        InvalidInputError: as `start_from_landmarks`.
+    """
+    if warp is not None:
+        mr = Landmarks(mr.names, Points(mr.points.frame, warp.patient_places(mr.points.xyz_mm)))
+    return start_from_landmarks(mr, tracker).mr_from_tracker
 
 
 def landmarks_disagree(apart_mm: float | None) -> bool:

@@ -10,7 +10,7 @@ from dvf_ig.cardiac import stream_recording
 from dvf_ig.core import DvfModel, NoOverlapError, Progress, Rigid, Scenario, untold
 from dvf_ig.intake.calibrations import calibrate
 from dvf_ig.intake.problems import concerning
-from dvf_ig.intake.start import landmark_pose, landmark_prior, require_start, start_pose, touched_surface
+from dvf_ig.intake.start import landmark_fit, landmark_prior, require_start, start_pose, touched_surface
 from dvf_ig.registration import RegistrationResult
 from dvf_ig.session import (
     GatedFrames,
@@ -58,7 +58,7 @@ class PreparedRegistration:
             clock=clock,
             warm=warm,
             prior=landmark_prior(scenario),
-            landmarks=landmark_pose(scenario),
+            landmarks=landmark_fit(scenario),
             touched=touched_surface(scenario, self.recording.heart.model),
             progress=progress,
         )

@@ -19,8 +19,10 @@ from dvf_ig.registration import (
     FrameRejection,
     Lc2,
     PoseEstimate,
+    ShapeEstimate,
     SliceSet,
     SliceThreads,
+    boundary_points,
     measure_beat,
 )
 
@@ -56,6 +58,8 @@ class BeatEvaluation:
         in_use: the pose was in use, not waiting to be confirmed.
         seconds: computing time, preparation included.
         view_mm: (3, 3) three points of the mean plane of its slices, frame "tracker".
+        shape: the change of shape of the estimate it was compared with, corrected by its boundary; None if
+            that follows none.
     """
 
     begin_s: float
@@ -67,6 +71,7 @@ class BeatEvaluation:
     in_use: bool
     seconds: float
     view_mm: FloatArray
+    shape: ShapeEstimate | None = None
 
 
 @read_only_arrays
@@ -82,6 +87,7 @@ class BeatSlices:
         seconds: computing time of the preparation.
         clock: seconds of computing time, from any origin.
         numbers: indices of the slices' frames in the recording.
+        slices: those that are compared.
     """
 
     begin_s: float
@@ -94,6 +100,12 @@ class BeatSlices:
     seconds: float
     clock: Callable[[], float]
     numbers: IntArray
+    slices: SliceSet
+
+    def correct(self, shape: ShapeEstimate, pose: Rigid) -> tuple[ShapeEstimate, float]:
+        """Correct a change of shape by the boundary that the beat shows; with it the computing time, s."""
+        began = self.clock()
+        return shape.predicted(1.0).corrected(boundary_points(self.slices), pose), self.clock() - began
 
     def measure(self, pose: Rigid, center_mm: FloatArray) -> BeatMeasurement | None:
         """Measure the beat at a pose; None if the slices hardly overlap the model."""
@@ -132,7 +144,11 @@ def evaluation_of(beat: "ComparableBeat", tested: PoseEstimate, *, in_use: bool)
     evaluation = beat.evaluate_beat(pose, tested.center_mm, in_use=in_use)
     if evaluation is None:
         return None
-    return replace(evaluation, measurement=evaluation.measurement.of(tested, variance_mm2))
+    evaluation = replace(evaluation, measurement=evaluation.measurement.of(tested, variance_mm2))
+    if tested.shape is None:
+        return evaluation
+    shape, seconds = beat.correct(tested.shape, tested.pose)
+    return replace(evaluation, shape=shape, seconds=evaluation.seconds + seconds)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -175,6 +191,10 @@ class ComparableBeat(Protocol):
 
     def evaluate_beat(self, pose: Rigid, center_mm: FloatArray, *, in_use: bool) -> BeatEvaluation | None:
         """Compare the beat with a pose; None if they hardly overlap."""
+        ...
+
+    def correct(self, shape: ShapeEstimate, pose: Rigid) -> tuple[ShapeEstimate | None, float]:
+        """Correct a change of shape at a pose, None without images; with it the computing time, s."""
         ...
 
 
@@ -259,6 +279,7 @@ def _prepared(
         seconds=clock() - began,
         clock=clock,
         numbers=frames.first + frames.used,
+        slices=slices,
     )
     return beat, False
 

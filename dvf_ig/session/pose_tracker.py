@@ -228,7 +228,7 @@ class PoseTracker:
             return
         self._watch_breathing(evaluation, now_s)
         evaluation = replace(evaluation, in_use=isinstance(self.pose, InUse))
-        self.history.append(evaluation)
+        self.history.append(replace(evaluation, shape=None))  # a history keeps no covariances of shapes
         if not isinstance(self.pose, Candidate):
             self._plan.follow_beat(evaluation.measurement.best)
         self._apply(BeatCompared(now_s, evaluation, again))

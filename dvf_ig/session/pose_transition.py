@@ -262,7 +262,7 @@ def _follow(pose: InUse, event: BeatCompared) -> Transition:
         if not event.again:
             pose = replace(pose, confirmation=pose.confirmation.missed())
         return _suspend(pose, doubt, now_s, again, needs_registration=changed)
-    estimate = _updated(estimate, measurement) if measurement.informative else estimate.predict(1.0)
+    estimate = _updated(estimate, beat) if measurement.informative else estimate.predict(1.0)
     pose, update = _moved(replace(pose, similarity=similarity), estimate, now_s)
     if confirms(measurement):
         pose = replace(pose, confirmation=Confirmation(now_s, estimate.pose_bound_mm))
@@ -370,7 +370,7 @@ def _test(pose: Candidate | Suspended, event: BeatCompared) -> Transition:
     consistent = 0 if statistic > SHIFT_EXPLAINED else trial.consistent + 1
     if consistent < trial.needed:
         return replace(pose, trial=replace(trial, consistent=consistent)), ()
-    return _bring_into_use(pose, _updated(pose.estimate, measurement), event.now_s)
+    return _bring_into_use(pose, _updated(pose.estimate, beat), event.now_s)
 
 
 def _drop(pose: Candidate, off_mm: float, now_s: float) -> Transition:
@@ -410,8 +410,9 @@ def confirms(measurement: BeatMeasurement) -> bool:
     return measurement.informative and measurement.log_likelihood_ratio <= CONSISTENT_LOG_RATIO
 
 
-def _updated(estimate: PoseEstimate, measurement: BeatMeasurement) -> PoseEstimate:
-    return estimate.predict(1.0).update(measurement.offset_information_mm, measurement.information)
+def _updated(estimate: PoseEstimate, beat: BeatEvaluation) -> PoseEstimate:
+    measured = beat.measurement
+    return estimate.predict(1.0).update(measured.offset_information_mm, measured.information, beat.shape)
 
 
 def retry_after(asked_s: float, now_s: float) -> RegisterNext:

@@ -1,14 +1,14 @@
 """When the next registration begins, from which frames, and at which pose."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import inf
 
 import numpy as np
 
 from dvf_ig.cardiac import RPeak
 from dvf_ig.core import InvalidInputError, Landmarks, Points, Rigid, Warp
-from dvf_ig.registration import LandmarkPrior, prior_from_landmarks, start_from_landmarks
+from dvf_ig.registration import LandmarkPrior, pose_through, prior_from_landmarks
 
 from .events import Landmark
 from .pose_states import InUse, Pose, under_test
@@ -40,7 +40,7 @@ class TouchedLandmarks:
             return
         mr, tracker = self._pairs
         try:
-            fit = start_from_landmarks(mr, tracker).mr_from_tracker
+            fit = pose_through(mr, tracker, None)
         except InvalidInputError:
             return  # all on one line; one more landmark may end that
         object.__setattr__(self, "fit", fit)
@@ -61,9 +61,7 @@ class TouchedLandmarks:
         """
         if warp is None or self.fit is None:
             return self.fit
-        mr, tracker = self._pairs
-        now = Points("mr", warp.patient_places(mr.points.xyz_mm))
-        return start_from_landmarks(Landmarks(mr.names, now), tracker).mr_from_tracker
+        return pose_through(*self._pairs, warp)
 
     def touched(self, landmark: Landmark) -> "TouchedLandmarks":
         """Add a landmark; one that is touched again replaces the older."""
@@ -122,7 +120,9 @@ class RegistrationPlan:
         if isinstance(pose, InUse) and now_s >= pose.confirmation.until_s:
             self.landmarks = self.landmarks.since(pose.confirmation.confirmed_s)
         from_s = max(self._frames_from_s, now_s - MEMORY_S)
-        prior = None if self._start is not None else self.landmarks.prior
+        prior = self.landmarks.prior
+        if prior is not None and self._start is not None:
+            prior = replace(prior, in_search=False)
         return RegistrationRequest(from_s, now_s, *start, prior, peaks)
 
     def _start_pose(self, pose: Pose) -> tuple[Rigid, bool] | None:

@@ -24,6 +24,7 @@ from dvf_ig.registration import (
     SWEEP,
     USUAL_PLACEMENT,
     VOLUME_SMOOTHING_MM,
+    LandmarkFit,
     LandmarkPrior,
     Level,
     ProbePoses,
@@ -54,7 +55,7 @@ class RegistrationRequest:
     Attributes:
         from_s, until_s: event times of the frames.
         start: pose to begin at; `warm` relies on it and skips displaced starts.
-        prior: touched landmarks that the pose must also agree with.
+        prior: touched landmarks.
         peaks: R peaks that were known at the request.
     """
 
@@ -124,7 +125,7 @@ def register_frames(
     clock: Callable[[], float],
     warm: bool = False,
     prior: LandmarkPrior | None = None,
-    landmarks: Rigid | None = None,
+    landmarks: LandmarkFit | None = None,
     touched: TouchedSurface | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> RegistrationResult:
@@ -236,7 +237,7 @@ def register_gated_volumes(
     seed: int,
     clock: Callable[[], float],
     prior: LandmarkPrior | None = None,
-    landmarks: Rigid | None = None,
+    landmarks: LandmarkFit | None = None,
 ) -> RegistrationResult:
     """Register gated volumes to the model's phases nearest to theirs.
 

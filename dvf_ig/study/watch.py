@@ -19,7 +19,7 @@ from dvf_ig.guidance import Hazard
 from dvf_ig.intake.calibrations import calibrate
 from dvf_ig.intake.model_cache import cached_model
 from dvf_ig.intake.start import landmarks_start, start_pose
-from dvf_ig.registration import PoseEstimate, ShiftDetector
+from dvf_ig.registration import PoseEstimate, ShapeEstimate, ShiftDetector
 from dvf_ig.replay import events_of
 from dvf_ig.session import BeatEvaluation, Session, SessionHistory, SessionSetup, beat_source_of, build_heart
 from dvf_ig.session.beat_evaluation import ComparableBeat, ComparedBeat, evaluation_of
@@ -176,6 +176,10 @@ class DisplacedBeat:
     @property
     def view_mm(self) -> FloatArray:
         return self.beat.view_mm
+
+    def correct(self, shape: ShapeEstimate, pose: Rigid) -> tuple[None, float]:
+        """Show no boundary: images of the displaced heart there are none."""
+        return None, 0.0
 
     def evaluate_beat(self, pose: Rigid, center_mm: FloatArray, *, in_use: bool) -> BeatEvaluation | None:
         """See `ComparableBeat`."""

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from stub_registration import any_result
 from toy_heart import CENTER_MM, toy_mr, toy_pose, toy_slices
 
 from dvf_ig.core import Landmarks, Points, Rigid, Stop, VolumeSeries, Warp, summarise_errors
@@ -16,6 +17,7 @@ from dvf_ig.registration import (
     BLOOD,
     WALL,
     HeartChannels,
+    LandmarkFit,
     LandmarkPrior,
     Level,
     RegistrationOptions,
@@ -45,7 +47,7 @@ def _register(
     *,
     seed: int = 0,
     prior: LandmarkPrior | None = None,
-    landmarks: Rigid | None = None,
+    landmarks: LandmarkFit | None = None,
     options: RegistrationOptions = QUICK,
 ) -> RegistrationResult:
     return register(
@@ -234,7 +236,7 @@ def test_landmarks_hold_the_pose_where_the_image_says_nothing() -> None:
 @pytest.mark.parametrize(("off_mm", "stop"), [(3.0, Stop.CONVERGED), (6.0, Stop.DISAGREEMENT)])
 def test_landmarks_elsewhere_rule_a_pose_out(off_mm: float, stop: Stop) -> None:
     elsewhere = toy_pose().perturbed_left(np.zeros(3), np.array([off_mm, 0.0, 0.0]), CENTER_MM)
-    result = _register(_levels(speckle=0.3), toy_pose(), landmarks=elsewhere)
+    result = _register(_levels(speckle=0.3), toy_pose(), landmarks=lambda _: elsewhere)
     assert result.stop is stop
     assert result.landmarks_mm == pytest.approx(off_mm, abs=0.6)
     assert (result.tre_bound_mm, result.touched) == (None, None)
@@ -261,6 +263,22 @@ def test_a_heart_of_another_shape_is_refused_by_name(
     assert ("may be another patient's" in result.sentence) is (seen_mm > 3.5)
     off = replace(result, landmarks_mm=12.0).sentence
     assert ("check the probe calibration first" in off) is (stop is Stop.CHANGED_SHAPE)
+
+
+@pytest.mark.parametrize("shared", [0.2, 0.8])
+def test_landmarks_are_fitted_through_a_change_of_shape_that_is_followed(shared: float) -> None:
+    warp = Warp("mr", np.zeros(3), 16.0, np.zeros((15, 15, 15, 4), np.float32))
+    change = ShapeChange(warp, 3.0, 90.0, 0.9, "left", 4.0, 0.3, shared, Halves(0.5, 0.4))
+    fits: dict[Warp | None, float] = {warp: 1.0, None: 6.0}
+
+    def landmarks(through: Warp | None) -> Rigid:
+        return pose.perturbed_left(np.zeros(3), np.array([fits[through], 0.0, 0.0]), CENTER_MM)
+
+    pose = toy_pose()
+    result = replace(any_result(), target_from_source=pose, center_mm=CENTER_MM, shape=change)
+    checked = register_module.against_touched(result, landmarks, None)
+    assert checked.landmarks_mm == pytest.approx(1.0 if shared < 0.7 else 6.0)
+    assert (checked.stop is Stop.DISAGREEMENT) is (shared > 0.7)
 
 
 @pytest.mark.parametrize("imaged", [0.6, 1.0])

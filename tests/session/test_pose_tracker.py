@@ -348,7 +348,11 @@ MARKS = touched_at(1.0, HOME)
 
 def with_prior(ultrasound: Ultrasound, from_s: float, until_s: float = np.inf) -> set[bool]:
     """Whether landmarks take part in the registrations requested in that time."""
-    return {r.prior is not None for r in ultrasound.requests if from_s <= r.until_s < until_s}
+    return {
+        r.prior is not None and r.prior.in_search
+        for r in ultrasound.requests
+        if from_s <= r.until_s < until_s
+    }
 
 
 def test_landmarks_start_the_first_registration_and_take_part_in_it() -> None:
@@ -364,7 +368,9 @@ def test_landmarks_do_not_pull_if_the_operator_gave_a_start() -> None:
     ultrasound = Ultrasound()
     tracked(ultrasound, 13.0, landmarks=MARKS)
     assert ultrasound.requests[0].start is HOME
-    assert ultrasound.requests[0].prior is None
+    prior = ultrasound.requests[0].prior
+    assert prior is not None
+    assert not prior.in_search
 
 
 def test_landmarks_that_were_touched_before_a_suspension_pull_no_more() -> None:

@@ -152,6 +152,6 @@ def test_landmarks_elsewhere_rule_the_pose_out(
 ) -> None:
     touched = toy_pose().perturbed_left(np.zeros(3), np.array([off_mm, 0.0, 0.0]), CENTER_MM)
     result = register_gated_volumes(
-        [at(0.4)], toy_beating_heart(), toy_pose(), mr=None, seed=0, clock=clock, landmarks=touched
+        [at(0.4)], toy_beating_heart(), toy_pose(), mr=None, seed=0, clock=clock, landmarks=lambda _: touched
     )
     assert result.stop is stop

@@ -56,14 +56,14 @@ def _register_volumes(
 ) -> "tuple[RegistrationResult, ShownInput]":
     from time import perf_counter
 
-    from dvf_ig.intake.start import landmark_prior, landmarks_start, start_pose
+    from dvf_ig.intake.start import landmark_fit, landmark_prior, landmarks_start, start_pose
     from dvf_ig.io import read_gated_volumes
     from dvf_ig.replay.page.registration_inputs import volumes_shown
     from dvf_ig.session import build_heart, register_gated_volumes
 
     heart, mr = build_heart(files.heart, model), files.heart.mr
     pose = start_pose(files.start, heart, seed)
-    landmarks = pose if landmarks_start(files.start) else None
+    landmarks = landmark_fit(files.start) if landmarks_start(files.start) else None
     volumes = read_gated_volumes(files.volumes, _model_phases(files, model))
     result = register_gated_volumes(
         volumes,

@@ -124,7 +124,12 @@ def _steepest(warp: Warp) -> float:
     m_mm = warp.coefficients[..., :3].astype(np.float64)
     weights = ((slope, value, value), (value, slope, value), (value, value, slope))
     columns = [np.einsum("ai,bj,ck,ijkl->abcl", *each, m_mm, optimize=True) for each in weights]
-    return float(np.linalg.norm(np.stack(columns, axis=-1), ord=2, axis=(3, 4)).max() / warp.knot_mm)
+    slopes = np.stack(columns, axis=-1).reshape(-1, 3, 3)
+    largest = (slopes**2).sum(
+        axis=(1, 2)
+    )  # of three squares of singular values: the largest is a third or more
+    steep = slopes[largest >= largest.max() / 3.0]
+    return float(np.linalg.norm(steep, ord=2, axis=(1, 2)).max() / warp.knot_mm)
 
 
 def knots(origin_mm: FloatArray, knot_mm: float, cells: int = CELLS) -> FloatArray:

@@ -4,7 +4,8 @@
            calibration had nothing; a check that could not be made counts as one that only just passed
     μ      w₀ + Σ w_j x_j, all w_j >= 0: predicted logarithm of the largest target error
     P      of a mean error below 2 mm: isotonic regression on μ
-    bound  exp(μ + q), q the split-conformal 95 % quantile of log(largest error) − μ, one heart one trial
+    bound  exp(μ + q), q the split-conformal 95 % quantile of log(largest error) − μ, one heart one trial; of
+           a heart that its images cover in part that of its scaled covariance (`registration.register`)
     scale  exp(v₀ + Σ v_j x_j): of the covariance, whose 90 % region then holds the truth in 90 % of hearts
 
 P and bound are cross-fitted by heart (`study.hearts.fit`). For images whose statistics lie outside all that
@@ -148,7 +149,7 @@ class Table:
         missing: (f,) what a check counts as that could not be made.
         predicted: (k,) increasing μ; probability: (k,) decreasing P there, linear between them.
         refused_probability: share of successes among poses that a check refused.
-        bound_quantile: q; inf if there were too few hearts for one.
+        bound_quantile: q; inf if there were too few hearts for one, or the covariance bounds the error.
         largest: μ above which a pose must not guide.
         scale_intercept, scale_weights: v₀ and (f,) v_j of the covariance's scale.
         ranges: lowest and highest value of each image statistic.

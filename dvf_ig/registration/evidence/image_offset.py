@@ -4,21 +4,25 @@ A wrong probe calibration moves every image by the same step in the probe's fram
 the tracker's for each position of the probe: no one pose of the heart undoes it. Pose ξ and step η are found
 together, from the pose of a registration on, by the gradient of LC2 over each slice (`Lc2.cost_gradient`): a
 step η about the image's middle m moves slice i as ξ = A_i η does. A Gaussian prior keeps to the calibration
-what the views say nothing of. A heart that has changed its shape is another explanation of the same views:
-where the boundary shows one, the likelier of the two counts.
+what the views say nothing of. Touched landmarks do not move with the image: a pose that a wrong calibration
+draws aside is away from them, which shows much smaller errors than the views alone do. A heart that has
+changed its shape is another explanation of the same views: where the boundary shows one, the likelier counts.
 """
 
 import math
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from scipy.optimize import minimize
+from scipy.stats import f as f_distribution
 
 from dvf_ig.core import HEART_RADIUS_MM, FloatArray, Rigid, Warp, read_only_arrays
 from dvf_ig.registration.lc2.lc2 import CostGradient, Lc2
 from dvf_ig.registration.lc2.slices import SliceSet
 from dvf_ig.registration.pose_chart import PoseChart
 from dvf_ig.registration.shape.blocks import BlockedLc2
+from dvf_ig.registration.start import LandmarkPrior
 
 PRIOR_SIGMA_MM = 8.0
 """Standard deviation of each coordinate of the step: of a marker put on the probe again."""
@@ -62,6 +66,7 @@ class ImageOffset:
         pose: target_from_source.
         moved_mm, turned_deg: by which the image's middle was moved, and the image turned.
         log_likelihood_ratio: of that calibration against the given one.
+        landmarks: number of touched landmarks that count as well as the views.
         shape_log_ratio: of a change of the heart's shape that the boundary shows, against the given
             calibration and a rigid heart; None if it shows none.
     """
@@ -71,14 +76,20 @@ class ImageOffset:
     moved_mm: float
     turned_deg: float
     log_likelihood_ratio: float
+    landmarks: int = 0
     shape_log_ratio: float | None = None
 
     @property
     def limit(self) -> float:
-        """The log-likelihood ratio above which the views contradict the calibration."""
-        if self.shape_log_ratio is None:
-            return SUSPICIOUS_LOG_RATIO
-        return max(self.shape_log_ratio, 0.0) + CHANCE_LOG_RATIO
+        """The log-likelihood ratio above which the views contradict the calibration.
+
+        Landmarks take their σ from their own 3n − 6 residuals: six parameters gain by chance 3·F(6, 3n − 6).
+        """
+        if self.shape_log_ratio is not None:
+            return max(self.shape_log_ratio, 0.0) + CHANCE_LOG_RATIO
+        if self.landmarks:
+            return 3.0 * float(f_distribution.ppf(0.99, 6, 3 * self.landmarks - 6))
+        return SUSPICIOUS_LOG_RATIO
 
     @property
     def suspicious(self) -> bool:
@@ -88,14 +99,21 @@ class ImageOffset:
     @property
     def sentence(self) -> str:
         """The sentence a user reads if it is suspicious."""
+        what = "the views and the touched landmarks together fit" if self.landmarks else "the views fit"
         return (
-            f"the views fit the model much better with the image moved by {self.moved_mm:.1f} mm and turned "
+            f"{what} the model much better with the image moved by {self.moved_mm:.1f} mm and turned "
             f"by {self.turned_deg:.1f}° on its probe: the calibration is of another day or probe, or the "
             "probe's marker has moved; calibrate the probe again"
         )
 
 
-def fit_image_offset(probe: ProbePoses, metric: Lc2, pose: Rigid, center_mm: FloatArray) -> ImageOffset:
+def fit_image_offset(
+    probe: ProbePoses,
+    metric: Lc2,
+    pose: Rigid,
+    center_mm: FloatArray,
+    landmarks: LandmarkPrior | None = None,
+) -> ImageOffset:
     """Find pose and calibration together.
 
     Patches keep their weights at the given calibration, so that the cost is smooth.
@@ -104,22 +122,36 @@ def fit_image_offset(probe: ProbePoses, metric: Lc2, pose: Rigid, center_mm: Flo
         metric: LC2 of the slices; coarse ones do.
         pose: near the optimum, target_from_source.
         center_mm: (3,) about which poses turn, target frame.
+        landmarks: touched on the patient, with a tool that has its own calibration.
     """
     poses, images = PoseChart(pose, center_mm), PoseChart(probe.probe_from_image, probe.middle_mm)
 
     def cost_at(step: FloatArray) -> tuple[float, FloatArray]:
         here = poses.pose(step[:6])
         each = metric.cost_gradient(here, center_mm, _placed(metric.slices, probe, images.pose(step[6:])))
-        return _cost(each, metric.information, _motion(probe, here, center_mm), step[6:])
+        cost, gradient = _cost(each, metric.information, _motion(probe, here, center_mm), step[6:])
+        if landmarks is not None:
+            cost += landmarks.energy(here)
+            gradient[:6] -= landmarks.normal_equations(here, center_mm)[1]
+        return cost, gradient
 
-    solution = minimize(cost_at, np.zeros(12), jac=True, method="BFGS", options={"maxiter": STEPS})
+    def cost_as_given(xi: FloatArray) -> tuple[float, FloatArray]:
+        cost, gradient = cost_at(np.concatenate([xi, np.zeros(6)]))
+        return cost, gradient[:6]
+
+    search = partial(minimize, jac=True, method="BFGS", options={"maxiter": STEPS})
+    solution = search(cost_at, np.zeros(12))
+    as_given = cost_at(np.zeros(12))[0]
+    if landmarks is not None:
+        as_given = float(search(cost_as_given, np.zeros(6)).fun)
     turn, shift = solution.x[6:9], solution.x[9:]
     return ImageOffset(
         probe_from_image=images.pose(solution.x[6:]),
         pose=poses.pose(solution.x[:6]),
         moved_mm=float(np.linalg.norm(shift)),
         turned_deg=float(np.degrees(np.linalg.norm(turn)) / HEART_RADIUS_MM),
-        log_likelihood_ratio=cost_at(np.zeros(12))[0] - float(solution.fun),
+        log_likelihood_ratio=as_given - float(solution.fun),
+        landmarks=0 if landmarks is None else len(landmarks.target),
     )
 
 

@@ -15,7 +15,8 @@ Gauss–Newton with the weights of Geman and McClure; then w is integrated out. 
 """
 
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
@@ -54,6 +55,8 @@ STEPS = 6
 """Most steps of a descent with OUTLIER_MM, unless fewer do."""
 FAR = (3.0, 3.0, 3.0)
 """Factors on OUTLIER_MM in the first steps of a descent that begins at a rigid heart: walls may be far."""
+CORRECTION_STEPS = 3
+"""Most steps of a correction by the points of one beat."""
 SETTLED_MM = 0.02
 KERNEL_CUT = 2.5
 """Where the kernel of the shared error is cut, in its standard deviations."""
@@ -96,6 +99,13 @@ class SeenBoundary:
     organ: BoundaryTarget | None
 
 
+class Level(NamedTuple):
+    """Offset of the boundary and mean thinness of its walls, about which o and τ are free."""
+
+    offset_mm: float
+    thin: float
+
+
 class ImagedBlocks:
     """Blocks of images that a change of shape displaces, by LC2."""
 
@@ -116,6 +126,27 @@ class ImagedBlocks:
         return flat.T @ bent.reshape(flat.shape), flat.T @ gradient.ravel()
 
 
+class NormalEquations(NamedTuple):
+    """Of a step of a fit, the shared error integrated out.
+
+    Attributes:
+        curvature: (k, k); slope: (k,) of −log likelihood by the state.
+        lower: (l, l) Cholesky factor of the shared error's curvature; mixed: (l, k), last: (l,) of it and the
+            state, and of its slope, by that factor.
+    """
+
+    curvature: FloatArray
+    slope: FloatArray
+    lower: FloatArray
+    mixed: FloatArray
+    last: FloatArray
+
+    def shared_change(self, change: FloatArray) -> FloatArray:
+        """(l,) change of w that a change of the state leads to."""
+        right = self.last + self.mixed @ change
+        return np.asarray(solve_triangular(self.lower, right, trans=1, lower=True, check_finite=False))
+
+
 class ShapeProblem:
     """Boundary points that lie near the model's boundary at a pose.
 
@@ -123,16 +154,23 @@ class ShapeProblem:
         places_mm: (n, 3) the points at the pose, target frame.
         outward: (n, 3) unit normals of the model's boundary there, from the blood to the wall.
         model_phase: (n,) when in the model's cycle each was seen.
+        level: about which o and τ are counted.
     """
 
     def __init__(
-        self, seen: SeenBoundary, modes: ShapeModes, count: int, about: ShapePosterior | None = None
+        self,
+        seen: SeenBoundary,
+        modes: ShapeModes,
+        count: int,
+        about: ShapePosterior | None = None,
+        level: Level | None = None,
     ) -> None:
         """Place the points and evaluate the modes at them.
 
         Args:
             count: how many modes.
             about: change of shape at which points are compared with the model's edges; None: rigid.
+            level: of another problem, whose o and τ these shall be; None: of these points.
         """
         boundary, offset_mm, pose = seen.boundary, seen.offset_mm, seen.pose
         few = boundary.points.subsampled(POINTS)
@@ -159,11 +197,13 @@ class ShapeProblem:
         self.model_phase, self._phases = few.model_phase[near], phases[near]
         depth = _depth_mm(seen.organ, few.model_phase, pulled + foot)[near]
         thin = np.exp(-np.maximum(depth, 0.0) / THIN_MM)
-        thin -= thin.mean() if near.any() else 0.0
+        mean = level.thin if level is not None else float(thin.mean()) if near.any() else 0.0
+        thin -= mean
         self._offsets = agreement[near, None] * np.column_stack([np.ones(len(thin)), thin])
         at_edge = pulled + foot + np.nan_to_num(edge)[:, None] * normals
         self._edge_mm = self._distance(at_edge[near], self._phases)[0]
-        self._offset_mm = offset_mm - (float(np.median(self._edge_mm)) if near.any() else 0.0)
+        middle_mm = float(np.median(self._edge_mm)) if near.any() else 0.0
+        self.level = Level(offset_mm - middle_mm, mean) if level is None else level
         self._weight = oriented.weights[near] * agreement[near]
         self._motion = rigid_motion(self.places_mm, modes.center_mm)
         # modes at the feet of the points: at the points, a change that varies along the normal explains noise
@@ -181,7 +221,7 @@ class ShapeProblem:
         """Keep some of the points."""
         some = copy(self)
         for name, of_points in vars(self).items():
-            if name not in ("_splines", "_offset_mm"):
+            if name not in ("_splines", "level"):
                 setattr(some, name, of_points[keep])
         return some
 
@@ -208,8 +248,7 @@ class ShapeProblem:
             images: whose LC2 counts as well, at steps with OUTLIER_MM; None: the boundary alone.
         """
         modes = self._modes if scale_mm > 0 else self._modes[:, :, :0]
-        count, rows = modes.shape[2], noise * self._shared
-        variance = (noise * NOISE_MM) ** 2 + scale_mm**2 * self._left_out
+        count, rows, variance = modes.shape[2], noise * self._shared, self._variance(scale_mm, noise)
         prior = np.full(FIXED + count, max(scale_mm, 1e-3) ** -2.0)
         prior[:FIXED] = [POSE_SIGMA_MM**-2] * 6 + [OFFSET_SIGMA_MM**-2, THIN_SIGMA_MM**-2]
         state, w = np.zeros(FIXED + count), np.zeros(rows.shape[1])
@@ -217,25 +256,14 @@ class ShapeProblem:
             state[: len(begin.state)] = begin.state
         far = FAR if begin is None or begin.scale_mm == 0.0 else ()
         for step in range(len(far) + steps):
-            residual, columns = self._expansion(state, modes)
-            residual = residual - rows @ w
             outlier = OUTLIER_MM * (far[step] if step < len(far) else 1.0)
-            near = 1.0 / (1.0 + (residual / outlier) ** 2)
-            root = near * np.sqrt(self._weight / variance)
-            expected, shared = root[:, None] * columns, rows.multiply(root[:, None]).tocsr()
-            own = (shared.T @ shared).toarray() + np.eye(len(w))
-            lower = cholesky(own, lower=True, overwrite_a=True, check_finite=False)
-            right = np.column_stack([shared.T @ expected, shared.T @ (root * residual) - w])
-            half = solve_triangular(lower, right, lower=True, overwrite_b=True, check_finite=False)
-            mixed, last = half[:, :-1], half[:, -1]
-            reduced = expected.T @ expected - mixed.T @ mixed + np.diag(prior)
-            slope = expected.T @ (root * residual) + prior * state - mixed.T @ last
+            at = self._normal_equations(state, w, modes, rows, variance, outlier)
+            curvature, slope = at.curvature + np.diag(prior), at.slope + prior * state
             if images is not None and step >= len(far):
-                curvature, gradient = images.expansion(state)
-                reduced, slope = reduced + curvature, slope + gradient
-            change = -np.linalg.solve(reduced, slope)
-            state = state + change
-            w = w + solve_triangular(lower, last + mixed @ change, trans=1, lower=True, check_finite=False)
+                more, gradient = images.expansion(state)
+                curvature, slope = curvature + more, slope + gradient
+            change = np.asarray(-np.linalg.solve(curvature, slope))
+            state, w = state + change, w + at.shared_change(change)
             if np.linalg.norm(change[:6]) < SETTLED_MM and step >= len(far):
                 break
         residual = self._expansion(state, modes)[0] - rows @ w
@@ -243,11 +271,56 @@ class ShapeProblem:
         log_evidence = (
             -0.5 * float(self._weight @ (residual**2 / variance * near + np.log(variance)))
             - 0.5 * float(prior @ state**2 + w @ w - np.log(prior[FIXED:]).sum())
-            - 0.5 * float(np.linalg.slogdet(reduced)[1])
-            - float(np.log(np.diag(lower)).sum())
+            - 0.5 * float(np.linalg.slogdet(curvature)[1])
+            - float(np.log(np.diag(at.lower)).sum())
         )
         shared = float(np.mean(w**2))
-        return ShapePosterior(state, np.linalg.inv(reduced), scale_mm, log_evidence, shared)
+        return ShapePosterior(state, np.linalg.inv(curvature), scale_mm, log_evidence, shared)
+
+    def corrected(self, before: ShapePosterior, noise: float) -> ShapePosterior:
+        """Correct a fit to earlier points, whose errors these do not share, by these.
+
+        Args:
+            noise: factor on NOISE_MM and SHARED_MM.
+        """
+        rows, variance = noise * self._shared, self._variance(before.scale_mm, noise)
+        known = np.linalg.inv(before.covariance_mm2)
+        state, w = before.state, np.zeros(rows.shape[1])
+        for _ in range(CORRECTION_STEPS):
+            at = self._normal_equations(state, w, self._modes, rows, variance, OUTLIER_MM)
+            curvature = at.curvature + known
+            change = np.asarray(-np.linalg.solve(curvature, at.slope + known @ (state - before.state)))
+            state, w = state + change, w + at.shared_change(change)
+            if np.linalg.norm(change[:6]) < SETTLED_MM:
+                break
+        covariance = np.linalg.inv(curvature)
+        return replace(before, state=state, covariance_mm2=0.5 * (covariance + covariance.T))
+
+    def _variance(self, scale_mm: float, noise: float) -> FloatArray:
+        """(n,) of the points' own errors, and of what the modes leave out."""
+        return np.asarray((noise * NOISE_MM) ** 2 + scale_mm**2 * self._left_out)
+
+    def _normal_equations(
+        self,
+        state: FloatArray,
+        w: FloatArray,
+        modes: FloatArray,
+        rows: csr_array,
+        variance: FloatArray,
+        outlier_mm: float,
+    ) -> "NormalEquations":
+        """Expand −log likelihood, with w integrated out, about a state and a w."""
+        residual, columns = self._expansion(state, modes)
+        residual = residual - rows @ w
+        root = np.sqrt(self._weight / variance) / (1.0 + (residual / outlier_mm) ** 2)
+        expected, shared = root[:, None] * columns, rows.multiply(root[:, None]).tocsr()
+        own = (shared.T @ shared).toarray() + np.eye(len(w))
+        lower = cholesky(own, lower=True, overwrite_a=True, check_finite=False)
+        right = np.column_stack([shared.T @ expected, shared.T @ (root * residual) - w])
+        half = solve_triangular(lower, right, lower=True, overwrite_b=True, check_finite=False)
+        mixed, last = half[:, :-1], half[:, -1]
+        curvature = expected.T @ expected - mixed.T @ mixed
+        return NormalEquations(curvature, expected.T @ (root * residual) - mixed.T @ last, lower, mixed, last)
 
     def shift_mm(self, fit: ShapePosterior) -> FloatArray:
         """(n,) pull-back along the normals that a fit gives at the points, also one to other points."""
@@ -271,7 +344,7 @@ class ShapeProblem:
             -self._offsets,
             -np.einsum("ni,nik->nk", gradient, modes),
         ]
-        offset = self._offsets @ (state[6:FIXED] + np.array([self._offset_mm, 0.0]))
+        offset = self._offsets @ (state[6:FIXED] + np.array([self.level.offset_mm, 0.0]))
         residual = distance - self._edge_mm - offset
         return residual, np.concatenate(columns, axis=1)
 

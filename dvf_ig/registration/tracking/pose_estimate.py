@@ -41,7 +41,8 @@ from dvf_ig.core.space.warp import RIGID_SIGMA_MM
 from dvf_ig.registration.lc2.lc2 import Lc2
 from dvf_ig.registration.lc2.optimise import PRIOR_SIGMA_MM, GaussianPrior, OptimiserOptions, optimise
 from dvf_ig.registration.pose_chart import PoseChart, covariance_to_mm, rigid_motion
-from dvf_ig.registration.shape.change import GuardedWalls, ShapeChange
+from dvf_ig.registration.shape.change import ShapeChange
+from dvf_ig.registration.shape.estimate import PROCESS_NOISE_MM, GuardedWalls, ShapeEstimate
 
 WEIGHT_TOLERANCE = 1e-3
 """Tolerance of ω: the determinant is flat at its minimum."""
@@ -52,10 +53,6 @@ FIXED_FIT_STIFFNESS = 4.0
 degrees has a median of 4.9 to 7.5. With the 8 to 12 of true curvature (see `lc2.optimise`) a still pose is
 better, 0.87 against 0.92 mm, but its stated uncertainty is twice too large and a drift is followed too
 slowly."""
-PROCESS_NOISE_MM = 0.15
-"""Standard deviation per coordinate of the heart's displacement from beat to beat. With a FIXED_FIT_STIFFNESS
-of 10, 0.15 or 0.2 gives tuning seeds 101 and 103 0.84 or 0.87 mm still, and 101, drifting by 10 mm/min, 1.36
-or 1.28."""
 WRONG_MM = 8.0
 """How far the wrong poses lie that a beat's optimum is compared with: a patient's shift worth finding."""
 WRONG_DIRECTIONS = np.diag([1.0, -1.0, 1.0, 1.0, -1.0, 1.0])[3:]
@@ -141,6 +138,7 @@ class PoseEstimate:
             shape has pulled aside (`registration.shape`); None if they are the same.
         warp: change of the heart's shape at `pose`, and walls: how well it knows those that are guarded;
             None if the last registration found none.
+        shape: pose and change of shape together, which beats correct; None if nothing does.
         square_of_targets: (6, 6) M, the mean square distance by which ξ moves the targets is ξᵀMξ.
     """
 
@@ -151,6 +149,7 @@ class PoseEstimate:
     shape_step: Rigid | None = None
     warp: Warp | None = None
     walls: GuardedWalls | None = None
+    shape: ShapeEstimate | None = None
     square_of_targets: FloatArray = field(default_factory=lambda: np.diag(MEAN_SQUARE_OF_COORDINATES))
 
     @classmethod
@@ -173,8 +172,9 @@ class PoseEstimate:
         """
         step = None if matched is None else pose @ matched.inverse()
         noise, all_errors = covariance_to_mm(noise_covariance), covariance_to_mm(covariance)
-        warp, walls = (None, None) if change is None else (change.warp, change.guarded)
-        estimate = cls(pose, noise, center_mm, all_errors, step, warp, walls)
+        estimate = cls(pose, noise, center_mm, all_errors, step)
+        if change is not None:
+            estimate = replace(estimate, warp=change.warp)._following(change.estimate)
         if targets_mm is None:
             return estimate
         motion = rigid_motion(targets_mm, center_mm)
@@ -235,24 +235,39 @@ class PoseEstimate:
 
     def predict(self, beats: float) -> "PoseEstimate":
         """Add the process noise of `beats` beats."""
-        return replace(self, covariance_mm2=self.covariance_mm2 + beats * PROCESS_NOISE_MM**2 * np.eye(6))
+        covariance = self.covariance_mm2 + beats * PROCESS_NOISE_MM**2 * np.eye(6)
+        shape = None if self.shape is None else self.shape.predicted(beats)
+        return replace(self, covariance_mm2=covariance, shape=shape)
 
-    def update(self, offset_information_mm: FloatArray, information: FloatArray) -> "PoseEstimate":
-        """The estimate with one more measurement, the same while a change of shape is followed.
+    def update(
+        self,
+        offset_information_mm: FloatArray,
+        information: FloatArray,
+        shape: ShapeEstimate | None = None,
+    ) -> "PoseEstimate":
+        """The estimate with one more measurement.
 
-        Its walls are where the registration saw them. A beat's own view, compared as a rigid heart's, would
-        draw them aside from beat to beat (docs/decisions/0042).
+        While a change of shape is followed the pose stays: what the heart moves by is a part of the change. A
+        beat's own view, compared as a rigid heart's, would draw the walls aside from beat to beat
+        (docs/decisions/0042).
 
         Args:
             offset_information_mm: (6,) Jξ, per mm, with ξ in the coordinates of `PoseChart` about `pose`.
             information: (6, 6) J, per mm².
+            shape: the change of shape, corrected by the same beat; None if its boundary says nothing of it.
         """
-        if self.warp is not None:
-            return self
         covariance = np.asarray(np.linalg.inv(np.linalg.inv(self.covariance_mm2) + information))
+        if self.warp is not None:
+            return replace(self, covariance_mm2=covariance)._following(shape)
         offset = covariance @ offset_information_mm
         pose = PoseChart(self.pose, self.center_mm).pose(offset)
         return replace(self, pose=pose, covariance_mm2=covariance)
+
+    def _following(self, shape: ShapeEstimate | None) -> "PoseEstimate":
+        """With another estimate of the change of shape at the pose; the same without one."""
+        if shape is None:
+            return self
+        return replace(self, shape=shape, warp=shape.warp, walls=shape.walls)
 
     def intersected_with(self, registered: "PoseEstimate", beats: float) -> "PoseEstimate":
         """With a registration of frames that the beats have used; see the module docstring.
@@ -270,12 +285,23 @@ class PoseEstimate:
             (moved_mm2, registered.shared_mm2),
             chart.coordinates(registered.pose),
         )
-        pose, warp = chart.pose(offset), registered.warp
+        pose, warp, shape = chart.pose(offset), registered.warp, registered.shape
         if warp is not None:  # the walls are where the registration saw them
             warp = warp.at_pose(registered.pose, pose)
         there = replace(
-            self, pose=pose, covariance_mm2=random, shared_mm2=shared, warp=warp, walls=registered.walls
+            self,
+            pose=pose,
+            covariance_mm2=random,
+            shared_mm2=shared,
+            warp=warp,
+            walls=registered.walls,
+            shape=None,
         )
+        if shape is not None:
+            shape = shape.predicted(beats).at_pose(registered.pose, pose)
+            if self.shape is not None:
+                shape = self.shape.at_pose(self.pose, pose).intersected_with(shape)
+            there = there._following(shape)
         if registered.shape_step is self.shape_step:
             return there
         reshaped = replace(there, shape_step=registered.shape_step)

@@ -8,7 +8,8 @@ from dvf_ig.core import HEART_RADIUS_MM, Stop
 from dvf_ig.registration import LANDMARKS_MM, PairEvidence, RegistrationResult
 from dvf_ig.registration.evidence.checks import WRONG_MM
 from dvf_ig.registration.evidence.phase_offset import SUSPICIOUS_LOG_RATIO, SUSPICIOUS_S
-from dvf_ig.registration.shape.change import LARGEST_APART_MM, LARGEST_SHARED, LARGEST_SLOPE, Halves
+from dvf_ig.registration.shape.change import LARGEST_APART_MM, LARGEST_SHARED, Halves
+from dvf_ig.registration.shape.estimate import LARGEST_SLOPE
 from dvf_ig.report.registration import Check, Outcome
 
 BOUNDARY_UNSEEN = "no boundary seen"
@@ -71,7 +72,7 @@ def _z_score(result: RegistrationResult) -> Check:
 
 def _disagreements(result: RegistrationResult) -> list[Check]:
     evidence, limits = result.evidence, result.options.limits
-    if result.shape is not None and result.shape.followed is not None:
+    if result.shape is not None and result.shape.explains:
         evidence = evidence.of_changed_shape()
     return [
         _at_most(

@@ -21,7 +21,15 @@ from data_synth.signals.tracker import TrackerSpec, sampling_times, tracked
 from dvf_ig.cardiac import RPeak
 from dvf_ig.core import Grid, ImageMap, Points, PoseStream, Rigid, Stop, mean_displacement_mm
 from dvf_ig.core.arrays import FloatArray, read_only_arrays
-from dvf_ig.registration import Evidence, Gated, ImageStatistics, ModelChannels, PoseChart, RegistrationResult
+from dvf_ig.registration import (
+    Evidence,
+    Gated,
+    ImageStatistics,
+    ModelChannels,
+    PoseChart,
+    RegistrationResult,
+    ShapeEstimate,
+)
 from dvf_ig.registration.images import RegistrationOptions
 from dvf_ig.registration.tracking.pose_estimate import BeatMeasurement, PoseEstimate
 from dvf_ig.session import BeatEvaluation, GatedFrames, Heart, RegistrationRecord, RegistrationRequest
@@ -91,6 +99,10 @@ class KnownBeat:
     detected_s: float
     pose: Rigid
     view_mm: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
+
+    def correct(self, shape: ShapeEstimate, pose: Rigid) -> tuple[None, float]:
+        """Show no boundary: there are no images."""
+        return None, 0.0
 
     def evaluate_beat(self, pose: Rigid, center_mm: FloatArray, *, in_use: bool) -> BeatEvaluation:
         """Compare the beat with a pose."""

@@ -5,7 +5,7 @@ hearts (cross-fitting in FOLDS). Fitted are, for each kind of images, the tables
 `registration.evidence.assessment`:
 
 Of a heart that its MR covers in part, errors are those over the surface of the covered part: elsewhere there
-is no force.
+is no force. Its bound is that of the scaled covariance, and not fitted.
 
 1. log(largest error) ≈ w₀ + Σ w_j x_j with w_j >= 0, Huber's weights for the residuals;
 2. isotonic regression (pool adjacent violators) of success on the cross-fitted prediction;
@@ -114,7 +114,9 @@ def fit_table(lines: Sequence[Line]) -> dict[str, Any]:
         "predicted": at.tolist(),
         "probability": chance.tolist(),
         "refused_probability": float((weight[refused & success].sum() + 1.0) / (weight[refused].sum() + 2.0)),
-        "bound_quantile": conformal_quantile((target - predicted)[passed], hearts[passed], weight[passed]),
+        "bound_quantile": None
+        if _partly(lines)
+        else conformal_quantile((target - predicted)[passed], hearts[passed], weight[passed]),
         "largest": _quantile(predicted[good], weight[good], 1.0 - GOOD_REFUSED),
         "scale_intercept": scale_intercept,
         "scale_weights": scale_weights.tolist(),
@@ -127,6 +129,11 @@ def assessed_errors_mm(line: Line) -> tuple[float, float]:
     if line.get("covered_mm") is not None:
         return line["covered_mm"], line["covered_max_mm"]
     return line["tre_mm"], line["tre_max_mm"]
+
+
+def _partly(lines: Sequence[Line]) -> bool:
+    """Whether the hearts' MR covers them in part."""
+    return any(line.get("covered_mm") is not None for line in lines)
 
 
 def _heart(line: Line) -> str:

@@ -62,6 +62,7 @@ class HeartList:
         second_world: seeds of hearts of the second; it is never tuned on.
         changed: seeds of hearts of the first that have changed since the MR.
         patients: of `acdc-cine`, whose real cines are the MR.
+        stacks: seeds of hearts of the first that are imaged as a short-axis stack alone.
     """
 
     name: str
@@ -69,14 +70,16 @@ class HeartList:
     second_world: range
     changed: range
     patients: tuple[str, ...]
+    stacks: range
 
-    def of_world(self, world: str) -> range:
-        """Seeds of the hearts of the "first" or the "second" world.
+    def of_world(self, world: str, images: str) -> range:
+        """Seeds of the hearts of the "first" or the "second" world for a kind of images.
 
         Raises:
             InvalidInputError: the list has none there.
         """
-        seeds = self.second_world if world == "second" else self.first_world
+        first = self.stacks if images == "sweep-of-sax" else self.first_world
+        seeds = self.second_world if world == "second" else first
         if not seeds:
             raise InvalidInputError(
                 f"the {self.name} list has no hearts of the {world} world, which is for reporting alone; "
@@ -85,14 +88,24 @@ class HeartList:
         return seeds
 
 
-TUNING = HeartList("tuning", range(1001, 1061), range(0), range(1001, 1061), ("002", "003"))
-THRESHOLD = HeartList("threshold", range(2001, 2201), range(0), range(2101, 2201), ("008", "009"))
+TUNING = HeartList(
+    "tuning", range(1001, 1061), range(0), range(1001, 1061), ("002", "003"), range(1001, 1061)
+)
+THRESHOLD = HeartList(
+    "threshold", range(2001, 2201), range(0), range(2101, 2201), ("008", "009"), range(2001, 2201)
+)
 REPORTED = HeartList(
-    "reported", range(3181, 3301), range(4081, 4161), range(9401, 9461), ("012", "016", "018")
+    "reported",
+    range(3181, 3301),
+    range(4081, 4161),
+    range(9401, 9461),
+    ("012", "016", "018"),
+    range(3221, 3301),
 )
 """Hearts looked at before a table was fitted, or a rule chosen, are left behind: 3001 to 3060 until decision
 0019, 3061 to 3120 until 0039 of sweeps, 3121 to 3180 until 0039 of gated volumes; of the second world 4001 to
-4040 until 0019, 4041 to 4080 until 0039."""
+4040 until 0019, 4041 to 4080 until 0039; of short-axis stacks 3181 to 3220 until their bound was that of the
+covariance."""
 HEART_LISTS = {chosen.name: chosen for chosen in (TUNING, THRESHOLD, REPORTED)}
 
 

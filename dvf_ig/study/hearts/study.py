@@ -168,7 +168,9 @@ def run(settings: HeartsSettings, driver: Driver) -> Result:
         "changes": [chosen.value for chosen in settings.change],
     }
     chosen = recordings.heart_list(settings.list)
-    hearts = (chosen.changed if settings.change else chosen.of_world(settings.world))[: settings.hearts]
+    hearts = (chosen.changed if settings.change else chosen.of_world(settings.world, settings.images))[
+        : settings.hearts
+    ]
     lines = driver.trials(
         Trials("hearts", conditions, heart_trial),
         recordings.trial_numbers(hearts, conditions),

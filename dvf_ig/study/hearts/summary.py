@@ -132,8 +132,8 @@ def _group(key: tuple[Any, ...], lines: Sequence[Line]) -> HeartGroup:
     placed = [line for line in completed if line["chi2"] is not None]
     parts = [line for line in completed if line.get("covered_mm") is not None]
     floored = [line for line in completed if line.get("floor_mm") is not None]
-    bad = [line for line in completed if line["tre_mm"] > FAILURE_MM]
-    good = [line for line in completed if line["tre_mm"] < SUCCESS_MM]
+    bad = [line for line in completed if assessed_errors_mm(line)[0] > FAILURE_MM]
+    good = [line for line in completed if assessed_errors_mm(line)[0] < SUCCESS_MM]
     measured = [line for line in completed if line.get("walls") is not None]
     region = float(chi2.ppf(COVERAGE, 6))
     return HeartGroup(

@@ -17,7 +17,7 @@ from dvf_ig.kernels.warp import LARGEST_MM2
 from dvf_ig.registration import RegistrationResult
 from dvf_ig.registration.boundary.points import BoundaryPoints
 from dvf_ig.registration.pose_chart import rigid_motion
-from dvf_ig.registration.shape.change import MODES, modes_of
+from dvf_ig.registration.shape.estimate import MODES, modes_of
 from dvf_ig.replay.result.pose import wall_errors_mm
 from dvf_ig.session import Heart
 

@@ -7,15 +7,17 @@ import numpy as np
 import pytest
 from toy_heart import CENTER_MM, toy_mr, toy_pose, toy_slices
 
-from dvf_ig.core import FloatArray, Points, Rigid, Warp
+from dvf_ig.core import FloatArray, Landmarks, Points, Rigid, Warp
 from dvf_ig.core.space.warp import knots
 from dvf_ig.registration import (
+    LandmarkPrior,
     Lc2,
     PoseChart,
     ProbePoses,
     SliceSet,
     channels_from_mr,
     fit_image_offset,
+    prior_from_landmarks,
     target_errors_mm,
 )
 from dvf_ig.registration.evidence.image_offset import ImageOffset, shape_log_ratio
@@ -66,6 +68,26 @@ def test_a_right_calibration_stays() -> None:
     assert 0.0 <= found.log_likelihood_ratio < 0.1
 
 
+def test_landmarks_show_a_wrong_calibration_sooner_than_the_views() -> None:
+    rng = np.random.default_rng(3)
+    marked_mm = CENTER_MM + rng.uniform(-45, 45, (8, 3))
+    touched_mm = toy_pose().inverse().apply_array(marked_mm) + rng.normal(0, 0.5, (8, 3))
+    names = tuple("abcdefgh")
+    mr, tracker = Landmarks(names, Points("mr", marked_mm)), Landmarks(names, Points("tracker", touched_mm))
+    landmarks = prior_from_landmarks(mr, tracker)
+    assert fitted(np.zeros(6), landmarks)[0].log_likelihood_ratio < 0.1
+    alone, both = fitted(1.5 * STEP_MM)[0], fitted(1.5 * STEP_MM, landmarks)[0]
+    assert both.log_likelihood_ratio > 1.5 * alone.log_likelihood_ratio
+
+
+def test_few_landmarks_must_contradict_a_calibration_more_plainly() -> None:
+    """Quantiles of F(6, 9) and F(6, 18), of tables."""
+    offset = ImageOffset(toy_pose(), toy_pose(), 4.0, 2.0, log_likelihood_ratio=14.0)
+    assert replace(offset, landmarks=5).limit == pytest.approx(3 * 5.80, abs=0.02)
+    assert replace(offset, landmarks=8).limit == pytest.approx(3 * 4.01, abs=0.02)
+    assert "touched landmarks" in replace(offset, landmarks=8).sentence
+
+
 def test_a_change_of_shape_explains_views_as_the_motion_that_it_is() -> None:
     """A pull-back by one step everywhere is another pose."""
     slices, _ = seen_with(np.zeros(6))
@@ -84,12 +106,12 @@ def test_a_change_of_shape_explains_views_as_the_motion_that_it_is() -> None:
     assert replace(offset, log_likelihood_ratio=6.0, shape_log_ratio=-2.0).suspicious
 
 
-def fitted(step_mm: FloatArray) -> tuple[ImageOffset, float]:
+def fitted(step_mm: FloatArray, landmarks: LandmarkPrior | None = None) -> tuple[ImageOffset, float]:
     """From the pose that fits best with the calibration as given; its mean error in mm."""
     slices, probe = seen_with(step_mm)
     model = channels_from_mr(toy_mr(), smoothing_mm=1.0)
     metric = partial(Lc2, model=model, patch_mm=21.0, pitch_mm=PITCH_MM)
     start = optimise(metric(slices), toy_pose(), CENTER_MM, None, OptimiserOptions(40, 4.0, 0.02)).pose
-    found = fit_image_offset(probe, metric(slices), start, CENTER_MM)
+    found = fit_image_offset(probe, metric(slices), start, CENTER_MM, landmarks)
     targets = Points("mr", CENTER_MM + np.random.default_rng(1).uniform(-40, 40, (27, 3)))
     return found, float(target_errors_mm(found.pose, toy_pose(), targets).mean())

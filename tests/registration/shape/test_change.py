@@ -13,8 +13,9 @@ from dvf_ig.kernels.warp import LARGEST_MM2
 from dvf_ig.registration import BLOOD, WALL, BoundaryTarget, target_from_labels
 from dvf_ig.registration.boundary.fit import Boundary
 from dvf_ig.registration.boundary.points import BoundaryPoints
-from dvf_ig.registration.pose_chart import rigid_motion
+from dvf_ig.registration.pose_chart import PoseChart, rigid_motion
 from dvf_ig.registration.shape.change import Halves, ShapeChange, change_of_shape
+from dvf_ig.registration.shape.estimate import ShapeEstimate
 from dvf_ig.registration.shape.modes import shape_modes
 
 CENTER = np.array([5.0, -10.0, 20.0])
@@ -133,13 +134,14 @@ def test_a_pressed_wall_is_found_where_it_is(seed: int) -> None:
 def test_the_error_of_the_guarded_walls_is_stated() -> None:
     change = _change(2, pressed=1.0)
     assert change is not None
-    assert change.guarded is not None
+    assert change.estimate is not None
+    walls = change.estimate.walls
     wall, normal = _on_wall(800, np.random.default_rng(7))
     now = wall + _pressed_mm(wall)
     pulled, variance = change.warp.at(now)
     left = np.einsum("ni,ni->n", normal, now - pulled - wall)[variance <= LARGEST_MM2]
-    assert np.mean(left**2) < change.guarded.variance_mm2 < LARGEST_MM2
-    assert 1.0 < change.guarded.variance_mm2**2 / change.guarded.square_mm4 < len(left)
+    assert np.mean(left**2) < walls.variance_mm2 < LARGEST_MM2
+    assert 1.0 < walls.variance_mm2**2 / walls.square_mm4 < len(left)
 
 
 def test_images_show_walls_beside_the_boundary_that_is_seen() -> None:
@@ -192,13 +194,76 @@ def test_a_change_explains_frames_that_were_held_out() -> None:
     assert change.halves.apart_mm < 1.0
 
 
-def test_fixtures_follow_what_the_margins_of_an_unchanged_heart_do_not_hold() -> None:
+def test_fixtures_follow_any_change_that_nothing_speaks_against() -> None:
     change = _change(1, pressed=1.0)
     assert change is not None
     assert change.followed is change.warp
-    small = replace(change, seen_mm=0.99, shared=0.8)
-    assert (small.followed, small.refusal) == (None, None)
+    assert change.explains
+    small = replace(change, seen_mm=0.99)
+    assert small.followed is small.warp
+    assert not small.explains, "checks of a rigid heart hold for it"
+    doubted = replace(small, shared=0.8)
+    assert (doubted.followed, doubted.refusal) == (None, None)
     assert replace(change, shared=0.8).followed is None
+
+
+def _off_mm(estimate: ShapeEstimate, motion: Rigid) -> tuple[FloatArray, FloatArray]:
+    """(n,) errors of the seen walls of a pressed heart that has moved, and their standard deviations."""
+    wall, normal = _on_wall(800, np.random.default_rng(100))
+    now = motion.apply_array(wall + _pressed_mm(wall))
+    pulled, variance = estimate.warp.at(now)
+    return np.einsum("ni,ni->n", normal, now - pulled - wall), np.sqrt(variance)
+
+
+def test_beats_follow_the_heart_and_make_its_walls_surer() -> None:
+    change = _change(2, pressed=1.0)
+    assert change is not None
+    registered = estimate = change.estimate
+    assert registered is not None
+    assert estimate is not None
+    step = Rigid("mr", "mr", np.eye(3), np.array([0.2, -0.4, 0.32]))
+    moved = Rigid("mr", "mr", np.eye(3), np.zeros(3))
+    for beat in range(4):
+        moved = step @ moved
+        points = _boundary(20 + beat, pressed=1.0).points
+        there = (POSE.inverse() @ moved @ POSE).apply_array(points.points_mm)
+        estimate = estimate.predicted(2.0).corrected(replace(points, points_mm=there), POSE)
+    off_mm, sigma_mm = _off_mm(estimate, moved)
+    left_mm, _ = _off_mm(registered, moved)
+    assert np.sqrt(np.mean(off_mm**2)) < 0.6 * np.sqrt(np.mean(left_mm**2)), "it has moved by 2.2 mm"
+    assert 0.4 < np.sqrt(np.mean((off_mm / sigma_mm) ** 2)) < 1.2
+    assert estimate.walls.variance_mm2 < registered.walls.variance_mm2
+    assert estimate.corrected(points.subsampled(10), POSE) is estimate, "few points say nothing"
+
+
+def test_an_estimate_at_another_pose_puts_the_walls_where_they_were() -> None:
+    change = _change(1, pressed=1.0)
+    assert change is not None
+    assert change.estimate is not None
+    pose = PoseChart(POSE, CENTER).pose(np.array([0.4, -0.3, 0.5, 0.8, -0.6, 0.7]))
+    there = change.estimate.at_pose(POSE, pose)
+    wall, _ = _on_wall(200, np.random.default_rng(3))
+    at = (pose @ POSE.inverse()).apply_array(wall)
+    before, after = wall - change.warp.at(wall)[0], at - there.of(there.posterior).warp.at(at)[0]
+    assert np.linalg.norm(after - before, axis=1).max() < 0.4, "modes are those of places 1.4 mm aside"
+
+
+def test_a_registration_of_frames_that_beats_have_used_makes_an_estimate_no_surer() -> None:
+    change, other = _change(1, pressed=1.0), _change(2, pressed=1.0)
+    assert change is not None
+    assert other is not None
+    assert change.estimate is not None
+    assert other.estimate is not None
+    same = change.estimate.intersected_with(change.estimate)
+    np.testing.assert_allclose(same.posterior.state, change.estimate.posterior.state, atol=1e-6)
+    both = change.estimate.intersected_with(other.estimate)
+    least = min(change.estimate.walls.variance_mm2, other.estimate.walls.variance_mm2)
+    assert 0.9 * least < both.walls.variance_mm2
+    still = Rigid("mr", "mr", np.eye(3), np.zeros(3))
+    errors = [
+        np.sqrt(np.mean(_off_mm(one, still)[0] ** 2)) for one in (change.estimate, other.estimate, both)
+    ]
+    assert errors[2] < max(errors[:2])
 
 
 def test_an_abrupt_change_is_refused() -> None:

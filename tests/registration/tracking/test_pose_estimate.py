@@ -10,8 +10,8 @@ from dvf_ig.core import HEART_RADIUS_MM, Rigid, Warp, mean_displacement_mm
 from dvf_ig.core.space.warp import RIGID_SIGMA_MM, knots
 from dvf_ig.registration import BeatMeasurement, Lc2, PoseChart, PoseEstimate, channels_from_mr, measure_beat
 from dvf_ig.registration.pose_chart import covariance_from_mm, rigid_motion
-from dvf_ig.registration.shape.change import GuardedWalls
-from dvf_ig.registration.tracking.pose_estimate import PROCESS_NOISE_MM, TARGET_RADIUS_MM
+from dvf_ig.registration.shape.estimate import PROCESS_NOISE_MM, GuardedWalls
+from dvf_ig.registration.tracking.pose_estimate import TARGET_RADIUS_MM
 
 MR = toy_mr()
 MODEL = channels_from_mr(MR, smoothing_mm=2.0)
@@ -71,7 +71,8 @@ def test_a_beat_of_a_followed_heart_is_measured_where_the_change_of_shape_in_its
     assert variance_mm2 == pytest.approx(0.81 - RIGID_SIGMA_MM**2, abs=1e-5)
     there = measure_beat(beat(TRUTH, 3), pose, CENTER_MM)
     sure, unsure = there.of(followed, 0.0), there.of(followed, variance_mm2)
-    assert followed.update(unsure.offset_information_mm, unsure.information) is followed
+    updated = followed.update(unsure.offset_information_mm, unsure.information)
+    assert (updated.pose, updated.warp) == (followed.pose, warp)
     assert sure.pose is followed.pose
     np.testing.assert_allclose(
         np.linalg.inv(unsure.information),

@@ -107,7 +107,7 @@ def test_of_a_heart_that_is_covered_in_part_the_errors_are_those_of_the_covered_
     ]
     of_whole, of_part = (table_from_json(fit_tables(lines)["kinds"]["sweep"]) for lines in (whole, part))
     assert of_part.intercept == pytest.approx(of_whole.intercept - np.log(2.0))
-    assert of_part.bound_quantile == pytest.approx(of_whole.bound_quantile)
+    assert (of_part.bound_quantile, of_whole.bound_quantile < 1.0) == (np.inf, True)
 
 
 def test_checks_that_tell_nothing_weigh_little_and_none_is_negative(fitted: Table) -> None:

@@ -23,7 +23,7 @@ KNOWN = Truth(toy_pose(), TARGETS, CENTER_MM)
 
 def test_no_heart_is_in_two_lists() -> None:
     lists = list(HEART_LISTS.values())
-    for hearts in ("first_world", "second_world", "changed", "patients"):
+    for hearts in ("first_world", "second_world", "changed", "patients", "stacks"):
         named = [heart for one in lists for heart in getattr(one, hearts)]
         assert len(named) == len(set(named))
 
@@ -39,9 +39,10 @@ def test_an_unknown_list_is_refused_by_name() -> None:
 
 
 def test_hearts_of_the_second_world_are_reported_alone() -> None:
-    assert REPORTED.of_world("second") == REPORTED.second_world
+    assert REPORTED.of_world("second", "sweep-of-sax") == REPORTED.second_world
+    assert REPORTED.of_world("first", "sweep-of-sax").start > REPORTED.of_world("first", "sweep").start
     with pytest.raises(InvalidInputError, match="no hearts of the second world"):
-        heart_list("tuning").of_world("second")
+        heart_list("tuning").of_world("second", "sweep")
 
 
 @pytest.mark.parametrize("start_mm", [0.5, 2.0, 8.0, 20.0, 90.0])
