@@ -22,7 +22,7 @@ from dvf_ig.kernels.vectors import Vector, dot
 from dvf_ig.kernels.warp import Slope, known_share, output_through, warp_at, warped_vector
 from dvf_ig.kernels.worst_phase import worst_phase_force
 
-from .borrowed import borrowed_block
+from .borrowed import borrowed_block, borrowed_from
 
 NO_RATE = (0.0, 0.0, 0.0)
 """Phase, its rate and its standard deviation where a wall at its worst phase does not depend on them."""
@@ -250,7 +250,7 @@ def _step_share(m: Any, status: int, step: float) -> float:
 
 @kernel
 def cross_to_walls(
-    bound: Any, scratch: Any, inputs: Any, t_s: float, xyz: FloatArray, status: int, dt_s: float
+    bound_at: Any, scratch_at: Any, inputs: Any, t_s: float, xyz: FloatArray, status: int, dt_s: float
 ) -> int:
     """Mix what `fixtures_force` gave, at OK, or nothing, at NO_PHASE, with the other case.
 
@@ -258,11 +258,13 @@ def cross_to_walls(
     gets distance, gradient, rate by the pose and σ of the first wall within reach.
 
     Args:
-        bound, scratch, inputs, t_s, xyz: of `fixtures_force`; status: its answer.
+        bound_at, scratch_at, inputs: of `servo_tick`.
+        t_s, xyz: of `fixtures_force`; status: its answer.
         dt_s: since the last tick.
     Returns:
         the status; unless OK or NO_PHASE there is no force.
     """
+    bound, scratch = borrowed_from(bound_at), borrowed_from(scratch_at)
     of, m, sample = bound.settings[0].fixtures, scratch.memory[0], scratch.sample[0]
     composed, other, forces = scratch.composed[0], scratch.other[0], scratch.forces
     if of.walls == 0:

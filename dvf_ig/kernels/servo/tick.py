@@ -11,10 +11,11 @@ from typing import Any
 
 from dvf_ig.core import FloatArray
 from dvf_ig.kernels import status as code
-from dvf_ig.kernels.compiled import inlined, kernel
+from dvf_ig.kernels.compiled import inlined, separate
 from dvf_ig.kernels.laws import LARGEST_FORCE_N, direction_certainty
 
 from . import supervision
+from .borrowed import borrowed, borrowed_from
 from .fixtures import cross_to_walls, fixtures_force
 from .passivity import control, note_sent, observe
 from .supervision import supervise
@@ -79,10 +80,10 @@ def _within_ceiling(force: FloatArray) -> None:
             force[k] = force[k] * (LARGEST_FORCE_N / length) if math.isfinite(length) else 0.0
 
 
-@inlined
+@separate
 def servo_tick(
-    bound: Any,
-    scratch: Any,
+    bound_at: Any,
+    scratch_at: Any,
     inputs: Any,
     xyz_device: FloatArray,
     device_status: int,
@@ -93,12 +94,15 @@ def servo_tick(
     """One tick; its record is `scratch.row`.
 
     Args:
-        bound: `Bound`; scratch: `Scratch`; inputs: INPUTS, what the session published.
+        bound_at, scratch_at: addresses (`placed`) of `Bound` and `Scratch`.
+        inputs: INPUTS, what the session published.
         xyz_device: (3,) mm, device frame; device_status: not 0 where the device did not answer.
         clock_s: monotonic clock at which the position was read.
         active: bits of the hazards that the loop met.
         force_device: (3,) N to send, device frame.
     """
+    bound, scratch = borrowed_from(bound_at), borrowed_from(scratch_at)
+    xyz_device, force_device = borrowed(xyz_device), borrowed(force_device)
     settings, m, sample = bound.settings[0], scratch.memory[0], scratch.sample[0]
     composed, row, hazards = scratch.composed[0], scratch.row[0], bound.settings[0].hazards
     vectors = scratch.vectors
@@ -129,7 +133,7 @@ def servo_tick(
     else:
         status = fixtures_force(bound, scratch, inputs, felt_s, xyz, status)
         if status != code.OK or m.worst_share > 0.0:
-            status = cross_to_walls(bound, scratch, inputs, felt_s, xyz, status, dt_s)
+            status = cross_to_walls(bound_at, scratch_at, inputs, felt_s, xyz, status, dt_s)
     evaluated = math.isfinite(sample.distance_mm)
     surface_speed = math.nan
     for k in range(3):
@@ -188,7 +192,7 @@ def _record_memory(row: Any, s: Any, p: Any) -> None:
     row.by_surface_mj, row.controller_damping = p.by_surface_mj, p.damping
 
 
-@kernel
+@separate
 def withhold(bound: Any, scratch: Any, clock_s: float) -> None:
     """Latch, in memory and record, after a tick whose force was not sent or was followed by zero."""
     settings, row = bound.settings[0], scratch.row[0]

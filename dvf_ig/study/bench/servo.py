@@ -36,7 +36,7 @@ from dvf_ig.guidance.tissue import Feel, feel_of
 from dvf_ig.kernels.compiled import kernel
 from dvf_ig.kernels.pose_and_phase import GUIDED_SIZE, guided_batch
 from dvf_ig.kernels.servo import loop, shared
-from dvf_ig.kernels.servo.borrowed import borrowed
+from dvf_ig.kernels.servo.borrowed import borrowed, placed
 from dvf_ig.kernels.servo.layout import new_scratch
 from dvf_ig.kernels.servo.tick import servo_tick
 from dvf_ig.preop.tissue import LABEL_MM
@@ -435,6 +435,7 @@ def tick_batch(
 ) -> None:
     """`servo_tick` at (n, 3) positions a period apart; `ticks` counts on."""
     bound, scratch, xyz_mm, force = borrowed(bound), borrowed(scratch), borrowed(xyz_mm), borrowed(force)
+    bound_at, scratch_at = placed(bound), placed(scratch)
     for n in range(len(xyz_mm)):
-        servo_tick(bound, scratch, scratch.inputs[0], xyz_mm[n], 0, 1.0 + ticks[0] * period_s, 0, force)
+        servo_tick(bound_at, scratch_at, scratch.inputs[0], xyz_mm[n], 0, 1.0 + ticks[0] * period_s, 0, force)
         ticks[0] += 1.0
