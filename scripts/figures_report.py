@@ -22,25 +22,6 @@ from dvf_ig.guidance import DEVICES, Evaluator, Gaussian, Sigmoid
 from dvf_ig.io import write_text
 from dvf_ig.kernels.dynamic import force_tick
 from dvf_ig.preop import phase_errors
-from dvf_ig.report.paper import (
-    HeartView,
-    PaperFigure,
-    PaperTable,
-    Section,
-    Slice,
-    dilation_distance_mm,
-    exponent_figure,
-    force_over_time,
-    held_figure,
-    over_time_figure,
-    paper_html,
-    scene_figure,
-    slice_figure,
-    steepness_figure,
-    tracking_errors_figure,
-    width_figure,
-    write_paper_figures,
-)
 from dvf_ig.report.plane_overlay import plane_section
 from dvf_ig.study.bench.timing import time_batches, time_calls
 from dvf_ig.study.operators import paper
@@ -61,6 +42,25 @@ from dvf_ig.study.operators.study import measured
 from dvf_ig.study.operators.tables import Subjects, operators_subjects, paper_table
 from dvf_ig.study.operators.tasks import CYCLES, track, tracked_place
 from dvf_ig.study.tracking.stylus import BeatingSurface, StylusRun, hold_stylus, with_fixture
+from scripts.paper_figures import (
+    HeartView,
+    PaperFigure,
+    PaperTable,
+    Section,
+    Slice,
+    dilation_distance_mm,
+    exponent_figure,
+    force_over_time,
+    held_figure,
+    over_time_figure,
+    paper_html,
+    scene_figure,
+    slice_figure,
+    steepness_figure,
+    tracking_errors_figure,
+    width_figure,
+    write_paper_figures,
+)
 
 FORBIDDEN, GUIDANCE = Sigmoid(1.0), Gaussian(3.0, 1.0)
 FIRST_OPERATOR = 1001

@@ -38,7 +38,7 @@ from data_synth.ultrasound.volume import MatrixProbe, simulate_volume
 from dvf_ig.io import read_sequence, read_volume, write_text
 from dvf_ig.io.writing.atomic import write_bytes
 from dvf_ig.report import png_bytes
-from dvf_ig.report.realism import RealismPictures, bounds_text, realism_figure, realism_html
+from scripts.realism_pictures import RealismPictures, bounds_text, realism_figure, realism_html
 
 OUT = Path("out/realism")
 DATA = Path(os.environ.get("DVF_IG_DATA", "../shared/data"))

@@ -33,15 +33,20 @@ SHARED = {
     "calibration_recordings": "calibration recordings",
 }
 """Fixtures that take long to make, of which others are made: the tests that share one run in one process."""
+SERVO = ("tests/session/", "tests/guidance/servo/")
+"""Folders whose tests compile the servo. They run first and in one process, while another makes the one
+intervention: two processes that need the same kernels at the same time both compile them."""
 
 
 @pytest.hookimpl(tryfirst=True)  # before pytest-xdist reads the groups
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Tests of one file, and all that share a heart, stay in one process where several work."""
+    """Tests of one file, and all that share a heart or SERVO, stay in one process where several work."""
+    items.sort(key=lambda item: [not item.nodeid.startswith(folder) for folder in SERVO])
     for item in items:
         names = getattr(item, "fixturenames", ())
-        shared = [group for fixture, group in SHARED.items() if fixture in names]
-        item.add_marker(pytest.mark.xdist_group((shared or [item.nodeid.split("::", maxsplit=1)[0]])[0]))
+        groups = [group for fixture, group in SHARED.items() if fixture in names]
+        groups += ["servo"] * item.nodeid.startswith(SERVO)
+        item.add_marker(pytest.mark.xdist_group((*groups, item.nodeid.split("::", maxsplit=1)[0])[0]))
 
 
 def pytest_collection_finish() -> None:

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from data_synth.kernels.lv import BASE
+from data_synth.kernels.lv import BASE, outer_radius
 from data_synth.seeds import child_rng
 from dvf_ig.core import FloatArray, IntArray, Landmarks, Points, Rigid, read_only_arrays
 
@@ -24,7 +24,14 @@ from .mismatch import (
     surgical_field,
     tabulated,
 )
-from .motion import ES_FRACTION, MotionPreset, preset_scale
+from .motion import (
+    ES_FRACTION,
+    UNCHANGED_MOTION,
+    MotionChange,
+    MotionPreset,
+    StillRegion,
+    preset_scale,
+)
 from .outline import outline, project_to_outline
 from .phantom_motion import PhantomMotion
 from .population import PumpFunction, draw_kind, draw_pump_function
@@ -90,13 +97,14 @@ class PhantomAnatomy:
 
     Attributes:
         shapes: implicit shapes at end-diastole.
-        scale: factor on the activation.
+        scale: factor on the activation during the MR.
         mismatch: pre-operative to intra-operative difference.
         seeds: seeds it was drawn from.
         kind: kind of heart, never "varied".
         pump: pump function; None: that of the standard heart.
         warp: W; None: the standard heart.
-        resting: the same heart without mismatch, whose unchanged parts are shared; None: this one.
+        resting: the heart in the MR, whose unchanged parts are shared; None: this one.
+        contraction: factor on `scale` since the MR; still: region that stands still since; None: none.
     """
 
     shapes: PhantomShapes
@@ -109,6 +117,8 @@ class PhantomAnatomy:
     pump: PumpFunction | None = None
     warp: PlacedWarp | None = None
     resting: "PhantomAnatomy | None" = None
+    contraction: float = 1.0
+    still: StillRegion | None = None
 
     @property
     def rr_s(self) -> float:
@@ -125,6 +135,10 @@ class PhantomAnatomy:
     @property
     def surface_triangles(self) -> IntArray:
         return self.triangles
+
+    @property
+    def mr_from_heart(self) -> Rigid:
+        return self.shapes.mr_from_heart
 
     @cached_property
     def long_axis_mm(self) -> FloatArray:
@@ -145,15 +159,21 @@ class PhantomAnatomy:
         return self._motion(self.shapes.standard)
 
     @cached_property
+    def present_motion(self) -> PhantomMotion:
+        """Motion χ of the intra-operative anatomy, mismatch undone."""
+        return replace(self.resting_motion, scale=self.scale * self.contraction, still=self.still)
+
+    @cached_property
     def inverse_motion(self) -> PhantomMotion:
         """Motion χ of the intra-operative anatomy."""
         if self.mismatch.rms_mm == 0:
-            return self.resting_motion
+            return self.present_motion
         spacing_mm = MISMATCH_TABLE_MM if self.warp is None else TABLE_MM
-        return self._motion(tabulated(self._standard_from_now, _wide(self.box_mm), spacing_mm))
+        before = tabulated(self._standard_from_now, _wide(self.box_mm), spacing_mm)
+        return replace(self.present_motion, before=before)
 
     def deformed(self, xyz_mm: FloatArray, model_phase: float) -> FloatArray:
-        """Apply χ: (n, 3) positions at a phase of (n, 3) reference points, without mismatch."""
+        """Apply χ of the MR: (n, 3) positions at a phase of (n, 3) reference points, without mismatch."""
         return self.resting_motion.push_forward(xyz_mm, model_phase)
 
     def material(self, xyz_mm: FloatArray, model_phase: float) -> FloatArray:
@@ -163,7 +183,7 @@ class PhantomAnatomy:
         return tissue_at(self.shapes, self.material(xyz_mm, model_phase))
 
     def surface_vertices(self, model_phase: float) -> FloatArray:
-        moved = self.resting_motion.push_standard(self._standard_vertices_mm, model_phase)
+        moved = self.present_motion.push_standard(self.standard_vertices_mm, model_phase)
         return self.mismatch.forward(moved)
 
     def targets(self) -> Landmarks:
@@ -176,19 +196,24 @@ class PhantomAnatomy:
         return Landmarks(TOUCHABLE, Points("mr", project_to_outline(self.shapes.organ, chosen)))
 
     @cached_property
-    def _standard_vertices_mm(self) -> FloatArray:
+    def standard_vertices_mm(self) -> FloatArray:
         """Vertices (v, 3) of the outline in the standard heart."""
         return self.ed_vertices_mm if self.warp is None else self.warp.inverse(self.ed_vertices_mm)
 
-    def with_mismatch(
-        self, mismatch_mm: float, seed: int, surgery: SurgicalChange = UNTOUCHED
+    def changed(
+        self,
+        mismatch_mm: float,
+        seed: int,
+        surgery: SurgicalChange = UNTOUCHED,
+        motion_change: MotionChange = UNCHANGED_MOTION,
     ) -> "PhantomAnatomy":
-        """Apply another mismatch to this heart, drawn as by `phantom_anatomy`.
+        """Apply other differences to the heart in the MR, drawn as by `phantom_anatomy`.
 
-        Both share the results computed for the heart at rest.
+        Both share the results computed for the heart in the MR.
         """
+        before = self if self.resting is None else self.resting
         seeds = replace(self.seeds, mismatch=seed)
-        return _under_mismatch(self if self.resting is None else self.resting, mismatch_mm, seeds, surgery)
+        return _changed_since_mr(before, mismatch_mm, seeds, surgery, motion_change)
 
     def placed(self, points: FloatArray) -> FloatArray:
         """Map points of the standard heart's frame to (n, 3) positions."""
@@ -219,6 +244,7 @@ def phantom_anatomy(
     seed: int,
     heart: HeartSpec | None = None,
     surgery: SurgicalChange = UNTOUCHED,
+    motion_change: MotionChange = UNCHANGED_MOTION,
 ) -> PhantomAnatomy:
     """Draw a four-chamber phantom.
 
@@ -230,22 +256,44 @@ def phantom_anatomy(
             motion.
         heart: kind of heart and separate seeds; None is the standard heart.
         surgery: change of shape by surgery, drawn with the mismatch.
+        motion_change: change of motion since the MR; a still region is drawn with the mismatch too.
     Raises:
         InvalidInputError: unknown motion, or a mismatch outside 0 … 8 mm.
     """
     spec = heart or HeartSpec()
     seeds = spec.seeds(seed)
     resting = _at_rest(spec.kind, motion, seeds.anatomy, seeds.motion)
-    return _under_mismatch(resting, mismatch_mm, seeds, surgery)
+    return _changed_since_mr(resting, mismatch_mm, seeds, surgery, motion_change)
 
 
-def _under_mismatch(
-    resting: PhantomAnatomy, mismatch_mm: float, seeds: HeartSeeds, surgery: SurgicalChange
+def _changed_since_mr(
+    resting: PhantomAnatomy,
+    mismatch_mm: float,
+    seeds: HeartSeeds,
+    surgery: SurgicalChange,
+    motion_change: MotionChange,
 ) -> PhantomAnatomy:
     rng = np.random.default_rng(_seed_sequences(seeds.mismatch)[2])
     drawn = surgical_field(resting.ed_vertices_mm, surgery, child_rng(seeds.mismatch, "surgery"))
     field = random_mismatch(resting.box_mm, mismatch_mm, rng, surgery=drawn)
-    return replace(resting, mismatch=field, seeds=seeds, resting=resting)
+    return replace(
+        resting,
+        mismatch=field,
+        seeds=seeds,
+        resting=resting,
+        contraction=motion_change.contraction,
+        still=_still_region(resting, motion_change.still_mm, child_rng(seeds.mismatch, "still wall")),
+    )
+
+
+def _still_region(resting: PhantomAnatomy, radius_mm: float, rng: np.random.Generator) -> StillRegion | None:
+    """Draw a still region about a point half-way up the left ventricle's free wall; radius 0: None."""
+    if radius_mm == 0:
+        return None
+    height, angle = BASE * rng.uniform(0.35, 0.65), np.pi + rng.uniform(-0.6, 0.6)
+    radius = outer_radius(height)
+    center = np.array([radius * np.cos(angle), radius * np.sin(angle), height])
+    return StillRegion(resting.shapes.mr_from_heart.apply_array(center), radius_mm)
 
 
 @lru_cache(maxsize=2)

@@ -48,6 +48,49 @@ def preset_scale(motion: str) -> float:
     return PRESET_SCALE[motion]
 
 
+@dataclass(frozen=True, slots=True)
+class MotionChange:
+    """Change of the heart's motion since the MR.
+
+    Attributes:
+        contraction: factor on the activation.
+        still_mm: distance from the middle of a region of the free wall, which stands still, at which the wall
+            moves as elsewhere; 0: no such region.
+    """
+
+    contraction: float = 1.0
+    still_mm: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.contraction <= 1.3 or not (self.still_mm == 0 or 45.0 <= self.still_mm <= 80.0):
+            raise InvalidInputError(
+                f"contraction is {self.contraction:g} and the still region's radius {self.still_mm:g} mm; "
+                "needed 0 to 1.3, and 0 or 45 to 80 mm (a smaller region would fold space)"
+            )
+
+
+UNCHANGED_MOTION = MotionChange()
+
+
+@read_only_arrays
+@dataclass(frozen=True, slots=True, eq=False)
+class StillRegion:
+    """Region of the heart that takes part in the motion by 1 − (1 − r²/R²)³ at distance r from its middle.
+
+    Attributes:
+        center_mm: (3,) middle at end-diastole, in the standard heart of frame "mr".
+        radius_mm: R.
+    """
+
+    center_mm: FloatArray
+    radius_mm: float
+
+    def moving_share(self, standard_mm: FloatArray) -> FloatArray:
+        """Compute the (n,) factor on the activation at (n, 3) points of the standard heart."""
+        apart = ((standard_mm - self.center_mm) ** 2).sum(axis=1) / self.radius_mm**2
+        return np.asarray(1.0 - np.maximum(1.0 - apart, 0.0) ** 3)
+
+
 class PullBack(Protocol):
     """Map from current positions to those at end-diastole, the only part of a motion that imaging needs."""
 

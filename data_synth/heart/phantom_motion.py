@@ -8,7 +8,7 @@ from data_synth.kernels import heart_motion
 from dvf_ig.core import FloatArray, Rigid, read_only_arrays
 
 from .mismatch import TabulatedMap
-from .motion import ES_FRACTION, activation
+from .motion import ES_FRACTION, StillRegion, activation
 from .warp import PlacedWarp
 
 
@@ -28,6 +28,7 @@ class PhantomMotion:
         es_fraction: peak of the activation, as a fraction of the cycle.
         warp: W; None: the standard heart.
         before: map of a point to the standard heart's contracted state, mismatch undone; None: identity.
+        still: region that does not contract; None: all of the heart does.
     """
 
     mr_from_heart: Rigid
@@ -37,6 +38,7 @@ class PhantomMotion:
     es_fraction: float = ES_FRACTION
     warp: PlacedWarp | None = None
     before: TabulatedMap | None = None
+    still: StillRegion | None = None
 
     @property
     def _place(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
@@ -57,7 +59,10 @@ class PhantomMotion:
         points = np.ascontiguousarray(xyz_mm, dtype=np.float64)
         out = np.empty_like(points)
         points, *place = read_only_views(points, *self._place)
-        heart_motion.forward(points, self.levels(model_phase, len(points)), *place, out)
+        levels = self.levels(model_phase, len(points))
+        if self.still is not None:
+            levels *= self.still.moving_share(points)
+        heart_motion.forward(points, levels, *place, out)
         return out if self.warp is None else self.warp.forward(out)
 
     def pull_back(self, xyz_mm: FloatArray, model_phase: FloatArray | float) -> FloatArray:
@@ -65,10 +70,19 @@ class PhantomMotion:
         points = np.ascontiguousarray(xyz_mm, dtype=np.float64)
         out = np.empty_like(points)
         field = _NO_FIELD if self.before is None else self.before
-        points, *place = read_only_views(points, *self._place, field.displacement_mm, field.origin_mm)
+        points, *place, still = read_only_views(
+            points, *self._place, field.displacement_mm, field.origin_mm, self._still_in_heart
+        )
         levels = self.levels(model_phase, len(points))
-        heart_motion.inverse(points, levels, *place, 1.0 / field.spacing_mm, out)
+        heart_motion.inverse(points, levels, *place, 1.0 / field.spacing_mm, still, out)
         return out if self.warp is None else self.warp.table.at(out)
+
+    @property
+    def _still_in_heart(self) -> FloatArray:
+        """Middle of the still region in frame "heart" and its radius (4,), mm; radius 0: none."""
+        if self.still is None:
+            return np.zeros(4)
+        return np.append(self.mr_from_heart.inverse().apply_array(self.still.center_mm), self.still.radius_mm)
 
     def _usual_phase(self, model_phase: FloatArray | float) -> FloatArray:
         """Find the phase at which the activation curve has this heart's level at `model_phase`."""

@@ -1,11 +1,13 @@
 """Cardiac MR as a hospital acquires it: a short-axis stack and long-axis cines, a breath-hold a slice."""
 
-from dataclasses import dataclass
-from typing import Literal, get_args
+from dataclasses import dataclass, replace
+from typing import Literal, Protocol, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
-from data_synth.heart.anatomy import PhantomAnatomy
+from data_synth.heart.motion import PullBack
+from data_synth.heart.reference import ReferenceMap
 from data_synth.heart.tissue import LABEL_NAMES
 from dvf_ig.core import FloatArray, InvalidInputError, Preop, Rigid, Volume, VolumeSeries, read_only_arrays
 
@@ -33,6 +35,49 @@ PIXEL_MM, PITCH_MM = 1.4, 10.0
 """Pixels, and distance from slice to slice: slices of 8 mm have gaps of 2 mm."""
 
 
+class ExaminedHeart(Protocol):
+    """A heart before the intervention, frame "mr": `PhantomAnatomy` is one."""
+
+    @property
+    def mr_from_heart(self) -> Rigid:
+        """Frame of its shapes, whose x axis points towards the right heart."""
+        ...
+
+    @property
+    def reference(self) -> ReferenceMap:
+        """Tissue and MR signal at end-diastole."""
+        ...
+
+    @property
+    def resting_motion(self) -> PullBack:
+        """Its motion."""
+        ...
+
+    @property
+    def ed_vertices_mm(self) -> FloatArray:
+        """(v, 3) epicardial surface at end-diastole."""
+        ...
+
+    @property
+    def long_axis_mm(self) -> FloatArray:
+        """(2, 3) epicardial apex of the left ventricle and middle of its base at end-diastole."""
+        ...
+
+    @property
+    def rr_s(self) -> float:
+        """RR interval for which its motion holds."""
+        ...
+
+    @property
+    def es_fraction(self) -> float:
+        """End-systole as a fraction of that."""
+        ...
+
+    def deformed(self, xyz_mm: FloatArray, model_phase: float) -> FloatArray:
+        """Compute (n, 3) positions at a phase of (n, 3) end-diastolic points."""
+        ...
+
+
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class Examination:
@@ -54,9 +99,13 @@ class Examination:
         """The long-axis cines."""
         return tuple(view.image for view in self.lax)
 
-    def preop(self, patient_id: str) -> Preop:
-        """Data of the examination: cines, and the stack's labels at end-diastole."""
-        drawn = self.sax.labels.values[0]
+    def preop(self, patient_id: str, contours: NDArray[np.uint8] | None = None) -> Preop:
+        """Data of the examination: cines, and the stack's labels at end-diastole.
+
+        Args:
+            contours: labels as an observer draws them; None: exact ones.
+        """
+        drawn = self.sax.labels.values[0] if contours is None else contours
         names = tuple((code, name) for code, name in LABEL_NAMES if (drawn == code).any())
         return Preop(
             patient_id=patient_id,
@@ -77,7 +126,11 @@ class Examination:
 
 
 def examination(
-    anatomy: PhantomAnatomy, name: ExamName, rng: np.random.Generator, phases: int | None = None
+    anatomy: ExaminedHeart,
+    name: ExamName,
+    rng: np.random.Generator,
+    phases: int | None = None,
+    scanner: StackProtocol | None = None,
 ) -> Examination:
     """Examine a heart.
 
@@ -86,6 +139,7 @@ def examination(
             long-axis cines), or "sax7" (as "sax8", the seven slices in the middle of the ventricles alone).
         rng: draws phases, breath-holds, heart rates, coil shading and noise.
         phases: number of them instead of the drawn one, to save time.
+        scanner: pixels, point spread, shading and noise of its images, and its heart rates; None: usual ones.
     Raises:
         InvalidInputError: no such examination.
     """
@@ -94,33 +148,28 @@ def examination(
     drawn_rng, stack_rng, *view_rngs = rng.spawn(2 + len(LAX_VIEWS))
     drawn = int(drawn_rng.integers(PHASES[0], PHASES[1] + 1))
     phases = drawn if phases is None else phases
-    protocol = StackProtocol(
-        phases=phases,
-        in_plane_mm=PIXEL_MM,
-        pitch_mm=PITCH_MM,
-        thickness_mm=THICKNESS_MM[name],
-        breath_hold_mm=SHIFT_MM,
-        rr_jitter=RR_JITTER,
-    )
+    usual = StackProtocol(in_plane_mm=PIXEL_MM, breath_hold_mm=SHIFT_MM, rr_jitter=RR_JITTER)
+    protocol = replace(scanner or usual, phases=phases, pitch_mm=PITCH_MM, thickness_mm=THICKNESS_MM[name])
     heart = _long_axis_frame(anatomy)
     sax = _stack(anatomy, heart, protocol, name, stack_rng)
     views = LAX_VIEWS if name == "sax+lax" else ()
-    lax = [_view(anatomy, heart, angle, phases, r) for (_, angle), r in zip(views, view_rngs, strict=False)]
+    of_view = replace(protocol, pitch_mm=LAX_THICKNESS_MM, thickness_mm=LAX_THICKNESS_MM)
+    lax = [_view(anatomy, heart, angle, of_view, r) for (_, angle), r in zip(views, view_rngs, strict=False)]
     return Examination(sax, tuple(lax), _base_descent(anatomy, heart, phases))
 
 
-def _long_axis_frame(anatomy: PhantomAnatomy) -> Rigid:
+def _long_axis_frame(anatomy: ExaminedHeart) -> Rigid:
     """Return mr_from_heart: origin at the epicardial apex, z to the base, x towards the right heart."""
     apex, base = anatomy.long_axis_mm
     z = (base - apex) / np.linalg.norm(base - apex)
-    x = anatomy.shapes.mr_from_heart.rotation[:, 0]
+    x = anatomy.mr_from_heart.rotation[:, 0]
     x = x - (x @ z) * z
     x /= np.linalg.norm(x)
     return Rigid("mr", "heart", np.column_stack([x, np.cross(z, x), z]), apex)
 
 
 def _stack(
-    anatomy: PhantomAnatomy, heart: Rigid, protocol: StackProtocol, name: ExamName, rng: np.random.Generator
+    anatomy: ExaminedHeart, heart: Rigid, protocol: StackProtocol, name: ExamName, rng: np.random.Generator
 ) -> StackCine:
     local = heart.inverse().apply_array(anatomy.ed_vertices_mm)
     low, high = local.min(axis=0) - FIELD_MM, local.max(axis=0) + FIELD_MM
@@ -136,17 +185,9 @@ def _stack(
 
 
 def _view(
-    anatomy: PhantomAnatomy, heart: Rigid, angle_deg: float, phases: int, rng: np.random.Generator
+    anatomy: ExaminedHeart, heart: Rigid, angle_deg: float, protocol: StackProtocol, rng: np.random.Generator
 ) -> StackCine:
     """Acquire one slice that holds the long axis."""
-    protocol = StackProtocol(
-        phases=phases,
-        in_plane_mm=PIXEL_MM,
-        pitch_mm=LAX_THICKNESS_MM,
-        thickness_mm=LAX_THICKNESS_MM,
-        breath_hold_mm=SHIFT_MM,
-        rr_jitter=RR_JITTER,
-    )
     angle = np.deg2rad(angle_deg)
     across = heart.rotation @ np.array([np.cos(angle), np.sin(angle), 0.0])
     along = heart.rotation[:, 2]
@@ -159,7 +200,7 @@ def _view(
     return stack_cine(anatomy.reference, anatomy.resting_motion, grid, timing, rng, protocol)
 
 
-def _base_descent(anatomy: PhantomAnatomy, heart: Rigid, phases: int) -> FloatArray:
+def _base_descent(anatomy: ExaminedHeart, heart: Rigid, phases: int) -> FloatArray:
     base = anatomy.long_axis_mm[1:]
     z = heart.rotation[:, 2]
     moved = [anatomy.deformed(base, i / phases) - base for i in range(phases)]

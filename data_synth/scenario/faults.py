@@ -37,6 +37,8 @@ def describe_faults(preset: Preset) -> tuple[str, ...]:
         (preset.mismatch_mm > 1.5, "The heart's shape differs much from the pre-operative images."),
         (preset.surgery.retraction_mm > 0, "A retractor presses on the heart."),
         (preset.surgery.load_mm != 0, "The heart is filled otherwise than in the pre-operative images."),
+        (preset.contraction != (1.0, 1.0), "The heart contracts otherwise than in the pre-operative images."),
+        (preset.still_mm > 0, "A wall that moves in the pre-operative images stands still."),
     )
     return tuple(sentence for present, sentence in (*disturbances, *_failures(preset)) if present)
 

@@ -6,7 +6,7 @@ from typing import get_args
 from data_synth.breathing.breaths import BreathSpec
 from data_synth.heart.heart_spec import STANDARD_HEART, HeartSeeds, HeartSpec
 from data_synth.heart.mismatch import UNTOUCHED, SurgicalChange
-from data_synth.heart.motion import MotionPreset
+from data_synth.heart.motion import MotionChange, MotionPreset
 from data_synth.mr.examination import EXAMS, ExamName
 from data_synth.operator.probe_path import SweepSpec
 from data_synth.operator.tool_in_view import LookSpec
@@ -49,6 +49,8 @@ class Preset:
             from that of the probe used live (exact at its middle; directions are random).
         mismatch_mm: RMS non-rigid difference between pre-operative and intra-operative anatomy.
         surgery: change of the heart's shape by surgery, in addition to that.
+        contraction: factors on the contraction in the MR, of hearts with even and with odd seeds.
+        still_mm: radius of a region of the free wall that stands still; 0: none (see `MotionChange`).
         video_jitter_s: SD of the instants at which images are taken, about the regular grid.
         video_drift_ppm: drift by which the video clock is slower than the tracker's.
         start_mm, start_deg: error of the coarse start.
@@ -90,6 +92,8 @@ class Preset:
     other_probe_deg: float = 0.0
     mismatch_mm: float = 1.2
     surgery: SurgicalChange = UNTOUCHED
+    contraction: tuple[float, float] = (1.0, 1.0)
+    still_mm: float = 0.0
     video_jitter_s: float = 0.001
     video_drift_ppm: float = 0.0
     start_mm: float = 10.0
@@ -104,6 +108,8 @@ class Preset:
                 f"the calibrated probe is {self.other_probe_mm:g} mm and {self.other_probe_deg:g}° from the "
                 "one used; needed 0 to 100 mm and 0 to 90°"
             )
+        for factor in self.contraction:
+            MotionChange(factor, self.still_mm)
         if abs(self.video_drift_ppm) > 5000.0:
             raise InvalidInputError(
                 f"the video clock drifts {self.video_drift_ppm:g} ppm; needed ±5000 at most"
@@ -145,6 +151,8 @@ PRESETS: dict[str, Preset] = {
     ),
     "tool-unseen": Preset(looks=LookSpec(for_s=3.0)),
     "deformed": Preset(mismatch_mm=5.0, surgery=SurgicalChange(retraction_mm=8.0, load_mm=2.5)),
+    "other-motion": Preset(contraction=(0.6, 1.3)),
+    "still-wall": Preset(still_mm=50.0),
     "ventilated": Preset(respiration=BreathSpec("ventilated", excursion_mm=10.0)),
     "breathing": Preset(
         respiration=BreathSpec(
@@ -175,6 +183,9 @@ tool-elsewhere: the same with the calibrations of wrong-calibration.
 tool-unseen: the same looks, at a tool that images do not show.
 deformed: a retractor presses the free wall in by 8 mm, the heart is fuller (2.5 mm), and its shape differs by
     5 mm RMS from that in the MR.
+other-motion: the heart contracts 0.6 (even seeds) or 1.3 times (odd) as far as in the MR.
+still-wall: a region half-way up the left ventricle's free wall, moving in the MR, stands still; 23 mm from
+    its middle it moves by half.
 ventilated: a ventilator moves the heart by 10 mm, 14 times a minute; its channels and a marker on the chest
     are recorded.
 breathing: the patient breathes, 6 mm, 14 times a minute and unevenly; a chest marker is recorded.
@@ -251,6 +262,11 @@ class ScenarioSpec:
     def mismatch(self) -> float:
         """Mismatch in use, mm."""
         return self.options.mismatch_mm if self.mismatch_mm is None else self.mismatch_mm
+
+    @property
+    def motion_change(self) -> MotionChange:
+        """Change of the heart's motion since the MR."""
+        return MotionChange(self.options.contraction[self.seed % 2], self.options.still_mm)
 
     @property
     def seeds(self) -> HeartSeeds:

@@ -12,7 +12,7 @@ from data_synth.breathing.recorded import recorded_breathing
 from data_synth.cine_heart.anatomy import CineHeart, cine_anatomy
 from data_synth.heart.anatomy import PhantomAnatomy, phantom_anatomy
 from data_synth.heart.heart_spec import HeartKind, HeartSpec
-from data_synth.heart.motion import MotionPreset
+from data_synth.heart.motion import UNCHANGED_MOTION, MotionPreset
 from data_synth.mr.cine import cine_preop
 from data_synth.mr.examination import Examination, ExamName, examination
 from data_synth.operator.hand import reframed
@@ -63,7 +63,7 @@ class ImagedHeart:
     preop: Preop
 
     def of(self, spec: ScenarioSpec) -> PhantomAnatomy:
-        """Return the heart under the mismatch of another recording.
+        """Return the heart with the changes since the MR of another recording.
 
         Raises:
             InvalidInputError: a recording of another heart.
@@ -73,7 +73,7 @@ class ImagedHeart:
                 "the recording specifies another heart than the imaged one; use its kind, motion and seeds"
             )
         seed = child_seed(spec.seeds.mismatch, "anatomy")
-        return self.anatomy.with_mismatch(spec.mismatch, seed, spec.options.surgery)
+        return self.anatomy.changed(spec.mismatch, seed, spec.options.surgery, spec.motion_change)
 
 
 def imaged_heart(spec: ScenarioSpec, *, phases: int | None = None) -> ImagedHeart:
@@ -156,6 +156,7 @@ def scenario_heart(spec: ScenarioSpec) -> PhantomAnatomy:
         seed=child_seed(spec.seed, "anatomy"),
         heart=heart,
         surgery=spec.options.surgery,
+        motion_change=spec.motion_change,
     )
 
 
@@ -193,8 +194,9 @@ def surface_scenario(
         probe_path: recorded hand motion.
         progress: called with the fraction done.
     Raises:
-        InvalidInputError: ECG too short, or fewer than two beats.
+        InvalidInputError: ECG too short, fewer than two beats, or a preset of another motion.
     """
+    _keeps_its_motion(spec)
     stop_s = ecg.start_s + len(ecg) / ecg.rate_hz
     if ecg.start_s > 0 or stop_s < spec.seconds - 1e-6:
         raise InvalidInputError(
@@ -221,8 +223,9 @@ def cine_scenario(spec: ScenarioSpec, heart: CineHeart, progress: Report | None 
         heart: cine and labels.
         progress: called with the fraction done.
     Raises:
-        InvalidInputError: labels of fewer than three slices.
+        InvalidInputError: labels of fewer than three slices, or a preset of another motion.
     """
+    _keeps_its_motion(spec)
     seed = child_seed(spec.seeds.mismatch, "anatomy")
     anatomy = cine_anatomy(heart, mismatch_mm=spec.mismatch, seed=seed, surgery=spec.options.surgery)
     breaths, peaks_s, ecg = _signals(spec)
@@ -233,6 +236,15 @@ def cine_scenario(spec: ScenarioSpec, heart: CineHeart, progress: Report | None 
     )
     name = f"real cine of {heart.patient_id}, {spec.preset}, seed {spec.seed}"
     return _assembled(name, world, heart.preop(), ecg, sweep, with_start=True, progress=progress)
+
+
+def _keeps_its_motion(spec: ScenarioSpec) -> None:
+    """Refuse presets whose change of motion only the phantom can make."""
+    if spec.motion_change != UNCHANGED_MOTION:
+        raise InvalidInputError(
+            f"preset '{spec.preset}' changes how the heart moves, which only the phantom can; take "
+            "--anatomy phantom, or another preset for surfaces and cines"
+        )
 
 
 def _breaths(spec: ScenarioSpec) -> Breaths:

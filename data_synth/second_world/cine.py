@@ -7,11 +7,14 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 from scipy.spatial.transform import Rotation
 
+from data_synth.heart.reference import ReferenceMap
 from data_synth.heart.tissue import FIRST_OUTSIDE, LABEL_NAMES, Tissue
 from data_synth.kernels import tissue_map
+from data_synth.mr.examination import RR_JITTER, SHIFT_MM, Examination, ExamName, examination
+from data_synth.mr.stack import StackProtocol
 from data_synth.seeds import child_rng
 from data_synth.threads import for_each
-from dvf_ig.core import CycleTiming, FloatArray, Grid, Preop, VolumeSeries, read_only_arrays
+from dvf_ig.core import CycleTiming, FloatArray, Grid, Preop, Rigid, VolumeSeries, read_only_arrays
 
 from .clock import CycleLaw
 from .drawn import Drawn
@@ -67,6 +70,74 @@ def cine(heart: RestingHeart, fields: TissueFields, law: CycleLaw, drawn: Drawn)
         label_names=LABEL_NAMES,
         organ_labels=tuple(code for code, _ in LABEL_NAMES),
     )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Examined:
+    """A heart of this world as an examination takes it."""
+
+    heart: RestingHeart
+    fields: TissueFields
+
+    @property
+    def mr_from_heart(self) -> Rigid:
+        return self.heart.mr_from_heart
+
+    @property
+    def reference(self) -> ReferenceMap:
+        return self.fields.reference
+
+    @property
+    def resting_motion(self) -> HeartMotion:
+        return self.heart.contracting(1.0)
+
+    @property
+    def ed_vertices_mm(self) -> FloatArray:
+        return self.heart.ed_vertices_mm
+
+    @property
+    def long_axis_mm(self) -> FloatArray:
+        return self.heart.long_axis_mm
+
+    @property
+    def rr_s(self) -> float:
+        return self.heart.rr_s
+
+    @property
+    def es_fraction(self) -> float:
+        return self.heart.es_fraction
+
+    def deformed(self, xyz_mm: FloatArray, model_phase: float) -> FloatArray:
+        return self.resting_motion.push_forward(xyz_mm, model_phase)
+
+
+def examine(
+    heart: RestingHeart, fields: TissueFields, exam: ExamName, drawn: Drawn, phases: int | None = None
+) -> Examination:
+    """Examine the heart before the intervention as a hospital does.
+
+    Args:
+        phases: number of them instead of the drawn one, to save time.
+    """
+    scanner = StackProtocol(
+        in_plane_mm=drawn["mr.in_plane_mm"],
+        psf_fwhm_mm=drawn["mr.psf_mm"],
+        bias=drawn["mr.bias"],
+        snr=drawn["mr.snr"],
+        breath_hold_mm=SHIFT_MM,
+        rr_jitter=RR_JITTER,
+    )
+    rng = child_rng(drawn.seed, "second world examination")
+    return examination(_Examined(heart, fields), exam, rng, phases, scanner)
+
+
+def segmented(examined: Examination, heart: RestingHeart, fields: TissueFields, drawn: Drawn) -> Preop:
+    """Take the cines of an examination, with labels as an observer draws them at end-diastole."""
+    grid = examined.sax.image.grid
+    held = SliceErrors(np.zeros((grid.shape[2], 1)), examined.sax.slice_shift_mm)
+    material = _material(grid, heart.contracting(1.0), held, 0)
+    contours = _ContourErrors(grid, fields, drawn).labels(material, 0)
+    return examined.preop(f"second-world-{drawn.seed}", contours)
 
 
 def slice_grid(heart: RestingHeart, drawn: Drawn) -> Grid:

@@ -11,6 +11,7 @@ from data_synth.breathing.motion import seen_at_rest
 from data_synth.breathing.recorded import recorded_breathing
 from data_synth.heart.heart_spec import HeartKind, HeartSpec
 from data_synth.heart.motion import MotionPreset
+from data_synth.mr.examination import EXAMS, Examination, ExamName
 from data_synth.operator.contact import tool_truth
 from data_synth.operator.contact_sites import contact_sites
 from data_synth.operator.hand import perpendicular
@@ -41,7 +42,7 @@ from dvf_ig.core import (
     TrackedSequence,
 )
 
-from .cine import cine
+from .cine import cine, examine, segmented
 from .drawn import Drawn, Quality
 from .echo_images import echo_images
 from .floor import RigidFloor, rigid_floor
@@ -72,6 +73,7 @@ class SecondWorldSpec:
         us_rate_hz: ultrasound frame rate.
         heart: kind of heart; "varied" is drawn from the population.
         breathing: kind of breathing; None: none.
+        exam: its MR as an examination (see `mr.examination`); None: transverse slices, labels of every phase.
     """
 
     seed: int = 5001
@@ -81,6 +83,7 @@ class SecondWorldSpec:
     us_rate_hz: float = 12.0
     heart: HeartKind = "varied"
     breathing: BreathKind | None = None
+    exam: ExamName | None = None
 
     def __post_init__(self) -> None:
         Drawn(self.seed, self.quality)
@@ -90,6 +93,8 @@ class SecondWorldSpec:
             raise InvalidInputError(
                 f"there is no motion '{self.motion}'; choose from {', '.join(get_args(MotionPreset))}"
             )
+        if self.exam is not None and self.exam not in EXAMS:
+            raise InvalidInputError(f"there is no examination '{self.exam}'; choose from {', '.join(EXAMS)}")
         if not 5.0 <= self.seconds <= 3600.0 or not 6.0 <= self.us_rate_hz <= 60.0:
             raise InvalidInputError(
                 f"{self.seconds:g} s at {self.us_rate_hz:g} images/s; needed 5 to 3600 s and 6 to 60 images/s"
@@ -105,6 +110,7 @@ class SecondWorldRecording:
         floor: error that no rigid registration can remove.
         probe, sweep: kind of probe, and manner of its sweep.
         room: the heart before and under the probe, and all drawn values.
+        examined: its MR as a hospital's examination, with its truth; None: transverse slices.
     """
 
     scenario: Scenario
@@ -112,6 +118,7 @@ class SecondWorldRecording:
     probe: str
     sweep: str
     room: OperatingRoom
+    examined: Examination | None = None
 
     @property
     def drawn(self) -> Drawn:
@@ -119,14 +126,25 @@ class SecondWorldRecording:
         return self.room.drawn
 
 
-def second_world_recording(spec: SecondWorldSpec, progress: Report | None = None) -> SecondWorldRecording:
-    """Record one intervention; `progress` is called with the fraction done."""
+def second_world_recording(
+    spec: SecondWorldSpec, progress: Report | None = None, phases: int | None = None
+) -> SecondWorldRecording:
+    """Record one intervention.
+
+    Args:
+        progress: called with the fraction done.
+        phases: of an examination, instead of the number that is drawn, to save time.
+    """
     report: Report = progress or (lambda share: None)
     drawn = Drawn(spec.seed, spec.quality)
     resting = four_chamber_heart(spec.motion, spec.seed, spec.heart)
     room = operating_room(resting, spec.seconds, drawn, spec.breathing)
     report(0.3)
-    preop = cine(resting, room.fields, cycle_law(resting, drawn), drawn)
+    examined = None if spec.exam is None else examine(resting, room.fields, spec.exam, drawn, phases)
+    if examined is None:
+        preop = cine(resting, room.fields, cycle_law(resting, drawn), drawn)
+    else:
+        preop = segmented(examined, resting, room.fields, drawn)
     report(0.5)
     tool, contact = _tool(room, spec.seconds)
     report(0.55)
@@ -154,7 +172,7 @@ def second_world_recording(spec: SecondWorldSpec, progress: Report | None = None
     )
     report(1.0)
     return SecondWorldRecording(
-        scenario, rigid_floor(room, taken_s), probe_kind(drawn), sweep_way(drawn), room
+        scenario, rigid_floor(room, taken_s), probe_kind(drawn), sweep_way(drawn), room, examined
     )
 
 

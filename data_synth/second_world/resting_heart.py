@@ -11,7 +11,7 @@ from data_synth.heart.beating_anatomy import MARGIN_MM
 from data_synth.heart.heart_spec import HeartKind, HeartSpec
 from data_synth.heart.motion import MotionPreset
 from data_synth.heart.reference import ReferenceShapes
-from dvf_ig.core import FloatArray, IntArray, Landmarks, read_only_arrays
+from dvf_ig.core import FloatArray, IntArray, Landmarks, Rigid, read_only_arrays
 
 
 class HeartMotion(Protocol):
@@ -36,6 +36,8 @@ class RestingHeart:
         shapes: implicit shapes at end-diastole.
         contracting: its motion with a factor on the contraction; 1 is the pre-operative one.
         ed_vertices_mm, triangles: (v, 3), (m, 3) epicardial surface at end-diastole.
+        mr_from_heart: frame of its shapes.
+        long_axis_mm: (2, 3) epicardial apex of the left ventricle and middle of its base.
         rr_s, es_fraction: timing of its motion.
         targets, landmarks: points at which errors are stated, and those that a stylus could touch.
     """
@@ -45,6 +47,8 @@ class RestingHeart:
     contracting: Callable[[float], HeartMotion]
     ed_vertices_mm: FloatArray
     triangles: IntArray
+    mr_from_heart: Rigid
+    long_axis_mm: FloatArray
     rr_s: float
     es_fraction: float
     targets: Landmarks
@@ -80,6 +84,8 @@ def four_chamber_heart(motion: MotionPreset, seed: int, kind: HeartKind) -> Rest
         contracting,
         heart.ed_vertices_mm,
         heart.triangles,
+        heart.mr_from_heart,
+        heart.long_axis_mm,
         heart.rr_s,
         heart.es_fraction,
         heart.targets(),

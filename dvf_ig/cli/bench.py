@@ -2,33 +2,37 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
+from typer import Argument, Option
 
-from .shell import JsonFlag, SeedOption, ThreadsOption, command, emit, output_dir, progress, wrote
+from .shell import JsonFlag, SeedOption, ThreadsOption, command, emit, out_folder, progress, wrote
 
 if TYPE_CHECKING:
+    from dvf_ig.core import DvfModel
     from dvf_ig.guidance import Continuity
-    from dvf_ig.study.bench.calls import Bench
+    from dvf_ig.study.bench.calls import Bench, BenchOptions
     from dvf_ig.study.bench.servo import ServoBench, TickCost
     from dvf_ig.study.bench.session import SessionBench
     from dvf_ig.study.bench.timing import Row
 
+Output = tuple[dict[str, Any], list[tuple[str, ...]]]
+"""JSON values, and rows to print."""
+
 
 def bench(
     model_file: Annotated[
-        Path | None, typer.Argument(metavar="[MODEL]", help="Model file (default: the phantom's heart).")
+        Path | None, Argument(metavar="[MODEL]", help="Model file (default: the phantom's heart).")
     ] = None,
-    calls: Annotated[int, typer.Option("--calls", min=100, help="Points of the path, 1 kHz.")] = 10_000,
-    repeats: Annotated[int, typer.Option("--repeats", min=1, help="Passes; the fastest counts.")] = 5,
-    peers: Annotated[bool, typer.Option("--peers/--no-peers", help="Time other libraries too.")] = True,
+    calls: Annotated[int, Option(min=100, help="Points of the path, 1 kHz.")] = 10_000,
+    repeats: Annotated[int, Option(min=1, help="Passes; the fastest counts.")] = 5,
+    peers: Annotated[bool, Option("--peers/--no-peers", help="Time other libraries too.")] = True,
     continuity: Annotated[
-        int, typer.Option("--continuity", min=0, help="Also compare forces at this many pairs of neighbours.")
+        int, Option(min=0, help="Also compare forces at this many pairs of neighbours.")
     ] = 0,
     session_s: Annotated[
         float | None,
-        typer.Option(
+        Option(
             "--session",
             metavar="SECONDS",
             help="Instead: a whole session of so many simulated seconds, on one core unless --threads.",
@@ -36,17 +40,15 @@ def bench(
     ] = None,
     servo_s: Annotated[
         float | None,
-        typer.Option(
+        Option(
             "--servo",
             metavar="SECONDS",
             min=1.0,
             help="Instead: the lateness of each servo loop for so long, and what a tick costs.",
         ),
     ] = None,
-    step_mm: Annotated[float, typer.Option("--step-mm", help="Pitch of the phantom's mesh.")] = 1.5,
-    out: Annotated[
-        Path | None, typer.Option("-o", "--out", callback=output_dir, help="Folder for bench.json.")
-    ] = None,
+    step_mm: Annotated[float, Option(help="Pitch of the phantom's mesh.")] = 1.5,
+    out: Annotated[Path | None, out_folder("Folder for bench.json.")] = None,
     seed: SeedOption = 1,
     threads: ThreadsOption = None,
     as_json: JsonFlag = False,
@@ -56,91 +58,71 @@ def bench(
     Times are per call in µs, of the fastest pass; error_mm is the RMS error against the exact distance to
     the mesh. Other programs on the machine lengthen everything: compare ratios.
     """
-    if session_s is not None:
-        _bench_session(session_s, model_file, out, seed, threads or 1, as_json=as_json)
-        return
-    if servo_s is not None:
-        _bench_servo(servo_s, model_file, step_mm, out, seed, threads or 2, as_json=as_json)
-        return
-    with command(threads):
-        from dvf_ig.io import output_folder, provenance_fields, read_model, write_json
-        from dvf_ig.io.json_file import plain
-        from dvf_ig.study.bench.calls import BenchOptions, continuity_checks, run_bench
-        from dvf_ig.study.bench.timing import bench_model
+    cores = threads or (1 if session_s is not None else 2)
+    with command(threads if session_s is None and servo_s is None else cores):
+        from dvf_ig.io import output_folder, provenance_fields, write_json
 
-        options = BenchOptions(calls=calls, repeats=repeats, batch=min(calls, 5000), peers=peers, seed=seed)
-        if model_file is not None:
-            model = read_model(model_file)
+        if session_s is not None:
+            result, rows = _bench_session(session_s, model_file, seed, cores)
+        elif servo_s is not None:
+            result, rows = _bench_servo(servo_s, _heart(model_file, step_mm, cores), seed)
         else:
-            with progress("the phantom's heart") as report:
-                model = bench_model(step_mm=step_mm, threads=threads or 2, progress=report)
-        done = run_bench(model, options)
-        checks = continuity_checks(model, continuity, seed)
-        result = {**plain(done), "ratios": done.ratios(), "continuity": plain(checks), "seed": seed}
+            from dvf_ig.study.bench.calls import BenchOptions
+
+            options = BenchOptions(calls, repeats, min(calls, 5000), peers, seed)
+            result, rows = _bench_calls(_heart(model_file, step_mm, cores), options, continuity)
         if out is not None:
             with output_folder(out, ["bench.json"]):
                 write_json(out / "bench.json", {**result, **provenance_fields()})
-        emit(result, [*_rows(done), *_continuity_rows(checks)], as_json=as_json)
+        emit(result, rows, as_json=as_json)
         if out is not None:
             wrote(out / "bench.json")
 
 
-def _bench_session(
-    seconds: float, model_file: Path | None, out: Path | None, seed: int, threads: int, *, as_json: bool
-) -> None:
-    with command(threads):
-        from dvf_ig.io import output_folder, provenance_fields, read_model, write_json
-        from dvf_ig.io.json_file import plain
-        from dvf_ig.study.bench.session import bench_scenario, bench_setup, round_of, run_session
+def _heart(model_file: Path | None, step_mm: float, threads: int) -> "DvfModel":
+    """Read the model, or build the phantom's."""
+    from dvf_ig.io import read_model
+    from dvf_ig.study.bench.timing import bench_model
 
-        with progress("a synthetic intervention") as report:
-            scenario = bench_scenario(seed, report)
-        with progress("its heart") as report:
-            built = None if model_file is None else read_model(model_file)
-            setup = bench_setup(scenario, seed, built, report)
-        with progress("the session") as report:
-            done = run_session(setup, round_of(scenario), seconds, report)
-        factors = {"real_time_factor": done.real_time_factor, "growth_percent": done.growth_percent}
-        result = {**plain(done), **factors, "seed": seed, "threads": threads}
-        if out is not None:
-            with output_folder(out, ["bench.json"]):
-                write_json(out / "bench.json", {**result, **provenance_fields()})
-        emit(result, _session_rows(done), as_json=as_json)
-        if out is not None:
-            wrote(out / "bench.json")
+    if model_file is not None:
+        return read_model(model_file)
+    with progress("the phantom's heart") as report:
+        return bench_model(step_mm=step_mm, threads=threads, progress=report)
 
 
-def _bench_servo(
-    seconds: float,
-    model_file: Path | None,
-    step_mm: float,
-    out: Path | None,
-    seed: int,
-    threads: int,
-    *,
-    as_json: bool,
-) -> None:
-    with command(threads):
-        from dvf_ig.io import output_folder, provenance_fields, read_model, write_json
-        from dvf_ig.io.json_file import plain
-        from dvf_ig.study.bench.servo import bench_servo, bench_tick
-        from dvf_ig.study.bench.timing import bench_model
+def _bench_calls(model: "DvfModel", options: "BenchOptions", continuity: int) -> Output:
+    from dvf_ig.io import plain
+    from dvf_ig.study.bench.calls import continuity_checks, run_bench
 
-        if model_file is not None:
-            model = read_model(model_file)
-        else:
-            with progress("the phantom's heart") as report:
-                model = bench_model(step_mm=step_mm, threads=threads, progress=report)
-        cost = bench_tick(model, seed)
-        with progress("the servo loops") as report:
-            done = bench_servo(model, seconds, seed, report)
-        result = {**plain(done), "rows": plain((*done.rows, *cost.rows)), "ratios": cost.ratios, "seed": seed}
-        if out is not None:
-            with output_folder(out, ["bench.json"]):
-                write_json(out / "bench.json", {**result, **provenance_fields()})
-        emit(result, _servo_rows(done, cost), as_json=as_json)
-        if out is not None:
-            wrote(out / "bench.json")
+    done, checks = run_bench(model, options), continuity_checks(model, continuity, options.seed)
+    result = {**plain(done), "ratios": done.ratios(), "continuity": plain(checks), "seed": options.seed}
+    return result, [*_rows(done), *_continuity_rows(checks)]
+
+
+def _bench_session(seconds: float, model_file: Path | None, seed: int, threads: int) -> Output:
+    from dvf_ig.io import plain, read_model
+    from dvf_ig.study.bench.session import bench_scenario, bench_setup, round_of, run_session
+
+    with progress("a synthetic intervention") as report:
+        scenario = bench_scenario(seed, report)
+    with progress("its heart") as report:
+        built = None if model_file is None else read_model(model_file)
+        setup = bench_setup(scenario, seed, built, report)
+    with progress("the session") as report:
+        done = run_session(setup, round_of(scenario), seconds, report)
+    factors = {"real_time_factor": done.real_time_factor, "growth_percent": done.growth_percent}
+    return {**plain(done), **factors, "seed": seed, "threads": threads}, _session_rows(done)
+
+
+def _bench_servo(seconds: float, model: "DvfModel", seed: int) -> Output:
+    from dvf_ig.io import plain
+    from dvf_ig.study.bench.servo import bench_servo, bench_tick
+
+    cost = bench_tick(model, seed)
+    with progress("the servo loops") as report:
+        done = bench_servo(model, seconds, seed, report)
+    result = {**plain(done), "rows": plain((*done.rows, *cost.rows)), "ratios": cost.ratios, "seed": seed}
+    return result, _servo_rows(done, cost)
 
 
 def _servo_rows(done: "ServoBench", cost: "TickCost") -> list[tuple[str, ...]]:

@@ -2,13 +2,13 @@
 
 from typing import Annotated
 
-import typer
+from typer import Option
 
 from .shell import JsonFlag, command, emit
 
 
 def cache(
-    clear: Annotated[bool, typer.Option("--clear", help="Remove all models from the cache.")] = False,
+    clear: Annotated[bool, Option("--clear", help="Remove all models from the cache.")] = False,
     as_json: JsonFlag = False,
 ) -> None:
     """Show the cache of built models and its size, or clear it.

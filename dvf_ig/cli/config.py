@@ -9,9 +9,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
+from typer import Argument, Option
 from typer.core import TyperCommand
 
-from .shell import JsonFlag, command, emit, output_file, warn, wrote
+from .shell import JsonFlag, command, emit, out_file, set_options, warn, wrote
 
 if TYPE_CHECKING:
     from dvf_ig.intake.draft import Verdict
@@ -25,12 +26,8 @@ app = typer.Typer(
 )
 
 USES: "tuple[Use, Use]" = ("register", "replay")
-SessionArgument = Annotated[
-    Path, typer.Argument(metavar="SESSION", help="A session.yaml, or a scenario folder.")
-]
-OutputOption = Annotated[
-    Path, typer.Option("-o", "--out", callback=output_file, help="session.yaml to write.")
-]
+SessionArgument = Annotated[Path, Argument(metavar="SESSION", help="A session.yaml, or a scenario folder.")]
+OutputOption = Annotated[Path, out_file("session.yaml to write.")]
 
 
 class InitCommand(TyperCommand):
@@ -76,22 +73,16 @@ def _init_function() -> Any:
             _begin({name: given[_variable(name)] for name in named}, output, as_json=as_json)
 
     named = [name for name, key in KEYS.items() if key.option]
-    kinds: dict[str, Any] = {"output": OutputOption, "as_json": JsonFlag}
+    options: dict[str, tuple[Any, Any]] = {
+        "output": (OutputOption, inspect.Parameter.empty),
+        "as_json": (JsonFlag, False),
+    }
     for name in named:
         key = KEYS[name]
         note = f"{key.note[:1].upper()}{key.note[1:]}."
-        option = typer.Option(*key.options, metavar=key.metavar, help=note)
-        kinds[_variable(name)] = Annotated[_kind_of(key.form), option]
-    defaults = {"output": inspect.Parameter.empty, "as_json": False}
-    begin.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
-        [
-            inspect.Parameter(
-                name, inspect.Parameter.KEYWORD_ONLY, annotation=kind, default=defaults.get(name)
-            )
-            for name, kind in kinds.items()
-        ]
-    )
-    begin.__annotations__ = kinds
+        option = Option(*key.options, metavar=key.metavar, help=note)
+        options[_variable(name)] = (Annotated[_kind_of(key.form), option], None)
+    set_options(begin, options)
     return begin
 
 
@@ -157,7 +148,7 @@ def validate(
     session: SessionArgument,
     purpose: Annotated[
         Literal["register", "replay"] | None,
-        typer.Option("--for", help="What it is to be used for (default: all that it names, for register)."),
+        Option("--for", help="What it is to be used for (default: all that it names, for register)."),
     ] = None,
     as_json: JsonFlag = False,
 ) -> None:
@@ -185,10 +176,7 @@ def validate(
 
 
 def schema(
-    output: Annotated[
-        Path | None,
-        typer.Option("-o", "--out", callback=output_file, help="File to write instead of stdout."),
-    ] = None,
+    output: Annotated[Path | None, out_file("File to write instead of stdout.")] = None,
     as_json: JsonFlag = False,
 ) -> None:
     """Write the JSON schema of a session.yaml, with which an editor completes keys and marks mistakes.

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from typer import Option
 
 from dvf_ig.cli.shell import JsonFlag, command, emit, warn
 
@@ -39,15 +40,14 @@ def list_devices(as_json: JsonFlag = False) -> None:
 @app.command("test")
 def feel(
     device: Annotated[
-        str, typer.Option("--device", help="force-dimension, openhaptics, simulated[:premium|:omni].")
+        str, Option(help="force-dimension, openhaptics, simulated[:premium|:omni].")
     ] = "simulated",
     seconds: Annotated[
-        float | None,
-        typer.Option("--seconds", min=0.5, show_default="20; 3 of a simulated device", help="How long."),
+        float | None, Option(min=0.5, show_default="20; 3 of a simulated device", help="How long.")
     ] = None,
     model: Annotated[
         Path | None,
-        typer.Option(
+        Option(
             "--feel",
             metavar="MODEL",
             help="Feel the beating heart of this model instead: softness, friction and texture of its "

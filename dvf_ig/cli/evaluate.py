@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
+from typer import Argument, Option
 
 from .shell import JsonFlag, command, emit, warn
 
@@ -16,18 +16,15 @@ SWAPPED_SHARE = 0.5
 
 
 def evaluate(
-    transform: Annotated[Path, typer.Option("--transform", help="Result of `dvf-ig register`.")],
-    landmarks: Annotated[
-        Path, typer.Option("--landmarks", help="Points on the fixed side (.mrk.json, .fcsv), or a .tag pair.")
-    ],
-    moving: Annotated[Path | None, typer.Argument(help="The same points on the moving side.")] = None,
+    transform: Annotated[Path, Option(help="Result of `dvf-ig register`.")],
+    landmarks: Annotated[Path, Option(help="Points on the fixed side (.mrk.json, .fcsv), or a .tag pair.")],
+    moving: Annotated[Path | None, Argument(help="The same points on the moving side.")] = None,
     start: Annotated[
-        Path | None,
-        typer.Option("--start", help="Start pose (.tfm); default: the one in the result of `register`."),
+        Path | None, Option(help="Start pose (.tfm); default: the one in the result of `register`.")
     ] = None,
-    truth: Annotated[Path | None, typer.Option("--truth", help="True transform (.tfm).")] = None,
+    truth: Annotated[Path | None, Option(help="True transform (.tfm).")] = None,
     moving_first: Annotated[
-        bool, typer.Option("--moving-first", help="The .tag pair lists the moving side first.")
+        bool, Option("--moving-first", help="The .tag pair lists the moving side first.")
     ] = False,
     as_json: JsonFlag = False,
 ) -> None:

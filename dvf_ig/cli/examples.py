@@ -15,10 +15,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "dvf-ig force heart.npz --points points.csv --phase 0.35",
         "dvf-ig force heart.npz --points points.csv --phase 0.35 --law guidance --delta 3 --m 1",
     ),
-    "gate": (
-        "dvf-ig gate edf:ecg.edf -o gating.json",
-        "dvf-ig gate plus:ultrasound.igs.mha --phase-at 50",
-    ),
+    "gate": ("dvf-ig gate edf:ecg.edf -o gating.json", "dvf-ig gate plus:ultrasound.igs.mha --phase-at 50"),
     "register": (
         "dvf-ig register demo -o registration",
         "dvf-ig register session.yaml -o registration",

@@ -4,10 +4,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
+from typer import Argument
 
 from .patient_model import patient_model
 from .recorded import ModelOption, RecordingOption, require_place
-from .shell import JsonFlag, SeedOption, command, emit, output_dir, output_file, wrote
+from .shell import JsonFlag, SeedOption, command, emit, out_file, out_folder, wrote
 
 if TYPE_CHECKING:
     from dvf_ig.core import DvfModel
@@ -15,10 +16,7 @@ if TYPE_CHECKING:
 
 app = typer.Typer(help="Write a run or a registration for other programs.", no_args_is_help=True)
 
-RunArgument = Annotated[Path, typer.Argument(metavar="RUN", help="Folder that `dvf-ig replay` wrote.")]
-RunOrRegistration = Annotated[
-    Path, typer.Argument(metavar="RUN", help="Folder that `dvf-ig replay` or `dvf-ig register` wrote.")
-]
+RunArgument = Annotated[Path, Argument(metavar="RUN", help="Folder that `dvf-ig replay` wrote.")]
 
 
 class Source(NamedTuple):
@@ -54,13 +52,10 @@ def read_source(run: Path, recording: Path | None, model: Path | None) -> Source
 
 @app.command("slicer")
 def slicer(
-    run: RunOrRegistration,
-    out: Annotated[
-        Path,
-        typer.Option(
-            "-o", "--out", callback=output_dir, help="Folder to write; an earlier one of dvf-ig is replaced."
-        ),
+    run: Annotated[
+        Path, Argument(metavar="RUN", help="Folder that `dvf-ig replay` or `dvf-ig register` wrote.")
     ],
+    out: Annotated[Path, out_folder("Folder to write; an earlier one of dvf-ig is replaced.")],
     recording: RecordingOption = None,
     model: ModelOption = None,
     as_json: JsonFlag = False,
@@ -87,7 +82,7 @@ def slicer(
 @app.command("mcap")
 def mcap(
     run: RunArgument,
-    out: Annotated[Path, typer.Option("-o", "--out", callback=output_file, help="Log to write, .mcap.")],
+    out: Annotated[Path, out_file("Log to write, .mcap.")],
     recording: RecordingOption = None,
     model: ModelOption = None,
     seed: SeedOption = 0,
@@ -114,7 +109,7 @@ def mcap(
 @app.command("rerun")
 def rerun(
     run: RunArgument,
-    out: Annotated[Path, typer.Option("-o", "--out", callback=output_file, help="Recording to write, .rrd.")],
+    out: Annotated[Path, out_file("Recording to write, .rrd.")],
     recording: RecordingOption = None,
     model: ModelOption = None,
     as_json: JsonFlag = False,

@@ -1,12 +1,16 @@
 """Options that describe virtual fixtures, shared by the commands that evaluate them."""
 
-from collections.abc import Mapping
+import inspect
+from collections.abc import Callable, Mapping
 from dataclasses import replace
-from enum import StrEnum
+from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
+from typer import Option
+
+from .shell import set_options
 
 if TYPE_CHECKING:
     from dvf_ig.cardiac import RetimeMode
@@ -16,21 +20,6 @@ LAW_NAMES = ("forbidden", "guidance")
 SECTION = "Fixture"
 """Heading of these options under `--help`."""
 FORMER_LAWS = {"sigmoid": "forbidden", "gaussian": "guidance"}
-
-
-class BlendName(StrEnum):
-    """How two phases are blended."""
-
-    force = "force"
-    distance = "distance"
-    periodic = "periodic"
-
-
-class RetimingName(StrEnum):
-    """How the phase of a beat becomes the phase of the model."""
-
-    uniform = "uniform"
-    two_segment = "two-segment"
 
 
 def _law(name: str) -> str:
@@ -43,67 +32,67 @@ def _law(name: str) -> str:
     return name
 
 
-# A default of None: the option was not given; the defaults shown are those of `dvf_ig.intake.fixtures`.
-LawOption = Annotated[
-    str | None,
-    typer.Option(
+def _option(flag: str, kind: Any, help: str, **more: Any) -> Any:
+    return Annotated[kind, Option(flag, rich_help_panel=SECTION, help=help, **more)]
+
+
+FIXTURE: dict[str, Any] = {
+    "law": _option(
         "--law",
-        rich_help_panel=SECTION,
+        str | None,
+        "forbidden: keep out of the organ. guidance: pull to its surface.",
         parser=_law,
         metavar="[forbidden|guidance]",
-        help="forbidden: keep out of the organ. guidance: pull to its surface.",
         show_default="forbidden",
     ),
-]
-GammaOption = Annotated[
-    float | None,
-    typer.Option(
-        "--gamma",
-        rich_help_panel=SECTION,
-        help="Forbidden: steepness in 1/mm, 0.23 or more.",
-        show_default="1.0",
+    "gamma": _option(
+        "--gamma", float | None, "Forbidden: steepness in 1/mm, 0.23 or more.", show_default="1.0"
     ),
-]
-DeltaOption = Annotated[
-    float | None,
-    typer.Option("--delta", rich_help_panel=SECTION, help="Guidance: width in mm.", show_default="3.0"),
-]
-ExponentOption = Annotated[
-    float | None, typer.Option("--m", rich_help_panel=SECTION, help="Guidance: exponent.", show_default="1.0")
-]
-CapOption = Annotated[
-    float | None,
-    typer.Option(
+    "delta": _option("--delta", float | None, "Guidance: width in mm.", show_default="3.0"),
+    "m": _option("--m", float | None, "Guidance: exponent.", show_default="1.0"),
+    "cap_n": _option(
         "--cap-n",
-        rich_help_panel=SECTION,
-        help="Largest force in N, up to 4; more in a file of --fixtures that names the device.",
+        float | None,
+        "Largest force in N, up to 4; more in a file of --fixtures that names the device.",
         show_default="0.6",
     ),
-]
-DepthOption = Annotated[
-    float | None,
-    typer.Option(
-        "--depth-mm",
-        rich_help_panel=SECTION,
-        help="Depth of the surface below the organ's, in mm.",
-        show_default="0.0",
+    "depth_mm": _option(
+        "--depth-mm", float | None, "Depth of the surface below the organ's, in mm.", show_default="0.0"
     ),
-]
-InsideOption = Annotated[
-    bool,
-    typer.Option(
-        "--inside",
-        rich_help_panel=SECTION,
-        help="Forbidden: confine inside the surface instead of keeping out.",
+    "inside": _option("--inside", bool, "Forbidden: confine inside the surface instead of keeping out."),
+    "blend": _option(
+        "--blend",
+        Literal["force", "distance", "periodic"] | None,
+        "How phases are blended.",
+        show_default="force",
     ),
-]
-BlendOption = Annotated[
-    BlendName | None,
-    typer.Option("--blend", rich_help_panel=SECTION, help="How phases are blended.", show_default="force"),
-]
+}
+"""Options of a single fixture by their keys in YAML; defaults shown are those of `dvf_ig.intake.fixtures`."""
+
+
+def takes_fixture(function: Callable[..., None]) -> Callable[..., None]:
+    """Give a command the options of FIXTURE in the place of its parameter `fixture`, a mapping of them.
+
+    None or False: the option was not given.
+    """
+
+    @wraps(function)
+    def run(**values: Any) -> None:
+        function(fixture={key: values.pop(key) for key in FIXTURE}, **values)
+
+    options: dict[str, tuple[Any, Any]] = {}
+    for one in inspect.signature(function).parameters.values():
+        if one.name == "fixture":
+            options |= {key: (kind, False if key == "inside" else None) for key, kind in FIXTURE.items()}
+        else:
+            options[one.name] = (one.annotation, one.default)
+    set_options(run, options)
+    return run
+
+
 FixturesFileOption = Annotated[
     Path | None,
-    typer.Option(
+    Option(
         "--fixtures",
         rich_help_panel=SECTION,
         help="YAML of one or several fixtures, on the heart and further structures, in place of the "
@@ -111,8 +100,8 @@ FixturesFileOption = Annotated[
     ),
 ]
 RetimingOption = Annotated[
-    RetimingName | None,
-    typer.Option(
+    Literal["uniform", "two-segment"] | None,
+    Option(
         "--retiming",
         rich_help_panel=SECTION,
         help="uniform: the cycle stretches as a whole. two-segment: systole shortens less than diastole.",
@@ -131,7 +120,7 @@ def _margin(text: str) -> str | float:
 MarginOption = Annotated[
     # typer takes one type; the parser gives a name or a number
     str | None,
-    typer.Option(
+    Option(
         "--margin",
         rich_help_panel=SECTION,
         parser=_margin,
@@ -195,7 +184,7 @@ def _asked(given: Mapping[str, Any]) -> dict[str, Any]:
     return {key: value for key, value in given.items() if value is not None and value is not False}
 
 
-def chosen_retiming(asked: RetimingName | None, of_file: "RetimeMode | None") -> "RetimeMode":
+def chosen_retiming(asked: "RetimeMode | None", of_file: "RetimeMode | None") -> "RetimeMode":
     """The law of retiming: the option's or the file's, else two-segment.
 
     Raises:
@@ -205,7 +194,7 @@ def chosen_retiming(asked: RetimingName | None, of_file: "RetimeMode | None") ->
         raise typer.BadParameter(
             "the description of the fixtures gives the law of retiming; leave out --retiming"
         )
-    return of_file or (asked or RetimingName.two_segment).value
+    return of_file or asked or "two-segment"
 
 
 def _options(keys: Any) -> str:

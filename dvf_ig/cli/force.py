@@ -3,24 +3,12 @@
 import dataclasses
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from typer import Argument, Option
 
-from .fixture_options import (
-    BlendOption,
-    CapOption,
-    DeltaOption,
-    DepthOption,
-    ExponentOption,
-    FixturesFileOption,
-    GammaOption,
-    InsideOption,
-    LawOption,
-    MarginOption,
-    chosen_fixtures,
-    with_margin,
-)
+from .fixture_options import FixturesFileOption, MarginOption, chosen_fixtures, takes_fixture, with_margin
 from .shell import JsonFlag, command, emit, warn
 
 if TYPE_CHECKING:
@@ -28,53 +16,40 @@ if TYPE_CHECKING:
     from dvf_ig.guidance import FixtureOptions, FixtureSet, ForceSamples
 
 
+@takes_fixture
 def force(
-    model_file: Annotated[Path, typer.Argument(metavar="MODEL", help="Model file.")],
+    model_file: Annotated[Path, Argument(metavar="MODEL", help="Model file.")],
     points: Annotated[
         Path,
-        typer.Option(
-            "--points",
+        Option(
             help="Points in the model's frame, in mm: CSV of x,y,z (LPS; a header is allowed), or 3D "
-            "Slicer's .mrk.json or .fcsv (LPS or RAS, as the file states).",
+            "Slicer's .mrk.json or .fcsv (LPS or RAS, as the file states)."
         ),
     ],
-    phase: Annotated[
-        float, typer.Option("--phase", help="Phase of the model's cycle, 0 at the R peak, modulo 1.")
-    ],
-    law: LawOption = None,
-    gamma: GammaOption = None,
-    delta: DeltaOption = None,
-    m: ExponentOption = None,
-    cap_n: CapOption = None,
-    depth_mm: DepthOption = None,
-    inside: InsideOption = False,
-    blend: BlendOption = None,
+    phase: Annotated[float, Option(help="Phase of the model's cycle, 0 at the R peak, modulo 1.")],
+    *,
+    fixture: dict[str, Any],
     fixtures: FixturesFileOption = None,
     free_zone_mm: Annotated[
-        float | None, typer.Option("--free-zone-mm", help="Guidance: choose --delta and --m for this zone …")
+        float | None, Option(help="Guidance: choose --delta and --m for this zone …")
     ] = None,
     detection_threshold_n: Annotated[
         float,
-        typer.Option(
-            "--felt-below-n", help="… in which the force stays below this detection threshold, in N."
-        ),
+        Option("--felt-below-n", help="… in which the force stays below this detection threshold, in N."),
     ] = 0.05,
     stiffness: Annotated[
         float | None,
-        typer.Option(
-            "--device-stiffness", help="Stiffest wall the device renders, in N/m.", show_default="400"
-        ),
+        Option("--device-stiffness", help="Stiffest wall the device renders, in N/m.", show_default="400"),
     ] = None,
     damping: Annotated[
         float | None,
-        typer.Option(
+        Option(
             "--device-damping", help="Physical damping of the device in N·s/m; checks passivity at 1 kHz."
         ),
     ] = None,
     margin: MarginOption = None,
     sigma_mm: Annotated[
-        float | None,
-        typer.Option("--sigma-mm", help="With --margin adaptive: standard deviation of the distance, in mm."),
+        float | None, Option(help="With --margin adaptive: standard deviation of the distance, in mm.")
     ] = None,
     as_json: JsonFlag = False,
 ) -> None:
@@ -86,10 +61,8 @@ def force(
         from dvf_ig.guidance import Fixtures
         from dvf_ig.io import read_model, read_points
 
-        values = {"law": law, "gamma": gamma, "delta": delta, "m": m, "cap_n": cap_n, "depth_mm": depth_mm}
-        values |= {"inside": inside, "blend": blend}
         model = read_model(model_file)
-        options, _ = chosen_fixtures(values, fixtures, model.frame)
+        options, _ = chosen_fixtures(fixture, fixtures, model.frame)
         limits = dataclasses.replace(
             options.device,
             stiffness_n_per_m=options.device.stiffness_n_per_m if stiffness is None else stiffness,
@@ -97,7 +70,7 @@ def force(
         )
         options = dataclasses.replace(options, device=limits)
         if free_zone_mm is not None:
-            if law != "guidance" or delta is not None or m is not None:
+            if fixture["law"] != "guidance" or fixture["delta"] is not None or fixture["m"] is not None:
                 raise typer.BadParameter(
                     "--free-zone-mm belongs to --law guidance and chooses its --delta and --m"
                 )

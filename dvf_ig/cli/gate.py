@@ -4,8 +4,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from typer import Argument, Option
 
-from .shell import EcgLeadOption, EcgRateOption, JsonFlag, command, emit, output_file, progress, warn, wrote
+from .shell import EcgLeadOption, EcgRateOption, JsonFlag, command, emit, out_file, progress, warn, wrote
 
 if TYPE_CHECKING:
     from dvf_ig.cardiac import PhaseClockOptions, PhaseTracking
@@ -17,7 +18,7 @@ VALIDITY_RATE_HZ = 100.0
 def gate(
     ecg: Annotated[
         str | None,
-        typer.Argument(
+        Argument(
             help="wfdb:RECORD, edf:FILE, csv:FILE or plus:SEQUENCE[#FIELD] (an ending .hea, .dat, .edf, "
             ".bdf, .csv, .tsv, .ecg, .mha or .nrrd is enough), or trigger:FILE.",
             metavar="ECG",
@@ -26,27 +27,20 @@ def gate(
     rate: EcgRateOption = None,
     lead: EcgLeadOption = None,
     phase_at: Annotated[
-        float | None,
-        typer.Option("--phase-at", help="Also give phase at this rate (Hz).", min=0.1, max=10_000.0),
+        float | None, Option(help="Also give phase at this rate (Hz).", min=0.1, max=10_000.0)
     ] = None,
-    predictor: Annotated[str, typer.Option("--predictor", help="RR predictor: ar8, ewma or last.")] = "ar8",
+    predictor: Annotated[str, Option(help="RR predictor: ar8, ewma or last.")] = "ar8",
     delay_s: Annotated[
-        float | None, typer.Option("--delay-s", help="trigger:FILE only: time from R to the trigger (s).")
+        float | None, Option(help="trigger:FILE only: time from R to the trigger (s).")
     ] = None,
     respiration: Annotated[
         str | None,
-        typer.Option(
-            "--respiration",
+        Option(
             help="Breathing: csv:FILE#CHANNEL or wfdb:RECORD#CHANNEL (#CHANNEL if several may be meant), or "
-            "marker:FILE; with or without an ECG.",
+            "marker:FILE; with or without an ECG."
         ),
     ] = None,
-    output: Annotated[
-        Path | None,
-        typer.Option(
-            "-o", "--out", callback=output_file, help="Write the result (JSON), and a picture next to it."
-        ),
-    ] = None,
+    output: Annotated[Path | None, out_file("Write the result (JSON), and a picture next to it.")] = None,
     as_json: JsonFlag = False,
 ) -> None:
     """Detect R peaks causally and report where the heart's phase is valid; follow breathing likewise."""

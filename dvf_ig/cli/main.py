@@ -5,6 +5,7 @@ import sys
 from typing import Annotated
 
 import typer
+from typer import Option
 
 import dvf_ig
 from dvf_ig.cli import (
@@ -75,7 +76,7 @@ def _print_version(wanted: bool) -> None:
 @app.callback()
 def root(
     version: Annotated[
-        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version.")
+        bool, Option("--version", callback=_print_version, is_eager=True, help="Print the version.")
     ] = False,
 ) -> None:
     """Exit codes: 0 ok, 2 usage, 3 bad input, 4 cannot write, 5 no overlap, 6 not converged, 7 quality gate

@@ -4,16 +4,13 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from typer import Option
 
 RecordingOption = Annotated[
     Path | None,
-    typer.Option(
-        "--recording", help="The recording, if it was moved: scenario folder, session.yaml or LOG.mcap."
-    ),
+    Option("--recording", help="The recording, if it was moved: scenario folder, session.yaml or LOG.mcap."),
 ]
-ModelOption = Annotated[
-    Path | None, typer.Option("--model", help="The patient's model, if its file was moved.")
-]
+ModelOption = Annotated[Path | None, Option("--model", help="The patient's model, if its file was moved.")]
 
 
 def require_place(what: str, place: Path, run: Path, option: str) -> None:

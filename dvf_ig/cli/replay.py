@@ -1,58 +1,30 @@
 """`dvf-ig replay`: a recorded intervention from raw streams to force."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+from typer import Argument
 
-from .fixture_options import (
-    BlendOption,
-    CapOption,
-    DeltaOption,
-    DepthOption,
-    ExponentOption,
-    FixturesFileOption,
-    GammaOption,
-    InsideOption,
-    LawOption,
-    MarginOption,
-    RetimingOption,
-    chosen_fixtures,
-    chosen_retiming,
-    refuse_options,
-    with_margin,
-)
+from . import fixture_options
 from .patient_model import patient_model
 from .run_outputs import run_files, write_run
 from .session_argument import SESSION, ModelOption, read_agreeing
-from .shell import JsonFlag, SeedOption, ThreadsOption, command, emit, output_dir, progress, warn, wrote
+from .shell import JsonFlag, SeedOption, ThreadsOption, command, emit, out_folder, progress, warn, wrote
 
 
+@fixture_options.takes_fixture
 def replay(
-    out: Annotated[
-        Path,
-        typer.Option(
-            "-o",
-            "--out",
-            callback=output_dir,
-            help="Folder for the result, its page, the pose and the ticks.",
-        ),
-    ],
+    out: Annotated[Path, out_folder("Folder for the result, its page, the pose and the ticks.")],
     session: Annotated[
-        Path, typer.Argument(metavar="SESSION", help=f"{SESSION.capitalize()}; or a session's LOG.mcap.")
+        Path, Argument(metavar="SESSION", help=f"{SESSION.capitalize()}; or a session's LOG.mcap.")
     ],
     model: ModelOption = None,
-    law: LawOption = None,
-    gamma: GammaOption = None,
-    delta: DeltaOption = None,
-    m: ExponentOption = None,
-    cap_n: CapOption = None,
-    depth_mm: DepthOption = None,
-    inside: InsideOption = False,
-    blend: BlendOption = None,
-    fixtures: FixturesFileOption = None,
-    retiming: RetimingOption = None,
-    margin: MarginOption = None,
+    *,
+    fixture: dict[str, Any],
+    fixtures: fixture_options.FixturesFileOption = None,
+    retiming: fixture_options.RetimingOption = None,
+    margin: fixture_options.MarginOption = None,
     as_json: JsonFlag = False,
     seed: SeedOption = 0,
     threads: ThreadsOption = None,
@@ -69,14 +41,12 @@ def replay(
         from dvf_ig.io import output_folder
         from dvf_ig.replay import result_of, run_replay, table
 
-        given = {"law": law, "gamma": gamma, "delta": delta, "m": m, "cap_n": cap_n, "depth_mm": depth_mm}
-        given |= {"inside": inside, "blend": blend}
-        options, of_file = chosen_fixtures(given, fixtures)
+        options, of_file = fixture_options.chosen_fixtures(fixture, fixtures)
         files, _ = read_agreeing(session, model, "replay")  # doubts are in the result
         if files.fixtures is not None:
-            refuse_options(given, fixtures)
+            fixture_options.refuse_options(fixture, fixtures)
             options = files.fixtures
-        mode = chosen_retiming(retiming, files.retiming or of_file)
+        mode = fixture_options.chosen_retiming(retiming, files.retiming or of_file)
         recorded = files.scenario
         with output_folder(out, run_files()):
             built, origin = patient_model(recorded.preop, files.model or model)
@@ -84,7 +54,7 @@ def replay(
                 done = run_replay(
                     recorded,
                     model=built,
-                    fixtures=with_margin(options, margin),
+                    fixtures=fixture_options.with_margin(options, margin),
                     retiming=mode,
                     seed=seed,
                     progress=report,

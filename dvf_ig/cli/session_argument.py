@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from typer import Option
 from typer.core import TyperCommand
 
 if TYPE_CHECKING:
@@ -14,7 +15,7 @@ if TYPE_CHECKING:
 SESSION = "a scenario folder (see `dvf-ig synth scenario`) or a session.yaml (see `dvf-ig config init`)"
 ModelOption = Annotated[
     Path | None,
-    typer.Option("--model", help="This patient's model for a scenario folder, which names none itself."),
+    Option("--model", help="This patient's model for a scenario folder, which names none itself."),
 ]
 
 

@@ -5,6 +5,7 @@ files go to stderr.
 """
 
 import errno
+import inspect
 import json
 import logging
 import os
@@ -18,6 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from typer import Option
 from typer.core import TyperGroup
 
 if TYPE_CHECKING:
@@ -26,28 +28,32 @@ if TYPE_CHECKING:
 UNEXPECTED = 70
 """Exit code of a fault of this program (EX_SOFTWARE)."""
 
-JsonFlag = Annotated[bool, typer.Option("--json", help="Print the result as JSON on stdout.")]
-SeedOption = Annotated[int, typer.Option("--seed", help="Seed of every random choice.")]
-ThreadsOption = Annotated[
-    int | None, typer.Option("--threads", min=1, help="Threads to use (default: all cores).")
-]
+JsonFlag = Annotated[bool, Option("--json", help="Print the result as JSON on stdout.")]
+SeedOption = Annotated[int, Option("--seed", help="Seed of every random choice.")]
+ThreadsOption = Annotated[int | None, Option("--threads", min=1, help="Threads to use (default: all cores).")]
 EcgRateOption = Annotated[
     float | None,
-    typer.Option("--rate", help="Sampling rate (Hz) of an ECG that states none.", min=1.0, max=100_000.0),
+    Option("--rate", help="Sampling rate (Hz) of an ECG that states none.", min=1.0, max=100_000.0),
 ]
 EcgLeadOption = Annotated[
     str | None,
-    typer.Option("--lead", help="Leads of the ECG to use, separated by commas (default: all named as one)."),
+    Option("--lead", help="Leads of the ECG to use, separated by commas (default: all named as one)."),
 ]
 ProbeNameOption = Annotated[
-    str | None,
-    typer.Option("--probe-name", help="The probe's sensor, as the recording names it (default: Probe)."),
+    str | None, Option("--probe-name", help="The probe's sensor, as the recording names it (default: Probe).")
 ]
 ReferenceNameOption = Annotated[
     str | None,
-    typer.Option(
+    Option(
         "--reference-name",
         help="What its poses are relative to (default: Reference where it is recorded, else Tracker).",
+    ),
+]
+VoxelOption = Annotated[
+    str | None,
+    Option(
+        "--voxel-mm",
+        help="Voxel size where the header has lost it, three numbers of mm, for example 1.5,1.5,10.",
     ),
 ]
 
@@ -72,6 +78,25 @@ def output_dir(path: Path | None) -> Path | None:
 
             require_folder(path)
     return path
+
+
+def out_file(help: str) -> Any:
+    """Make the option -o of a command that writes a file."""
+    return Option("-o", "--out", callback=output_file, help=help)
+
+
+def out_folder(help: str) -> Any:
+    """Make the option -o of a command that writes a folder."""
+    return Option("-o", "--out", callback=output_dir, help=help)
+
+
+def set_options(function: Callable[..., None], options: Mapping[str, tuple[Any, Any]]) -> None:
+    """Make annotation and default of each option, by name, those that typer reads of a function."""
+    kind = inspect.Parameter.KEYWORD_ONLY
+    function.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
+        [inspect.Parameter(name, kind, default=of[1], annotation=of[0]) for name, of in options.items()]
+    )
+    function.__annotations__ = {name: annotation for name, (annotation, _) in options.items()}
 
 
 def exit_code(error: "DvfIgError") -> int:
@@ -268,6 +293,21 @@ def whole_numbers(text: str, option: str, example: str) -> tuple[int, ...]:
         return tuple(int(part) for part in text.split(","))
     except ValueError as exc:
         raise typer.BadParameter(f"{option} is '{text}'; needed whole numbers such as {example}") from exc
+
+
+def voxel_size(text: str | None) -> tuple[float, float, float] | None:
+    """Parse X,Y,Z of --voxel-mm.
+
+    Raises:
+        typer.BadParameter: another form.
+    """
+    if text is None:
+        return None
+    try:
+        x, y, z = (float(part) for part in text.split(","))
+    except ValueError:
+        raise typer.BadParameter(f"--voxel-mm is '{text}'; needed three numbers, e.g. 1.5,1.5,10") from None
+    return x, y, z
 
 
 def emit(result: Mapping[str, Any], rows: Sequence[tuple[str, ...]], *, as_json: bool) -> None:

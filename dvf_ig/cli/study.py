@@ -14,24 +14,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_args, get_origin, get_type_hints
 
 import typer
+from typer import Argument, Option
 from typer.core import TyperCommand, TyperGroup
 from typer.main import get_command
 
 import dvf_ig
-from dvf_ig.cli.shell import (
-    JsonFlag,
-    ThreadsOption,
-    command,
-    cores_or,
-    emit,
-    limit_threads,
-    output_dir,
-    progress,
-    warn,
-    whole_numbers,
-    wrote,
-)
-from dvf_ig.cli.voxel_size import voxel_size
+from dvf_ig.cli import shell
 
 if TYPE_CHECKING:
     from dvf_ig.study.driver import Study
@@ -84,7 +72,8 @@ class StudyCommand(TyperCommand):
             if flag in RENAMED:
                 raise typer.BadParameter(f"{flag} is now called {RENAMED[flag]}")
         if threads := re.search(r"--threads[ =]([1-9]\d*)", " ".join(args)):
-            limit_threads(int(threads[1]))  # numba comes with the study's module and must find the limit
+            # numba comes with the study's module and must find the limit
+            shell.limit_threads(int(threads[1]))
         return self._made.make_context(info_name, args, parent, **extra)
 
 
@@ -115,12 +104,7 @@ def _command_of(module: str, name: str, about: str, epilog: str) -> Any:
         settings = {one.name: _value(one, hints[one.name], values.pop(one.name)) for one in chosen}
         _run(study, study.settings(**settings), **values)
 
-    parameters = [
-        inspect.Parameter(key, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
-        for key, (annotation, default) in options.items()
-    ]
-    run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
-    run.__annotations__ = {key: annotation for key, (annotation, _) in options.items()}
+    shell.set_options(run, options)
     alone = typer.Typer(context_settings={"help_option_names": ["-h", "--help"]}, add_completion=False)
     alone.command(name, help=about, epilog=epilog)(run)
     return get_command(alone)
@@ -131,14 +115,14 @@ def _option(one: "Field[Any]", hint: Any) -> tuple[Any, Any]:
     about = one.metadata
     flag = about["flag"] or f"--{one.name.replace('_', '-')}"
     if _is_numbers(hint):
-        return Annotated[str | None, typer.Option(flag, help=about["help"])], _with_commas(one)
+        return Annotated[str | None, Option(flag, help=about["help"])], _with_commas(one)
     if get_origin(hint) is tuple:
-        return Annotated[list[get_args(hint)[0]] | None, typer.Option(flag, help=about["help"])], None  # type: ignore[misc]
+        return Annotated[list[get_args(hint)[0]] | None, Option(flag, help=about["help"])], None  # type: ignore[misc]
     default = inspect.Parameter.empty if one.default is MISSING else one.default
     if about["argument"]:
-        return Annotated[hint, typer.Argument(help=about["help"])], default
+        return Annotated[hint, Argument(help=about["help"])], default
     bounds = {"min": about["least"], "max": about["most"]}
-    return Annotated[hint, typer.Option(flag, help=about["help"], **bounds)], default
+    return Annotated[hint, Option(flag, help=about["help"], **bounds)], default
 
 
 def _is_numbers(hint: Any) -> bool:
@@ -155,9 +139,9 @@ def _with_commas(one: "Field[Any]") -> str | None:
 def _value(one: "Field[Any]", hint: Any, value: Any) -> Any:
     """A field's value from its option's."""
     if get_args(hint) == (int, ...):
-        return whole_numbers(value, f"--{one.name}", str(_with_commas(one)))
+        return shell.whole_numbers(value, f"--{one.name}", str(_with_commas(one)))
     if _is_numbers(hint):
-        return voxel_size(value)
+        return shell.voxel_size(value)
     return tuple(value or ()) if get_origin(hint) is tuple else value
 
 
@@ -166,20 +150,20 @@ def _shared(study: "Study") -> dict[str, tuple[Any, Any]]:
     about = (
         "Folder; a study that was stopped goes on where it was." if study.trials else "Folder for results."
     )
-    folder = typer.Option("-o", "--out", callback=output_dir, help=about)
+    folder = shell.out_folder(about)
     options: dict[str, tuple[Any, Any]] = {
         "out": (Annotated[Path, folder], inspect.Parameter.empty)
         if study.needs_folder
         else (Annotated[Path | None, folder], None)
     }
     if study.trials:
-        workers = typer.Option("--workers", min=1, help="Processes (default: one for each core).")
+        workers = Option("--workers", min=1, help="Processes (default: one for each core).")
         address = "Work on this dask.distributed scheduler instead (tcp://HOST:8786)."
         options["workers"] = (Annotated[int | None, workers], None)
-        options["scheduler"] = (Annotated[str | None, typer.Option("--scheduler", help=address)], None)
+        options["scheduler"] = (Annotated[str | None, Option("--scheduler", help=address)], None)
     if study.threads:
-        options["threads"] = (ThreadsOption, None)
-    return {**options, "as_json": (JsonFlag, False)}
+        options["threads"] = (shell.ThreadsOption, None)
+    return {**options, "as_json": (shell.JsonFlag, False)}
 
 
 def _run(
@@ -193,23 +177,25 @@ def _run(
     threads: int | None = None,
 ) -> None:
     """Run a study, print what it found and name the files it wrote."""
-    with command(threads, lists_inputs=study.lists_inputs):
+    with shell.command(threads, lists_inputs=study.lists_inputs):
         from dvf_ig.io import plain
         from dvf_ig.study.driver import Driver, run_study
 
         result = run_study(
-            study, settings, Driver(progress, out, cores_or(workers), scheduler, cores_or(threads))
+            study,
+            settings,
+            Driver(shell.progress, out, shell.cores_or(workers), scheduler, shell.cores_or(threads)),
         )
         for note in result.notes:
-            warn(note)
+            shell.warn(note)
         if as_json and not isinstance(result.fields, dict):
             for line in result.fields:
                 sys.stdout.write(json.dumps(plain(line), allow_nan=False) + "\n")
         else:
-            emit(plain(result.fields), result.table, as_json=as_json)
+            shell.emit(plain(result.fields), result.table, as_json=as_json)
         for remark in result.remarks:
             typer.echo(remark, err=True)
         if out is not None:
             for name in ("study.json", "trials.jsonl", *result.files):
                 if name in result.files or (study.trials and (out / name).exists()):
-                    wrote(out / name)
+                    shell.wrote(out / name)

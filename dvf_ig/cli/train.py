@@ -1,49 +1,28 @@
 """`dvf-ig train`: play the tasks of Ren 2008 with a haptic device, with and without its force."""
 
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
+from typer import Argument, Option
 
-from dvf_ig.cli.shell import JsonFlag, command, emit, output_dir, wrote
-
-
-class Task(StrEnum):
-    """Tasks that a person can play."""
-
-    cutting = "cutting"
-    dissection = "dissection"
-
-
-class Sight(StrEnum):
-    """How the page shows depth."""
-
-    mono = "mono"
-    side_by_side = "side-by-side"
-    anaglyph = "anaglyph"
+from dvf_ig.cli.shell import JsonFlag, command, emit, out_folder, wrote
 
 
 def train(
     task: Annotated[
-        Task,
-        typer.Argument(help="cutting: push pellets 5 mm deep; dissection: remove pellets above the organ."),
+        Literal["cutting", "dissection"],
+        Argument(help="cutting: push pellets 5 mm deep; dissection: remove pellets above the organ."),
     ],
     device: Annotated[
-        str, typer.Option("--device", help="force-dimension, openhaptics, simulated[:premium|:omni].")
+        str, Option(help="force-dimension, openhaptics, simulated[:premium|:omni].")
     ] = "simulated",
-    out: Annotated[
-        Path, typer.Option("-o", "--out", callback=output_dir, help="Folder; earlier trials there stay.")
-    ] = Path("training"),
-    person: Annotated[
-        str | None, typer.Option("--person", help="Name in the tables (default: the device).")
-    ] = None,
-    trials: Annotated[int, typer.Option("--trials", min=1, help="Trials with and without force, each.")] = 1,
-    sight: Annotated[Sight, typer.Option("--sight", help="Depth in the page.")] = Sight.mono,
-    seed: Annotated[int, typer.Option("--seed", help="Draws pellets, fulcra and the order of trials.")] = 1,
-    page: Annotated[
-        int, typer.Option("--page", min=0, max=65535, help="Port of the page; 0 takes a free one.")
-    ] = 0,
+    out: Annotated[Path, out_folder("Folder; earlier trials there stay.")] = Path("training"),
+    person: Annotated[str | None, Option(help="Name in the tables (default: the device).")] = None,
+    trials: Annotated[int, Option(min=1, help="Trials with and without force, each.")] = 1,
+    sight: Annotated[Literal["mono", "side-by-side", "anaglyph"], Option(help="Depth in the page.")] = "mono",
+    seed: Annotated[int, Option(help="Draws pellets, fulcra and the order of trials.")] = 1,
+    page: Annotated[int, Option(min=0, max=65535, help="Port of the page; 0 takes a free one.")] = 0,
     as_json: JsonFlag = False,
 ) -> None:
     """Play a task of Ren 2008 on a beating heart with and without force, seen in a page of this machine.
@@ -60,7 +39,7 @@ def train(
         from dvf_ig.study.operators.tables import training_tables
 
         open_device(device).close()  # one that is missing is named before anything else
-        practice = Practice(task.value, device, person or device, seed, trials, sight.value)
+        practice = Practice(task, device, person or device, seed, trials, sight)
         out.mkdir(parents=True, exist_ok=True)
         typer.echo("preparing the beating heart (half a minute)", err=True)
         feed = TrainingFeed(operating_heart(), practice)
@@ -68,5 +47,5 @@ def train(
             typer.echo(f"see it at http://127.0.0.1:{server.port}", err=True)
             practise(operating_heart(), practice, feed, lambda text: typer.echo(text, err=True), out)
         lines = read_log(out)
-        emit({"trials": lines}, training_tables(task.value, lines), as_json=as_json)
+        emit({"trials": lines}, training_tables(task, lines), as_json=as_json)
         wrote(out / LOG)

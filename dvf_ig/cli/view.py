@@ -4,25 +4,19 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from typer import Argument
 
 from .patient_model import patient_model
 from .recorded import ModelOption, RecordingOption, require_place
-from .shell import JsonFlag, ThreadsOption, command, emit, output_file, wrote
+from .shell import JsonFlag, ThreadsOption, command, emit, out_file, wrote
 
 
 def view(
     run: Annotated[
-        Path,
-        typer.Argument(metavar="RUN", help="Folder that `dvf-ig replay … -o RUN` wrote; or a model (.npz)."),
+        Path, Argument(metavar="RUN", help="Folder that `dvf-ig replay … -o RUN` wrote; or a model (.npz).")
     ],
     out: Annotated[
-        Path | None,
-        typer.Option(
-            "-o",
-            "--out",
-            callback=output_file,
-            help="HTML file to write (default: RUN/view.html, or next to the model).",
-        ),
+        Path | None, out_file("HTML file to write (default: RUN/view.html, or next to the model).")
     ] = None,
     recording: RecordingOption = None,
     model: ModelOption = None,

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import fields, is_dataclass
 from enum import Enum
 from functools import wraps
+from types import NoneType, UnionType
 from typing import Any, TypeVar
 
 import numpy as np
@@ -97,8 +98,11 @@ _HOLDERS = (np.ndarray, tuple, dict)
 
 
 def _holds_no_array(kind: Any) -> bool:
-    """Return whether values of a type need no look: numbers, texts, enumerations and dataclasses."""
-    return isinstance(kind, type) and (issubclass(kind, (int, float, str, Enum)) or is_dataclass(kind))
+    """Return whether values of a type need no look: numbers, texts, enumerations, dataclasses, None."""
+    if isinstance(kind, UnionType):
+        return all(map(_holds_no_array, kind.__args__))
+    numbers = (int, float, str, Enum, NoneType)
+    return isinstance(kind, type) and (issubclass(kind, numbers) or is_dataclass(kind))
 
 
 def _protected(value: Any) -> Any:

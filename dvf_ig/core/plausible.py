@@ -66,7 +66,11 @@ def require_plausible(values: Any, most: float, what: str) -> None:
     Raises:
         InvalidInputError: a number is larger; the message states it.
     """
+    if isinstance(values, float) and abs(values) <= most:
+        return
     array = np.abs(np.asarray(values, dtype=np.float64))
+    if not (array > most).any():
+        return
     if (beyond := array[np.isfinite(array) & (array > most)]).size:
         raise InvalidInputError(
             f"{what} reaches {float(beyond.max()):.3g}; needed at most {most:g}: check its unit and source"

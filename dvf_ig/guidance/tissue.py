@@ -48,6 +48,19 @@ class TissueClass:
     texture: float
     sources: tuple[str, str, str, str]
 
+    @property
+    def properties(self) -> tuple[tuple[str, str, str], ...]:
+        """Name, value with unit, and source of each property, as text."""
+        values = (
+            ("stiffness", f"{self.stiffness_n_per_mm:.2g} N/mm"),
+            ("damping", f"{self.damping_n_s_per_m:.2g} N·s/m"),
+            ("friction", f"{self.friction:.2g}"),
+            ("texture", f"{self.texture:.2g}"),
+        )
+        return tuple(
+            (what, value, source) for (what, value), source in zip(values, self.sources, strict=True)
+        )
+
 
 def _stiffness(youngs_kpa: float) -> float:
     """Compute k in N/mm of tissue that keeps its volume (ν = ½), under the tip."""

@@ -4,26 +4,13 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from dvf_ig.core.arrays import AnyArray, FloatArray
-from dvf_ig.core.plausible import (
-    HEART_MM,
-    IMAGE_MM,
-    MARKER_MM,
-    PERIOD_S,
-    POSSIBLE_HEART_MM,
-    TIP_MM,
-    USUAL_TIP_MM,
-)
-from dvf_ig.core.recordings.scenario import Preop
-from dvf_ig.core.recordings.stream import PoseStream
-from dvf_ig.core.space.image_map import ImageMap
-from dvf_ig.core.space.points import Landmarks, Points
+from dvf_ig.core import AnyArray, FloatArray, ImageMap, Landmarks, Points, PoseStream, Preop, plausible
 
 from .findings import Disagreement, Finding, finding
 from .heart_in_images import HeartInImages, cycle_findings, mr_order_finding
 from .parts import SessionFiles
 from .places import place_findings
-from .preop import PreopFiles, heart_surfaces
+from .preop import PreopFiles, heart_surfaces, still_heart_key
 from .problems import Use
 from .readers import Sweep
 
@@ -68,6 +55,8 @@ def unit_findings(files: SessionFiles) -> Iterator[Finding]:
     """Find lengths and times in another unit."""
     if files.preop is not None:
         yield from _heart(files.preop)
+        if files.tool is not None and (key := still_heart_key(files.preop)) is not None:
+            yield finding(Disagreement.HEART_DOES_NOT_BEAT, key)
     if files.sweep is not None:
         if files.sweep.recorded.has_timestamps:
             yield from _stamps(files.sweep.recorded.t_s, "ultrasound", "ultrasound", "register")
@@ -87,10 +76,10 @@ def _heart(heart: PreopFiles) -> Iterator[Finding]:
         if not len(xyz_mm):
             continue  # reported of the labels themselves
         longest_mm = float(np.ptp(xyz_mm, axis=0).max())
-        least, most = POSSIBLE_HEART_MM
+        least, most = plausible.POSSIBLE_HEART_MM
         if not least <= longest_mm <= most:
             yield finding(Disagreement.HEART_NOT_IN_MM, key, mm=longest_mm)
-        elif not HEART_MM[0] <= longest_mm <= HEART_MM[1]:
+        elif not plausible.HEART_MM[0] <= longest_mm <= plausible.HEART_MM[1]:
             yield finding(Disagreement.HEART_OF_UNUSUAL_SIZE, key, mm=longest_mm)
 
 
@@ -99,23 +88,23 @@ def _range(stream: PoseStream, key: str, hinders: Use) -> Iterator[Finding]:
     if not len(at_mm):
         return
     farthest_mm = float(np.linalg.norm(at_mm, axis=1).max())
-    if farthest_mm < MARKER_MM[0] and np.ptp(at_mm, axis=0).any():
+    if farthest_mm < plausible.MARKER_MM[0] and np.ptp(at_mm, axis=0).any():
         yield finding(Disagreement.POSES_NOT_IN_MM, key, hinders, stream=stream.name, mm=farthest_mm)
-    elif farthest_mm > MARKER_MM[1]:
+    elif farthest_mm > plausible.MARKER_MM[1]:
         yield finding(
             Disagreement.POSES_OUT_OF_REACH,
             key,
             hinders,
             stream=stream.name,
             mm=farthest_mm,
-            most=MARKER_MM[1],
+            most=plausible.MARKER_MM[1],
         )
     elif key == "tool" and (moved_mm := float(np.ptp(at_mm, axis=0).max())) < STILL_MM:
         yield finding(Disagreement.TOOL_STILL, key, hinders, stream=stream.name, mm=moved_mm)
 
 
 def _stamps(t_s: FloatArray, what: str, key: str, hinders: Use) -> Iterator[Finding]:
-    least, most = PERIOD_S
+    least, most = plausible.PERIOD_S
     if len(t_s) > 1 and not least <= (period_s := float(np.median(np.diff(t_s)))) <= most:
         yield finding(
             Disagreement.STAMPS_NOT_IN_S, key, hinders, what=what, s=period_s, least=least, most=most
@@ -125,11 +114,11 @@ def _stamps(t_s: FloatArray, what: str, key: str, hinders: Use) -> Iterator[Find
 def _tip(tip: Points) -> Iterator[Finding]:
     length_mm = float(np.linalg.norm(tip.xyz_mm[0]))
     key = "calibration.tip"
-    if length_mm > TIP_MM[1]:
-        yield finding(Disagreement.TIP_OUT_OF_REACH, key, "replay", mm=length_mm, most=TIP_MM[1])
-    elif 0.0 < length_mm < TIP_MM[0]:
+    if length_mm > plausible.TIP_MM[1]:
+        yield finding(Disagreement.TIP_OUT_OF_REACH, key, "replay", mm=length_mm, most=plausible.TIP_MM[1])
+    elif 0.0 < length_mm < plausible.TIP_MM[0]:
         yield finding(Disagreement.TIP_NOT_IN_MM, key, "replay", mm=length_mm)
-    elif 0.0 < length_mm < USUAL_TIP_MM:
+    elif 0.0 < length_mm < plausible.USUAL_TIP_MM:
         yield finding(Disagreement.TIP_NEAR_MARKER, key, "replay", mm=length_mm)
 
 
@@ -138,7 +127,7 @@ def _image(probe: ImageMap, images: AnyArray | None) -> Iterator[Finding]:
         return
     rows, columns = images.shape[1:]
     middle = probe.apply_pixels(np.array([[columns / 2, rows / 2]]))
-    if (away_mm := float(np.linalg.norm(middle.xyz_mm))) > IMAGE_MM:
+    if (away_mm := float(np.linalg.norm(middle.xyz_mm))) > plausible.IMAGE_MM:
         yield finding(Disagreement.IMAGE_FAR_FROM_PROBE, "calibration.probe", mm=away_mm)
 
 

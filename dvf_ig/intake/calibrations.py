@@ -3,36 +3,20 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 
-from dvf_ig.calibration import (
-    LatencyResult,
-    NWireResult,
-    PivotResult,
-    PlaneTarget,
-    PointTarget,
-    TargetResult,
-    accepted,
-    calibrate_crosswire,
-    calibrate_pivot,
-    calibrate_wall,
-    compare_nwire_methods,
-    estimate_latency,
-)
-from dvf_ig.core import (
-    DvfIgError,
-    ImageMap,
-    InvalidInputError,
-    LatencyRecording,
-    NWireRecording,
-    Points,
-    PoseStream,
-    Scenario,
-    TargetRecording,
-)
+from dvf_ig.calibration import LatencyResult, PointTarget, TargetResult, calibrate_crosswire, estimate_latency
+from dvf_ig.calibration.pivot.pivot import PivotResult, calibrate_pivot
+from dvf_ig.calibration.probe.nwire import NWireResult, compare_nwire_methods
+from dvf_ig.calibration.probe.wall import PlaneTarget, calibrate_wall
+from dvf_ig.calibration.refusal import accepted
+from dvf_ig.core import ImageMap, LatencyRecording, NWireRecording, PoseStream, Scenario, TargetRecording
+from dvf_ig.core.errors import DvfIgError, InvalidInputError
+from dvf_ig.core.space.points import Points
 from dvf_ig.session import CalibrationsInUse, UltrasoundCalibration
+
+from .parts import CalibrationSources
 
 ProbeResult = NWireResult | TargetResult[PointTarget] | TargetResult[PlaneTarget]
 
@@ -67,20 +51,7 @@ class Calibrations:
         return CalibrationsInUse(self.ultrasound.probe_from_image, self.ultrasound.lag_s, self.tip)
 
 
-class Calibratable(Protocol):
-    """A source of the calibrations or their recordings, such as `Scenario`."""
-
-    @property
-    def probe(self) -> NWireRecording | TargetRecording | ImageMap: ...
-
-    @property
-    def latency(self) -> LatencyRecording | float: ...
-
-    @property
-    def tip(self) -> PoseStream | Points | None: ...
-
-
-def calibrate(scenario: Calibratable, seed: int) -> Calibrations:
+def calibrate(scenario: Scenario | CalibrationSources, seed: int) -> Calibrations:
     """Calibrate tool, probe and latency from what was recorded, exactly as `dvf-ig calibrate` does.
 
     Refusals are the methods' own.

@@ -5,15 +5,9 @@ Kernels are loaded only when something is described: a session is read without t
 
 import numpy as np
 
-from dvf_ig.core.arrays import FloatArray
-from dvf_ig.core.errors import InvalidInputError
+from dvf_ig.core import FloatArray, ImageMap, InvalidInputError, LatencyRecording, Points, PoseStream, Rigid
 from dvf_ig.core.recordings.phantom import NWireRecording, TargetRecording
-from dvf_ig.core.recordings.scenario import LatencyRecording
 from dvf_ig.core.recordings.signal import Respiration, Signal
-from dvf_ig.core.recordings.stream import PoseStream
-from dvf_ig.core.space.image_map import ImageMap
-from dvf_ig.core.space.points import Points
-from dvf_ig.core.space.rigid import Rigid
 from dvf_ig.core.space.volume import VolumeSeries
 from dvf_ig.core.timing.cycle import CycleTiming
 from dvf_ig.core.timing.trigger import TriggerTimes

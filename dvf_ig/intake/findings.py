@@ -36,6 +36,12 @@ class Disagreement(Enum):
         "the heart is {mm:.0f} mm long; a heart has 60 to 200 mm: check that the file is in mm, and that its "
         "labels or surfaces are those of the heart",
     )
+    HEART_DOES_NOT_BEAT = Rule(
+        False,
+        "the heart is the same in every phase: it does not beat, so that fixtures stand still while the "
+        "patient's heart moves; build the model from every phase (model build --surfaces DIR, --labels "
+        "SERIES, or --image CINE with the labels of one phase)",
+    )
     POSES_NOT_IN_MM = Rule(
         True,
         "every position of {stream} lies within {mm:.2g} mm of the origin, where no marker can be: the poses "

@@ -10,14 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from dvf_ig.cardiac import MIN_BEATS, RPeak, stream_recording
-from dvf_ig.core.arrays import FloatArray
+from dvf_ig.core import FloatArray, Grid, ImageMap, PoseStream, Preop, Signal, TriggerTimes
 from dvf_ig.core.errors import InvalidInputError, NoOverlapError
-from dvf_ig.core.recordings.scenario import Preop
-from dvf_ig.core.recordings.signal import Signal
-from dvf_ig.core.recordings.stream import PoseStream
-from dvf_ig.core.space.image_map import ImageMap
-from dvf_ig.core.space.volume import Grid
-from dvf_ig.core.timing.trigger import TriggerTimes
 from dvf_ig.registration import TouchedPoints, start_from_landmarks
 from dvf_ig.registration.surface_points.touched import require_spread
 from dvf_ig.session.setup import require_lag

@@ -6,9 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from dvf_ig.core.arrays import FloatArray
-from dvf_ig.core.space.image_map import ImageMap
-from dvf_ig.core.space.mesh import Mesh
+from dvf_ig.core import FloatArray, ImageMap, Mesh
 from dvf_ig.registration.lc2.slices import fan_mask_from_images
 
 from .ecg_delay import (

@@ -5,8 +5,7 @@ from itertools import combinations, permutations
 
 import numpy as np
 
-from dvf_ig.core.arrays import FloatArray, IntArray
-from dvf_ig.core.space.points import Landmarks
+from dvf_ig.core import FloatArray, IntArray, Landmarks
 
 FEWEST = 4
 """Any exchange of three names may fit as well as their true order."""

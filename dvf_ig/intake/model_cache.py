@@ -23,13 +23,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import dvf_ig
-from dvf_ig.core.arrays import AnyArray
+from dvf_ig.core import AnyArray, DvfModel, Grid, Preop, SurfaceSeries, VolumeSeries
 from dvf_ig.core.errors import InvalidInputError, OutputError, UnreadableFileError
 from dvf_ig.core.kernel_sources import source_digest
-from dvf_ig.core.model import DvfModel
-from dvf_ig.core.recordings.scenario import Preop
-from dvf_ig.core.space.mesh import SurfaceSeries
-from dvf_ig.core.space.volume import Grid, VolumeSeries
 from dvf_ig.io.limits import MODEL_BYTES
 from dvf_ig.io.model.model_file import model_bytes, parse_model
 from dvf_ig.io.provenance import not_recorded

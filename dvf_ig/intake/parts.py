@@ -9,54 +9,18 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dvf_ig.core.errors import InvalidInputError
-from dvf_ig.core.model import DvfModel
+from dvf_ig.core import DvfModel, Fan, ImageMap, InvalidInputError, Points, PoseStream, Rigid, TriggerTimes
 from dvf_ig.core.recordings.phantom import NWireRecording, TargetRecording
 from dvf_ig.core.recordings.scenario import LatencyRecording, Preop, Scenario, ScenarioTruth
-from dvf_ig.core.recordings.sequence import Fan
 from dvf_ig.core.recordings.signal import Respiration, Signal
-from dvf_ig.core.recordings.stream import PoseStream
-from dvf_ig.core.space.image_map import ImageMap
-from dvf_ig.core.space.points import Points
-from dvf_ig.core.space.rigid import Rigid
-from dvf_ig.core.timing.trigger import TriggerTimes
-from dvf_ig.io.image.gated_volume import (
-    GatedVolumeFile,
-    gated_volume_files,
-    read_gated_volumes,
-    sequence_volumes,
-)
-from dvf_ig.io.plus.names import ProbeNames
+from dvf_ig.io import GatedVolumeFile, ProbeNames, gated_volume_files, read_gated_volumes, sequence_volumes
 from dvf_ig.io.respiration import read_respiration, split_respiration
 
-from .contents import (
-    device_contents,
-    ecg_contents,
-    heart_contents,
-    latency_contents,
-    probe_contents,
-    respiration_contents,
-    start_contents,
-    tip_contents,
-    tool_contents,
-    ultrasound_contents,
-)
+from . import contents, readers
 from .fixtures import RetimingName
 from .live import LiveConfig
 from .preop import PreopFiles, read_preop
 from .problems import Problem, ProblemList, Use, concerning
-from .readers import (
-    StartFiles,
-    Sweep,
-    read_device_place,
-    read_latency_source,
-    read_probe_source,
-    read_session_ecg,
-    read_start,
-    read_sweep,
-    read_tip_source,
-    read_tool,
-)
 from .schema import SessionConfig
 
 if TYPE_CHECKING:
@@ -92,7 +56,7 @@ class SessionFiles:
     """
 
     preop: PreopFiles | None = None
-    sweep: Sweep | None = None
+    sweep: readers.Sweep | None = None
     volumes: tuple[GatedVolumeFile, ...] = ()
     fan: Fan | None = None
     ecg: Signal | TriggerTimes | None = None
@@ -102,7 +66,7 @@ class SessionFiles:
     latency: float | LatencyRecording | None = None
     tip: Points | PoseStream | None = None
     device: Rigid | None = None
-    start: StartFiles = field(default_factory=StartFiles)
+    start: readers.StartFiles = field(default_factory=readers.StartFiles)
     fixtures: "FixtureSet | None" = None
     retiming: RetimingName | None = None
     truth: ScenarioTruth | None = None
@@ -128,7 +92,7 @@ class SessionFiles:
         """The recordings of a scenario, part by part."""
         return cls(
             preop=PreopFiles(scenario.preop, model),
-            sweep=Sweep(scenario.ultrasound, scenario.ultrasound.stream("tracker", "probe")),
+            sweep=readers.Sweep(scenario.ultrasound, scenario.ultrasound.stream("tracker", "probe")),
             fan=scenario.fan,
             ecg=scenario.ecg,
             tool=scenario.tool,
@@ -136,7 +100,7 @@ class SessionFiles:
             probe=scenario.probe,
             latency=scenario.latency,
             tip=scenario.tip,
-            start=StartFiles(
+            start=readers.StartFiles(
                 scenario.start,
                 scenario.landmarks_mr,
                 scenario.landmarks_tracker,
@@ -315,7 +279,7 @@ def _read_ultrasound(at: Opened) -> Mapping[str, Any]:
         read: dict[str, Any] = {"fan": None if us.fan is None else us.fan.fan()}
     if us.file is not None:
         with concerning("ultrasound.file", at.folder / us.file):
-            read["sweep"] = read_sweep(at.folder / us.file, at.names)
+            read["sweep"] = readers.read_sweep(at.folder / us.file, at.names)
     with concerning("ultrasound.volumes"):
         files = tuple(replace(file, path=at.folder / file.path) for file in gated_volume_files(us.volumes))
         at.read["volumes"] = files  # readable or not: what else is needed depends on them
@@ -329,11 +293,7 @@ def _read_ecg(at: Opened) -> Mapping[str, Any]:
     sweep = at.folder / us.file if us is not None and us.file is not None else None
     if at.config.ecg is None and (at.read.get("sweep") is None or sweep is None):
         return {}
-    return {"ecg": read_session_ecg(at.config.ecg, at.folder, sweep)}
-
-
-def _read_tool(at: Opened) -> Mapping[str, Any]:
-    return {"tool": read_tool(at.config.tool, at.folder, at.read.get("sweep"))}
+    return {"ecg": readers.read_session_ecg(at.config.ecg, at.folder, sweep)}
 
 
 def _read_respiration(at: Opened) -> Mapping[str, Any]:
@@ -350,27 +310,25 @@ def _read_probe(at: Opened) -> Mapping[str, Any]:
     probe = at.config.calibration.probe
     sweep = at.read.get("sweep")
     turned_from = None if sweep is None else sweep.recorded.turned_from
-    return {} if probe is None else {"probe": read_probe_source(probe, at.folder, at.names, turned_from)}
+    return (
+        {} if probe is None else {"probe": readers.read_probe_source(probe, at.folder, at.names, turned_from)}
+    )
 
 
 def _read_latency(at: Opened) -> Mapping[str, Any]:
     latency = at.config.calibration.latency
-    return {} if latency is None else {"latency": read_latency_source(latency, at.folder, at.names)}
+    return {} if latency is None else {"latency": readers.read_latency_source(latency, at.folder, at.names)}
 
 
 def _read_tip(at: Opened) -> Mapping[str, Any]:
     tip, tool = at.config.calibration.tip, at.read.get("tool")
     name = at.tool if tool is None else tool.source
-    return {} if tip is None else {"tip": read_tip_source(tip, at.folder, name)}
+    return {} if tip is None else {"tip": readers.read_tip_source(tip, at.folder, name)}
 
 
 def _read_device(at: Opened) -> Mapping[str, Any]:
     device = at.config.calibration.device
-    return {} if device is None else {"device": read_device_place(at.folder / device)}
-
-
-def _read_start(at: Opened) -> Mapping[str, Any]:
-    return {"start": read_start(at.config.start, at.folder)}
+    return {} if device is None else {"device": readers.read_device_place(at.folder / device)}
 
 
 def _of_volumes(files: SessionFiles) -> bool:
@@ -382,7 +340,7 @@ PARTS = (
         "preop",
         "heart",
         _read_heart,
-        lambda files: heart_contents(files.preop),
+        lambda files: contents.heart_contents(files.preop),
         lambda files: files.preop is not None,
         "register",
         "a registration needs the heart: its model (dvf-ig model build … -o heart.npz), labels, or surfaces",
@@ -392,7 +350,7 @@ PARTS = (
         "ultrasound",
         "ultrasound",
         _read_ultrasound,
-        lambda files: ultrasound_contents(files.sweep, files.volumes),
+        lambda files: contents.ultrasound_contents(files.sweep, files.volumes),
         lambda files: files.sweep is not None or bool(files.volumes),
         "register",
         "a registration needs ultrasound: a tracked sweep (PLUS sequence), or gated 3-D images",
@@ -401,7 +359,7 @@ PARTS = (
         "ecg",
         "ECG",
         _read_ecg,
-        lambda files: ecg_contents(files.ecg),
+        lambda files: contents.ecg_contents(files.ecg),
         lambda files: files.ecg is not None or (_of_volumes(files) and not _timed(files)),
         "register",
         "a registration needs the ECG, which tells when in the cycle each image was taken",
@@ -409,8 +367,8 @@ PARTS = (
     Part(
         "tool",
         "tool",
-        _read_tool,
-        lambda files: tool_contents(files.tool, files.sweep),
+        lambda at: {"tool": readers.read_tool(at.config.tool, at.folder, at.read.get("sweep"))},
+        lambda files: contents.tool_contents(files.tool, files.sweep),
         lambda files: files.tool is not None,
         "replay",
         "a force needs the tool's poses: a tracked sequence of the tool on the ECG's clock",
@@ -419,14 +377,14 @@ PARTS = (
         "respiration",
         "breathing",
         _read_respiration,
-        lambda files: respiration_contents(files.respiration),
+        lambda files: contents.respiration_contents(files.respiration),
         lambda files: files.respiration is not None,
     ),
     Part(
         "calibration.probe",
         "probe calibration",
         _read_probe,
-        lambda files: probe_contents(files.probe, files.sweep),
+        lambda files: contents.probe_contents(files.probe, files.sweep),
         lambda files: files.probe is not None or _of_volumes(files),
         "register",
         "a registration needs the probe's calibration: dvf-ig calibrate probe SWEEP --device-set XML "
@@ -437,7 +395,7 @@ PARTS = (
         "calibration.latency",
         "latency",
         _read_latency,
-        lambda files: latency_contents(files.latency),
+        lambda files: contents.latency_contents(files.latency),
         lambda files: files.latency is not None or _of_volumes(files),
         "register",
         "a registration needs the latency of the images: dvf-ig calibrate latency TRACKER VIDEO "
@@ -448,7 +406,7 @@ PARTS = (
         "calibration.tip",
         "tool tip",
         _read_tip,
-        lambda files: tip_contents(files.tip),
+        lambda files: contents.tip_contents(files.tip),
         lambda files: files.tip is not None,
         "replay",
         "a force needs a tool tip: dvf-ig calibrate pivot POSES -o tip.json",
@@ -458,7 +416,7 @@ PARTS = (
         "calibration.device",
         "haptic device",
         _read_device,
-        lambda files: device_contents(files.device),
+        lambda files: contents.device_contents(files.device),
         lambda files: files.device is not None,
         missing="a force needs the place of its haptic device: dvf-ig calibrate device POINTS --device NAME "
         "-o device.json",
@@ -467,8 +425,8 @@ PARTS = (
     Part(
         "start",
         "start",
-        _read_start,
-        lambda files: start_contents(files.start),
+        lambda at: {"start": readers.read_start(at.config.start, at.folder)},
+        lambda files: contents.start_contents(files.start),
         lambda files: any(
             one is not None for one in (files.start.start, files.start.landmarks_mr, files.start.touched)
         ),

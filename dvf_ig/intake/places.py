@@ -6,13 +6,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from dvf_ig.core.arrays import FloatArray
-from dvf_ig.core.errors import InvalidInputError
-from dvf_ig.core.recordings.stream import PoseStream
-from dvf_ig.core.space.frames import RAS_FROM_LPS
-from dvf_ig.core.space.image_map import ImageMap
-from dvf_ig.core.space.points import Points
-from dvf_ig.core.space.rigid import Rigid
+from dvf_ig.core import RAS_FROM_LPS, FloatArray, ImageMap, InvalidInputError, Points, PoseStream, Rigid
 from dvf_ig.registration import start_from_landmarks
 
 from .findings import Disagreement, Finding, finding

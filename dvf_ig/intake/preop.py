@@ -8,20 +8,21 @@ from typing import Any
 
 import numpy as np
 
-from dvf_ig.core.arrays import FloatArray
-from dvf_ig.core.errors import UnreadableFileError
-from dvf_ig.core.model import DvfModel
-from dvf_ig.core.recordings.scenario import Preop
-from dvf_ig.core.space.mesh import SurfaceSeries
-from dvf_ig.core.space.volume import Volume, VolumeSeries
+from dvf_ig.core import (
+    AnyArray,
+    DvfModel,
+    FloatArray,
+    Preop,
+    SurfaceSeries,
+    UnreadableFileError,
+    Volume,
+    VolumeSeries,
+)
 from dvf_ig.core.timing.cycle import CycleTiming
-from dvf_ig.io.dicom.cine import dicom_patient_id, is_dicom_folder
-from dvf_ig.io.image.labels import read_cine_labels
+from dvf_ig.io import dicom_patient_id, is_dicom_folder, read_cine_labels, read_json, read_model
 from dvf_ig.io.image.timing import timing_from_document
 from dvf_ig.io.image.volume import image_dimension, read_volume_series
-from dvf_ig.io.json_file import read_json
 from dvf_ig.io.mesh.series import UNKNOWN_PATIENT, read_surface_series, surface_names
-from dvf_ig.io.model.model_file import read_model
 from dvf_ig.io.reading import reading
 
 from .problems import concerning
@@ -114,12 +115,8 @@ def _with_times(mr: VolumeSeries, model: DvfModel, name: str) -> VolumeSeries:
     if len(mr.timing) == model.phases:
         return replace(mr, timing=model.timing)
     log.warning(
-        "%s has %d phases, the model %d: its phase i is taken to be at i/%d of the cycle; put a timing.json "
-        "beside it",
-        name,
-        len(mr.timing),
-        model.phases,
-        len(mr.timing),
+        f"{name} has {len(mr.timing)} phases, the model {model.phases}: its phase i is taken to be at "
+        f"i/{len(mr.timing)} of the cycle; put a timing.json beside it"
     )
     return mr
 
@@ -190,6 +187,25 @@ def heart_surfaces(files: PreopFiles) -> Iterator[tuple[str, FloatArray]]:
     fixture = [series for series in preop.surfaces if series.name == preop.surface]
     for series in fixture if model is None else ():
         yield "preop.surfaces_folder", np.asarray(series.vertices_mm[0])
+
+
+def still_heart_key(files: PreopFiles) -> str | None:
+    """Find the key of a heart that is the same in every phase; None if it beats, or is not read."""
+    preop, model = files.preop, files.model
+    if model is not None:
+        return "preop.model" if model.still else None
+    if preop.labels is not None:
+        drawn = (
+            np.isin(preop.labels.values, preop.organ_labels) if preop.organ_labels else preop.labels.values
+        )
+        return "preop.labels" if drawn.any() and _all_equal(drawn) else None
+    fixture = next((series for series in preop.surfaces if series.name == preop.surface), None)
+    return "preop.surfaces_folder" if fixture is not None and _all_equal(fixture.vertices_mm) else None
+
+
+def _all_equal(phases: AnyArray) -> bool:
+    """Whether every phase (p, ...) is the same as the first."""
+    return all(np.array_equal(one, phases[0]) for one in phases[1:])
 
 
 def heart_vertices(files: PreopFiles) -> Iterator[FloatArray]:

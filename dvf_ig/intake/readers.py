@@ -4,26 +4,16 @@ import logging
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from dvf_ig.core import ImageMap, LatencyRecording, PoseStream, Rigid, Signal, TrackedSequence, TriggerTimes
 from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
 from dvf_ig.core.recordings.phantom import NWireRecording, TargetRecording
-from dvf_ig.core.recordings.scenario import LatencyRecording
-from dvf_ig.core.recordings.sequence import TrackedSequence
-from dvf_ig.core.recordings.signal import Signal
-from dvf_ig.core.recordings.stream import PoseStream
-from dvf_ig.core.space.image_map import ImageMap
 from dvf_ig.core.space.points import Landmarks, Points
-from dvf_ig.core.space.rigid import Rigid
-from dvf_ig.core.timing.trigger import TriggerTimes
+from dvf_ig.io import read_ecg, read_landmarks, read_latency_recording, read_nwire_recording, read_sequence
 from dvf_ig.io.calibration_files import read_lag, read_landmark_map, read_probe, read_tip
-from dvf_ig.io.ecg.recording import read_ecg
 from dvf_ig.io.ecg.trigger import read_beat_source, split_ecg
-from dvf_ig.io.landmarks import read_landmarks
 from dvf_ig.io.plus.feature_points import read_target_recording, tracked_probe
-from dvf_ig.io.plus.latency import read_latency_recording
 from dvf_ig.io.plus.names import ProbeNames, frame_from_plus, same_sensor
-from dvf_ig.io.plus.nwire import read_nwire_recording
 from dvf_ig.io.plus.poses import SEQUENCE_SUFFIXES, read_poses, recorded_poses
-from dvf_ig.io.plus.sequence_read import read_sequence
 from dvf_ig.io.points_file import read_points
 from dvf_ig.io.reading import reading
 from dvf_ig.io.transform import read_transform

@@ -11,22 +11,7 @@ from dvf_ig.io.file_within import path_within
 from dvf_ig.io.yaml_config import Section, read_yaml, validated
 from dvf_ig.io.yaml_text import yaml_text
 
-from .schema import (
-    CalibrationConfig,
-    EcgConfig,
-    FanConfig,
-    LatencyConfig,
-    NWireConfig,
-    PivotConfig,
-    PreopConfig,
-    RespirationConfig,
-    SessionConfig,
-    StartConfig,
-    ToolConfig,
-    UltrasoundConfig,
-    Whole,
-    named_files,
-)
+from . import schema
 
 SCHEMA = "dvf_ig.scenario/1"
 CONFIG = "scenario.yaml"
@@ -86,10 +71,10 @@ class ScenarioConfig(Section):
     schema_: Literal["dvf_ig.scenario/1"] = Field(default="dvf_ig.scenario/1", alias="schema")
     name: str
     preset: str
-    seed: Whole | None = None
+    seed: schema.Whole | None = None
     patient_id: str
     preop: ScenarioPreop
-    fan: FanConfig | None = None
+    fan: schema.FanConfig | None = None
     files: FilesConfig = Field(default_factory=FilesConfig)
 
 
@@ -121,7 +106,7 @@ def config_text(config: ScenarioConfig) -> str:
     return yaml_text(document)
 
 
-def session_of_scenario(folder: Path, *, truth: bool = True) -> SessionConfig:
+def session_of_scenario(folder: Path, *, truth: bool = True) -> schema.SessionConfig:
     """The session that a scenario folder is; the files that it names are not opened.
 
     Args:
@@ -136,20 +121,20 @@ def session_of_scenario(folder: Path, *, truth: bool = True) -> SessionConfig:
         problem = exc.errors()[0]
         key = ".".join(map(str, problem["loc"])) or "its files"
         raise UnreadableFileError(f"{folder / CONFIG}: {key}: {problem['msg']}") from exc
-    for _, name in named_files(session):
+    for _, name in schema.named_files(session):
         path_within(folder, name, folder / CONFIG)
     return session
 
 
-def _session(config: ScenarioConfig, folder: Path, *, with_truth: bool) -> SessionConfig:
+def _session(config: ScenarioConfig, folder: Path, *, with_truth: bool) -> schema.SessionConfig:
     files, preop = config.files, config.preop
     timing = path_within(folder, preop.timing, folder / CONFIG)
-    return SessionConfig(
+    return schema.SessionConfig(
         name=config.name,
         preset=config.preset,
         seed=config.seed,
         patient_id=config.patient_id,
-        preop=PreopConfig(
+        preop=schema.PreopConfig(
             mr=preop.mr,
             views=preop.views,
             labels=preop.labels,
@@ -160,26 +145,24 @@ def _session(config: ScenarioConfig, folder: Path, *, with_truth: bool) -> Sessi
             surface=preop.surface,
             timing=preop.timing if timing.is_file() else None,
         ),
-        ultrasound=UltrasoundConfig(file=files.ultrasound, fan=config.fan),
-        ecg=EcgConfig(file=files.ecg if split_ecg(files.ecg).prefix else f"csv:{files.ecg}"),
-        tool=ToolConfig(file=files.tool),
-        respiration=None if files.respiration is None else RespirationConfig(file=files.respiration),
-        calibration=CalibrationConfig(
-            probe=NWireConfig(
+        ultrasound=schema.UltrasoundConfig(file=files.ultrasound, fan=config.fan),
+        ecg=schema.EcgConfig(file=files.ecg if split_ecg(files.ecg).prefix else f"csv:{files.ecg}"),
+        tool=schema.ToolConfig(file=files.tool),
+        respiration=None if files.respiration is None else schema.RespirationConfig(file=files.respiration),
+        calibration=schema.CalibrationConfig(
+            probe=schema.NWireConfig(
                 phantom="nwire",
                 file=files.nwire,
                 device_set=files.nwire_device_set,
                 points=files.nwire_points,
             ),
-            latency=LatencyConfig(
+            latency=schema.LatencyConfig(
                 tracker=files.latency_tracker, video=files.latency_video, lines=files.latency_lines
             ),
-            tip=PivotConfig(pivot=files.pivot),
+            tip=schema.PivotConfig(pivot=files.pivot),
         ),
-        start=StartConfig(
-            transform=files.start,
-            landmarks_mr=files.landmarks_mr,
-            landmarks_tracker=files.landmarks_tracker,
+        start=schema.StartConfig(
+            transform=files.start, landmarks_mr=files.landmarks_mr, landmarks_tracker=files.landmarks_tracker
         ),
         fixtures=files.fixtures,
         truth=TRUTH if with_truth else None,

@@ -7,24 +7,14 @@ from typing import Literal
 
 import numpy as np
 
+from dvf_ig.core import CycleTiming, NWireRecording, PoseStream, Rigid, Signal, TrackedSequence, TriggerTimes
 from dvf_ig.core.errors import InvalidInputError
-from dvf_ig.core.recordings.phantom import NWireRecording
 from dvf_ig.core.recordings.scenario import LatencyRecording, Preop, Scenario
-from dvf_ig.core.recordings.sequence import TrackedSequence
-from dvf_ig.core.recordings.signal import Signal
-from dvf_ig.core.recordings.stream import PoseStream
-from dvf_ig.core.space.rigid import Rigid
-from dvf_ig.core.timing.cycle import CycleTiming
-from dvf_ig.core.timing.trigger import TriggerTimes
 from dvf_ig.guidance import FixtureSet
-from dvf_ig.io.ecg.recording import write_ecg_csv
+from dvf_ig.io import write_ecg_csv, write_json, write_landmarks, write_model, write_surface_series
 from dvf_ig.io.ecg.trigger import TRIGGER_PREFIX, write_triggers
 from dvf_ig.io.image.timing import timing_document
 from dvf_ig.io.image.volume import write_volume, write_volume_series
-from dvf_ig.io.json_file import write_json
-from dvf_ig.io.landmarks import write_landmarks
-from dvf_ig.io.mesh.series import write_surface_series
-from dvf_ig.io.model.model_file import write_model
 from dvf_ig.io.plus.latency import write_line_table
 from dvf_ig.io.plus.nwire import write_nwire_phantom, write_wire_points
 from dvf_ig.io.plus.sequence_write import write_poses, write_sequence

@@ -5,9 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
-from dvf_ig.core.recordings.scenario import Scenario
-from dvf_ig.core.timing.trigger import TriggerTimes
+from dvf_ig.core import InvalidInputError, Scenario, TriggerTimes, UnreadableFileError
 from dvf_ig.io.plus.names import ProbeNames, split_transform
 from dvf_ig.io.provenance import record_folder
 from dvf_ig.io.reading import reading

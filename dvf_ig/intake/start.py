@@ -1,10 +1,8 @@
 """The pose that a registration starts from, and what was touched on the patient to check it."""
 
-from typing import Protocol
-
 import numpy as np
 
-from dvf_ig.core import DvfModel, InvalidInputError, Landmarks, Points, QualityGateError, Rigid
+from dvf_ig.core import DvfModel, InvalidInputError, QualityGateError, Rigid, Scenario
 from dvf_ig.registration import (
     LandmarkPrior,
     TouchedPoints,
@@ -17,6 +15,8 @@ from dvf_ig.registration import (
 )
 from dvf_ig.session import Heart
 
+from .readers import StartFiles
+
 NO_START = (
     "the recording has neither a start pose, nor landmarks, nor touched points; give a coarse "
     "mr_from_tracker (start.tfm), or the same landmarks marked on the model and touched on the patient "
@@ -24,23 +24,8 @@ NO_START = (
 )
 
 
-class Startable(Protocol):
-    """A source of something to start a registration from, such as `Scenario`."""
-
-    @property
-    def start(self) -> Rigid | None: ...
-
-    @property
-    def landmarks_mr(self) -> Landmarks | None: ...
-
-    @property
-    def landmarks_tracker(self) -> Landmarks | None: ...
-
-    @property
-    def touched(self) -> Points | None: ...
-
-    @property
-    def touched_phase(self) -> float | None: ...
+Startable = Scenario | StartFiles
+"""What holds something to start a registration from."""
 
 
 def require_start(scenario: Startable) -> None:

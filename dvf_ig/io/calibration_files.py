@@ -11,8 +11,7 @@ from typing import Annotated, Literal, TypeVar, get_args
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from dvf_ig.core import ImageMap, Points, QualityGateError, Rigid
-from dvf_ig.core.arrays import FloatArray
+from dvf_ig.core import FloatArray, ImageMap, Points, QualityGateError, Rigid
 from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
 from dvf_ig.core.plausible import lag_problem, pixel_problem, tip_problem
 from dvf_ig.io.reading import reading

@@ -11,8 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dvf_ig.core.arrays import FloatArray
-from dvf_ig.core.errors import UnreadableFileError
+from dvf_ig.core import FloatArray, UnreadableFileError
 
 from .limits import SETTINGS_BYTES
 from .reading import read_bytes

@@ -10,10 +10,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from dvf_ig.core.arrays import FloatArray
-from dvf_ig.core.errors import InvalidInputError, OutputError, UnreadableFileError
+from dvf_ig.core import FloatArray, InvalidInputError, Landmarks, OutputError, Points, UnreadableFileError
 from dvf_ig.core.plausible import spread_problem
-from dvf_ig.core.space.points import Landmarks, Points
 
 from . import limits
 from .json_file import read_json, write_json

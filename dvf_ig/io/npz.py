@@ -16,8 +16,7 @@ from typing import IO
 
 import numpy as np
 
-from dvf_ig.core.arrays import AnyArray
-from dvf_ig.core.errors import UnreadableFileError
+from dvf_ig.core import AnyArray, UnreadableFileError
 
 MOST_ARRAYS = 1000
 _HEADER = re.compile(

@@ -7,9 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dvf_ig.core import read_only_arrays
-from dvf_ig.core.arrays import FloatArray
-from dvf_ig.core.errors import UnreadableFileError
+from dvf_ig.core import FloatArray, UnreadableFileError, read_only_arrays
 
 from .clock_times import past_midnight
 from .reading import read_text

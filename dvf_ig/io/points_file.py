@@ -6,10 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from dvf_ig.core.arrays import FloatArray
-from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
+from dvf_ig.core import FloatArray, InvalidInputError, Points, UnreadableFileError
 from dvf_ig.core.plausible import spread_problem
-from dvf_ig.core.space.points import Points
 
 from . import limits
 from .landmarks import LANDMARK_ENDINGS, named_points

@@ -6,10 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from dvf_ig.core.arrays import FloatArray
-from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
+from dvf_ig.core import FloatArray, InvalidInputError, Respiration, Signal, UnreadableFileError
 from dvf_ig.core.plausible import marker_problem
-from dvf_ig.core.recordings.signal import Respiration, Signal
 from dvf_ig.io import limits
 from dvf_ig.io.clock_times import past_midnight
 from dvf_ig.io.ecg.trigger import EcgName

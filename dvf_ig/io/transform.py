@@ -5,8 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from dvf_ig.core.arrays import FloatArray
-from dvf_ig.core.errors import FrameMismatchError, InvalidInputError, OutputError
+from dvf_ig.core import FloatArray, FrameMismatchError, InvalidInputError, OutputError
 from dvf_ig.core.space.rigid import Rigid, rigidity_defect
 
 from . import limits

@@ -8,13 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from dvf_ig.core.arrays import AnyArray, FloatArray
+from dvf_ig.core import AnyArray, FloatArray, ImageMap, Landmarks, Points, Rigid, SurfaceSeries
 from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
 from dvf_ig.core.recordings.scenario import BreathingTruth, ScenarioTruth, ToolTruth
-from dvf_ig.core.space.image_map import ImageMap
-from dvf_ig.core.space.mesh import SurfaceSeries
-from dvf_ig.core.space.points import Landmarks, Points
-from dvf_ig.core.space.rigid import Rigid
 from dvf_ig.io import limits
 from dvf_ig.io.image.timing import timing_document, timing_from_document
 from dvf_ig.io.json_file import read_json, write_json

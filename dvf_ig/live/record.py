@@ -107,6 +107,11 @@ class SessionRecord:
         """Why the record ended before its session; None where it did not."""
 
     @property
+    def empty(self) -> bool:
+        """Whether no event, state or answer came."""
+        return self._bytes_in == 0 and self.lost == 0
+
+    @property
     def problem(self) -> str | None:
         if self.failure is not None:
             return f"the record ended, the session goes on: {self.failure}"
@@ -196,6 +201,8 @@ def session_record(
 ) -> Iterator[SessionRecord]:
     """A record in a folder that exists: `PART` while it grows, `LOG` when the session has ended.
 
+    None remains of a session that is refused, or fails, before anything came.
+
     Args:
         attach: attaches what a replay needs in addition to messages.
         tell: as of `SessionRecord`.
@@ -216,8 +223,12 @@ def session_record(
         record.start()
         try:
             yield record
-        finally:
-            finished = record.finish()
+        except BaseException:
+            record.finish()
+            if record.empty:
+                path.unlink()
+            raise
+        finished = record.finish()
     if finished:
         try:
             os.replace(path, whole)

@@ -28,6 +28,7 @@ class Fused:
         boundary: fit of the boundary from LC2's pose; None if the model's surface is not known or the
             slices show no boundary.
         covered: the part of the coarse slices within the model's volume, or the covered part, at LC2's pose.
+        match: of LC2 and the boundary in blocks of space; None if the pose is no minimum.
     """
 
     pose: Rigid
@@ -35,6 +36,7 @@ class Fused:
     noise_covariance: FloatArray
     boundary: BoundaryFit | None
     covered: SliceSet
+    match: BlockedMatch | None
 
 
 def fuse(problem: Problem, refined: Refined) -> Fused:
@@ -51,7 +53,7 @@ def fuse(problem: Problem, refined: Refined) -> Fused:
     curvature = None if match is None else match.curvature + _landmarks(problem, chart)[0]
     if match is None or curvature is None or not _is_minimum(curvature):
         unknown = np.full((6, 6), np.nan)
-        return Fused(chart.base, unknown, unknown, boundary, covered)
+        return Fused(chart.base, unknown, unknown, boundary, covered, None)
     fit = pose_and_shape(match, chart, lambda here: _landmarks(problem, here))
     spread = covariance_mm2(fit.first, fit.influences)
     if problem.images.placement is not None:
@@ -65,7 +67,7 @@ def fuse(problem: Problem, refined: Refined) -> Fused:
             problem.images.rr_s,
         )
     noise = np.asarray(np.linalg.inv(curvature))
-    return Fused(fit.pose, covariance_from_mm(spread), covariance_from_mm(noise), boundary, covered)
+    return Fused(fit.pose, covariance_from_mm(spread), covariance_from_mm(noise), boundary, covered, match)
 
 
 def _match(

@@ -223,7 +223,8 @@ def _change_of_shape(problem: Problem, fused: Fused, coverage: Coverage | None) 
     organ = None if model is None else target_from_model(model)
     offset_mm, center_mm = fused.boundary.offset_mm, problem.center_mm
     least_mm = PLAINLY_RIGID_MM if coverage is None else 0.0  # of a stack the evidence counts, not the shift
-    change = change_of_shape(boundary, offset_mm, fused.pose, center_mm, organ, least_mm)
+    match = fused.match if coverage is None else None
+    change = change_of_shape(boundary, offset_mm, fused.pose, center_mm, organ, least_mm, match)
     if coverage is None or change is None:
         return change
     return replace(change, partly=True) if change.evidence > PART_EVIDENCE * coverage.share else None

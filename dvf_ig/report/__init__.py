@@ -1,6 +1,6 @@
 """Figures and HTML pages, drawn from values and arrays without computing estimates.
 
-`paper`, `replay` and `study` hold the figures of Ren 2008, of a replay and of the studies; `style` and `page`
+`registration`, `replay` and `viewer` hold what is shown of a registration and a replay; `style` and `page`
 their common look. Callers compute what a figure shows and pass it as a value.
 """
 

@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.ndimage import map_coordinates
 
-from dvf_ig.core.arrays import FloatArray
-from dvf_ig.core.space.volume import Grid, VolumeSeries
+from dvf_ig.core import FloatArray, Grid, VolumeSeries
 
 from .plane_marks import draw_plane_marks, edge_letters
 from .style import ESTIMATE, MR_ON_GREY, ON_GREY, SERIES, START, TRUTH, without_ticks, write_png

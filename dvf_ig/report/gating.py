@@ -9,9 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dvf_ig.core.arrays import FloatArray
-from dvf_ig.core.recordings.signal import Signal
-from dvf_ig.core.timing.phase import PhaseState, PhaseTrack
+from dvf_ig.core import FloatArray, PhaseState, PhaseTrack, Signal
 
 from .style import ESTIMATE, TRUTH, png_bytes
 

@@ -11,9 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.ndimage import map_coordinates
 
-from dvf_ig.core.arrays import BoolArray, FloatArray
-from dvf_ig.core.space.mesh import SurfaceSeries
-from dvf_ig.core.space.volume import VolumeSeries
+from dvf_ig.core import BoolArray, FloatArray, SurfaceSeries, VolumeSeries
 
 from .plane_marks import draw_plane_marks, edge_letters, plane_name, viewed_upright
 from .plane_overlay import plane_section

@@ -50,9 +50,9 @@ def html_page(title: str, body: str, *, style: str = "") -> str:
     )
 
 
-def section(title: str, note: str, content: str, *, level: int = 2) -> str:
+def section(title: str, note: str, content: str) -> str:
     """Build a heading, a grey paragraph and HTML below them; title and note are plain text."""
-    return f"<h{level}>{html.escape(title)}</h{level}><p class=note>{html.escape(note)}</p>{content}"
+    return f"<h2>{html.escape(title)}</h2><p class=note>{html.escape(note)}</p>{content}"
 
 
 def table(heading: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

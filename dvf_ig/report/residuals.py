@@ -34,22 +34,18 @@ def write_residual_picture(
     used: BoolArray | None = None,
     names: Sequence[str] | None = None,
     second: FloatArray | None = None,
-    second_name: str = "left out of the fit",
     x_label: str = "pose",
-    unit: str = "mm",
 ) -> None:
     """Write residuals as a PNG: bars if they are few and named, else dots with their distribution.
 
     Args:
         path: the file; a suffix other than .png is an error.
-        residuals: (n,) lengths; NaN is not drawn.
+        residuals: (n,) lengths, mm; NaN is not drawn.
         title: one line with the result and its error.
         used: (n,) False for items excluded from the fit; None: all were used.
         names: (n,) name of each; bars are drawn for up to MOST_BARS of them.
-        second: (n,) another error of the same items, drawn with the first (leave-one-out, validation).
-        second_name: legend of the second error.
+        second: (n,) error of each item where it was left out of the fit, mm, drawn with the first.
         x_label: of the axis of dots.
-        unit: of the residuals.
     Raises:
         InvalidInputError: arrays of unequal length, no finite residual, or a suffix that is not .png.
         OutputError: not writable.
@@ -64,9 +60,9 @@ def write_residual_picture(
         if items is not None and len(items) != count:
             raise InvalidInputError(f"{len(items)} {what} for {count} residuals; needed equal numbers")
     if names is not None and count <= MOST_BARS:
-        figure = _bars(values, took_part, names, second, second_name, unit)
+        figure = _bars(values, took_part, names, second)
     else:
-        figure = _dots(values, took_part, x_label, unit)
+        figure = _dots(values, took_part, x_label)
     _finish(path, figure, title)
 
 
@@ -75,7 +71,7 @@ def write_latency_picture(path: Path | str, latency: LatencyResult, *, title: st
 
     Args:
         path: the file, .png.
-        found: the lag with its evidence.
+        latency: the lag with its evidence.
         title: one line with the result.
     Raises:
         InvalidInputError: a suffix that is not .png.
@@ -130,14 +126,7 @@ def _draw_curve(axis: Axes, latency: LatencyResult) -> None:
     axis.legend(loc="upper center", ncols=2, fontsize=8, frameon=False, handletextpad=0.2)
 
 
-def _bars(
-    values: FloatArray,
-    used: BoolArray,
-    names: Sequence[str],
-    second: FloatArray | None,
-    second_name: str,
-    unit: str,
-) -> Figure:
+def _bars(values: FloatArray, used: BoolArray, names: Sequence[str], second: FloatArray | None) -> Figure:
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(7.0, 1.6 + 0.32 * len(values)), layout="constrained")
@@ -145,19 +134,19 @@ def _bars(
     rows = np.arange(len(values))
     axis.barh(rows, values, height=0.6, color=[ESTIMATE if u else START for u in used], label="in the fit")
     if second is not None:
-        axis.plot(second, rows, "D", ms=5, color=TRUTH, label=second_name)
+        axis.plot(second, rows, "D", ms=5, color=TRUTH, label="left out of the fit")
     for row, value in enumerate(values):
         axis.annotate(f"{value:.2f}", (0, row), (4, 0), textcoords="offset points", va="center", color="w")
     rms = float(np.sqrt(np.mean(values[used] ** 2)))
-    axis.axvline(rms, color=TRUTH, lw=0.9, ls=":", label=f"RMS {rms:.2f} {unit}")
+    axis.axvline(rms, color=TRUTH, lw=0.9, ls=":", label=f"RMS {rms:.2f} mm")
     axis.set_yticks(rows, list(names))
     axis.invert_yaxis()
-    axis.set_xlabel(f"distance, {unit}")
+    axis.set_xlabel("distance, mm")
     figure.legend(loc="outside lower center", ncols=3, fontsize=9, frameon=False)
     return figure
 
 
-def _dots(values: FloatArray, used: BoolArray, x_label: str, unit: str) -> Figure:
+def _dots(values: FloatArray, used: BoolArray, x_label: str) -> Figure:
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(10.0, 4.0), layout="constrained")
@@ -172,14 +161,14 @@ def _dots(values: FloatArray, used: BoolArray, x_label: str, unit: str) -> Figur
         top = max(top, min(1.15 * float(values[out].max()), 2.0 * top))
         over_time.plot(
             index[out], np.minimum(values[out], 0.97 * top), "^", ms=4, color=START,
-            label=f"{int(out.sum())} left out, up to {values[out].max():.1f} {unit}",
+            label=f"{int(out.sum())} left out, up to {values[out].max():.1f} mm",
         )  # fmt: skip
-    over_time.set(xlabel=x_label, ylabel=f"residual, {unit}", ylim=(0, 1.12 * top))
+    over_time.set(xlabel=x_label, ylabel="residual, mm", ylim=(0, 1.12 * top))
     over_time.legend(loc="upper left", ncols=2, fontsize=9, frameon=False)
     bins = np.linspace(0.0, float(inside.max()), 31).tolist()
     spread.hist(inside, bins=bins, orientation="horizontal", color=ESTIMATE, alpha=0.7)
     for value, style, word in ((rms, "-", "RMS"), (p95, ":", "95 %")):
-        spread.axhline(value, color=TRUTH, lw=1.0, ls=style, label=f"{word} {value:.2f} {unit}")
+        spread.axhline(value, color=TRUTH, lw=1.0, ls=style, label=f"{word} {value:.2f} mm")
     spread.set_xlabel("number")
     spread.legend(loc="upper right", fontsize=9, frameon=False)
     return figure

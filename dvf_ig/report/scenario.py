@@ -7,10 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.ndimage import map_coordinates
 
-from dvf_ig.core.arrays import AnyArray, FloatArray
-from dvf_ig.core.recordings.scenario import Preop, Scenario
-from dvf_ig.core.space.volume import Grid, Volume, VolumeSeries
-from dvf_ig.core.timing.trigger import TriggerTimes
+from dvf_ig.core import AnyArray, FloatArray, Grid, Preop, Scenario, TriggerTimes, Volume, VolumeSeries
 
 from .style import ON_GREY, TRUTH, png_bytes, without_ticks
 

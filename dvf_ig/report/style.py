@@ -31,15 +31,23 @@ ON_GREY = "#41b6e6"
 """Colour of outlines over grey images, on which blue is too dark."""
 MR_ON_GREY = "#e69f00"
 """Colour of MR over grey ultrasound; safe with ON_GREY for colour-blind readers (Okabe and Ito 2008)."""
-OUTLINE = "#d35400"
-"""Colour of the surface over a field shaded blue."""
 SERIES = (ESTIMATE, START, "#2a8c4a", "#8e44ad", "#7f6a55", WRONG)
 """Colours of series of equal rank, ours first."""
 BLUES = ("#9ecae1", "#4a9bd0", "#1f6fb4", "#123f6e")
 """Colours of a growing parameter, pale to dark."""
+LABELS_ON_GREY = (
+    *("#c3a1e0", "#77aadd", "#eedd88", "#99ddff", "#ffaabb", "#44bb99"),
+    *("#bbcc33", "#ff7fd0", "#aaaa00", "#dddddd", "#b08968", "#5b8c5a"),
+)
+"""Colours of tissue labels over ultrasound."""
 DPI = 110
 WIDE_IN = 10.5
 """Width of a figure that spans a page, inches."""
+
+
+def label_color(value: int) -> str:
+    """Return the colour of a tissue label over ultrasound."""
+    return LABELS_ON_GREY[(value - 1) % len(LABELS_ON_GREY)]
 
 
 def png_bytes(figure: Figure, dpi: int = DPI) -> bytes:
@@ -49,10 +57,10 @@ def png_bytes(figure: Figure, dpi: int = DPI) -> bytes:
     return buffer.getvalue()
 
 
-def jpeg_bytes(figure: Figure, dpi: int = DPI) -> bytes:
+def jpeg_bytes(figure: Figure) -> bytes:
     """Encode a figure as JPEG: a fifth of a PNG's size for speckle."""
     buffer = BytesIO()
-    figure.savefig(buffer, format="jpeg", dpi=dpi, pil_kwargs={"quality": 88, "subsampling": 0})
+    figure.savefig(buffer, format="jpeg", dpi=DPI, pil_kwargs={"quality": 88, "subsampling": 0})
     return buffer.getvalue()
 
 

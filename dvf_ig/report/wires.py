@@ -21,8 +21,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from dvf_ig.calibration.wires.images import WireFrame, WireSegmentation
-    from dvf_ig.core.arrays import AnyArray
-    from dvf_ig.core.recordings.sequence import TrackedSequence
+    from dvf_ig.core import AnyArray, TrackedSequence
 
 COLUMNS, MOST_FOUND, MOST_REFUSED = 4, 12, 12
 

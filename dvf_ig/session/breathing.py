@@ -106,8 +106,17 @@ def no_log(_: BreathingRecord) -> None:
 
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
-class _Moment:
-    """What holds from one sample to the next: whether and why the pose is withheld, how well it is known."""
+class BreathingStatus:
+    """What holds from one sample of what follows the breath to the next.
+
+    Attributes:
+        changed_s: when this and what `BreathingTracker.motion` gives last changed.
+        withheld: the pose of the moment is not known: beyond what was learnt, or before it, not at rest.
+        covariance_mm2: (6, 6) of the motion from rest; zero without a model in use.
+        bound_mm: twice the RMS error of that motion over the heart.
+        reason: why the pose is withheld or serves at rest alone, as a sentence; None if it does neither.
+        breath: where the heart is in the breath, as of the latest sample.
+    """
 
     changed_s: float
     withheld: bool
@@ -146,7 +155,7 @@ class BreathingTracker:
         self._motion = LearntMotion(center_mm, self._recorded.clock)
         self._watch = OscillationWatch(center_mm)
         self._watch_changed_s = -inf
-        self._known = _Moment(nan, False, np.zeros((6, 6)), 0.0, None)
+        self._known = BreathingStatus(nan, False, np.zeros((6, 6)), 0.0, None)
 
     # ------------------------------------------------------------------ what follows the breath
 
@@ -298,28 +307,20 @@ class BreathingTracker:
         """Return the pose of the moment, with its rate, from that of the resting heart."""
         return self._motion.motion(resting, now_s)
 
-    def covariance_mm2(self, now_s: float) -> FloatArray:
-        """Return (6, 6) covariance of the motion from rest now; zero without a model in use."""
-        return self._moment(now_s).covariance_mm2
-
-    def bound_mm(self, now_s: float) -> float:
-        """Return twice the RMS error of that motion over the heart."""
-        return self._moment(now_s).bound_mm
+    def status(self, now_s: float) -> BreathingStatus:
+        """Return what holds since the latest sample, computed once."""
+        changed_s = self._changed_s(now_s)
+        if changed_s != self._known.changed_s:
+            evaluate = self._followed if self.follows else self._unfollowed
+            self._known = evaluate(changed_s, now_s)
+        return self._known
 
     def withheld(self, now_s: float) -> bool:
-        """Whether the pose of the moment is not known: beyond what was learnt, or before it, not at rest."""
-        return self._moment(now_s).withheld
+        """Whether the pose of the moment is not known."""
+        return self.status(now_s).withheld
 
-    def reason(self, now_s: float) -> str | None:
-        """Return why the pose is withheld or serves at rest alone, as a sentence; None if it does neither."""
-        return self._moment(now_s).reason
-
-    def breath(self, now_s: float) -> BreathMoment:
-        """Return where the heart is in the breath, as of the latest sample."""
-        return self._moment(now_s).breath
-
-    def changed_s(self, now_s: float) -> float:
-        """Return when what `motion` and `withheld` give last changed.
+    def _changed_s(self, now_s: float) -> float:
+        """Return when what `motion` and `status` give last changed.
 
         That is the latest sample, the end of each motion that is published without another one, or the loss;
         if nothing follows the breath, when beats began or ceased to show it.
@@ -334,22 +335,14 @@ class BreathingTracker:
             return latest_s + lost_s
         return latest_s + min(AHEAD_S * floor(silent_s / AHEAD_S), lost_s - AHEAD_S)
 
-    def _moment(self, now_s: float) -> "_Moment":
-        """Return what holds since the latest sample, computed once."""
-        changed_s = self.changed_s(now_s)
-        if changed_s != self._known.changed_s:
-            evaluate = self._followed if self.follows else self._unfollowed
-            self._known = evaluate(changed_s, now_s)
-        return self._known
-
-    def _followed(self, changed_s: float, now_s: float) -> "_Moment":
+    def _followed(self, changed_s: float, now_s: float) -> BreathingStatus:
         motion, reading = self._motion, self._clock.reading(now_s)
         times = [now_s] if self._clock.continuous else [now_s, now_s + REST_LEFT_S]
         features = motion.features(np.array(times))
         unknown = _unknown(reading, bool(np.isfinite(features).all()))
         if unknown is not None:
             breath = BreathMoment(reading.state, reading.phase, nan)
-            return _Moment(changed_s, True, np.zeros((6, 6)), 0.0, unknown, breath)
+            return BreathingStatus(changed_s, True, np.zeros((6, 6)), 0.0, unknown, breath)
         breath = BreathMoment(reading.state, reading.phase, motion.displacement_mm(features[0]))
         covariance = motion.covariance_mm2(features[0], reading.sigma_rho)
         bound_mm = float(2.0 * np.sqrt(MEAN_SQUARE_OF_COORDINATES @ np.diag(covariance)))
@@ -360,7 +353,7 @@ class BreathingTracker:
             withheld = not motion.rests(features).all() or self._unconfirmed(now_s)
             cause = self._gated_by
         reason = None if cause is None else cause.value
-        return _Moment(changed_s, withheld, covariance, bound_mm, reason, breath)
+        return BreathingStatus(changed_s, withheld, covariance, bound_mm, reason, breath)
 
     def _unconfirmed(self, now_s: float) -> bool:
         """Return whether a rest began by its forecast alone, too long after the last beat."""
@@ -377,14 +370,14 @@ class BreathingTracker:
             return BreathingReason.BY_ECG
         return BreathingReason.CHANGED if self._changed else BreathingReason.LEARNING
 
-    def _unfollowed(self, changed_s: float, _: float) -> "_Moment":
+    def _unfollowed(self, changed_s: float, _: float) -> BreathingStatus:
         motion, reason = self._watch.found, None
         if motion is not None:
             template = BreathingReason.NOT_FOLLOWED.value
             reason = template.format(mm=2.0 * motion.amplitude_mm, per_minute=motion.per_minute)
         elif not self._watch.excluded and self._watch.compared:
             reason = BreathingReason.NOT_EXCLUDED.value
-        return _Moment(changed_s, not self._watch.excluded, np.zeros((6, 6)), 0.0, reason)
+        return BreathingStatus(changed_s, not self._watch.excluded, np.zeros((6, 6)), 0.0, reason)
 
 
 def _unknown(reading: BreathReading, tells: bool) -> str | None:

@@ -57,6 +57,8 @@ class StampOrder:
         self.newest_s = float("-inf")
         self.restarted = False
         """Whether the clock has gone back and no later sample has come since."""
+        self.disordered = False
+        """Whether too many of the recent samples came late or twice."""
         self._waiting: deque[_Arrival] = deque()
         self._dropped: deque[bool] = deque(maxlen=WINDOW)
         self._dropped_in_a_row = 0
@@ -80,12 +82,8 @@ class StampOrder:
         while self._waiting and self._waiting[0].from_s <= now_s:
             arrival = self._waiting.popleft()
             self._dropped.append(not arrival.later)
+            self.disordered = sum(self._dropped) > DEGRADED_SHARE * WINDOW
             self.restarted = arrival.back or (self.restarted and not arrival.later)
-
-    @property
-    def disordered(self) -> bool:
-        """Whether too many of the recent samples came late or twice."""
-        return sum(self._dropped) > DEGRADED_SHARE * WINDOW
 
 
 class _Arrival(NamedTuple):

@@ -6,6 +6,7 @@ time at which it was recorded, with its pose; what its image shows happened `lag
 """
 
 from dataclasses import dataclass
+from math import isfinite
 
 import numpy as np
 from numpy.typing import NDArray
@@ -148,7 +149,7 @@ Event = EcgSamples | RespirationSample | Trigger | TrackedFrame | ToolPose | Lan
 
 
 def _require_time(t_s: float, what: str) -> None:
-    if not np.isfinite(t_s):
+    if not isfinite(t_s):
         raise InvalidInputError(f"{what} is stamped {t_s} s; needed a finite time")
     require_plausible(t_s, TIME_S, f"the stamp of {what}, s,")
 

@@ -66,6 +66,8 @@ class SessionHistory:
         self._updates: deque[PoseUpdate] = deque(maxlen=longest)
         self._sightings: deque[TipSighting] = deque(maxlen=longest)
         self._breathing: deque[BreathingRecord] = deque(maxlen=longest)
+        self.last_registration: RegistrationRecord | None = None
+        """The newest of `registrations`; None without any."""
 
     def append(self, entry: Entry) -> None:
         """Add the newest entry of its kind."""
@@ -74,8 +76,11 @@ class SessionHistory:
                 self._peaks.append(entry)
             case RegistrationRecord():
                 self._registrations.append(entry)
+                self.last_registration = entry
             case RegistrationDecision():
                 self._decisions.append(entry)
+                if self._registrations and entry.registration is self._registrations[-1]:
+                    self.last_registration = replace(entry.registration, refused=entry.refused)
             case BeatEvaluation():
                 self._beats.append(entry)
             case PoseUpdate():
@@ -114,11 +119,6 @@ class SessionHistory:
     def registrations(self) -> tuple[RegistrationRecord, ...]:
         """Registrations that ended, each with the last decision about it."""
         return tuple(self._decided(record) for record in self._registrations)
-
-    @property
-    def last_registration(self) -> RegistrationRecord | None:
-        """The newest of `registrations`; None without any."""
-        return self._decided(self._registrations[-1]) if self._registrations else None
 
     def _decided(self, record: RegistrationRecord) -> RegistrationRecord:
         for decision in reversed(self._decisions):

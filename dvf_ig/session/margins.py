@@ -81,6 +81,7 @@ class MarginTracker:
         self._each = any(one.structure is not None for one in fixtures.options.fixtures)
         start = 0.0 if self._options.mode == "adaptive" else self._options.wanted_mm(np.nan)
         self.margin_mm = np.array([0.0 if law is None else start for law in self._laws])
+        self.margin_mm.setflags(write=False)
         self._step_n = device.stiffness_n_per_m * SLEW_SPEED_M_S * SERVO_PERIOD_S
         self._updated_s = -inf
         self._target_mm = np.full(len(self._laws), start)
@@ -123,7 +124,7 @@ class MarginTracker:
             else:
                 gradient, rate = turn @ tick.gradient, tick.rate_mm_per_cycle
                 self._target_mm[:] = target_mm(self._model, tick.distance_mm, gradient, rate)
-        self.margin_mm = np.array(
+        margin_mm = np.array(
             [
                 0.0 if law is None else next_margin_mm(now, target, dt_s, law, self._step_n)
                 for now, target, law in zip(
@@ -131,6 +132,8 @@ class MarginTracker:
                 )
             ]
         )
+        margin_mm.setflags(write=False)
+        self.margin_mm = margin_mm
 
 
 def _seen(

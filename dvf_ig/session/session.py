@@ -27,7 +27,7 @@ from dvf_ig.guidance.servo import TrackedServo
 from dvf_ig.registration import SliceThreads
 
 from .arrived_ultrasound import ArrivedUltrasound, FrameBuffer
-from .breathing import BreathingTracker
+from .breathing import BreathingStatus, BreathingTracker
 from .clocks import HeartClock, SourceClocks
 from .events import EcgSamples, Event, Landmark, Rearm, RespirationSample, ToolPose, TrackedFrame, Trigger
 from .history import SessionHistory
@@ -85,6 +85,7 @@ class Session:
         self._clock = HeartClock(setup.beat_source)
         self._sources = SourceClocks(setup.beat_source)
         self._tool = ToolTracker(setup.calibrations.tip)
+        self._orders = (self._frames.order, self._clock.order, self._breathing.order, self._tool.order)
         self._tip = TipWatch(self._frames, setup.calibrations, setup.fan)
         fixtures = Fixtures(setup.heart.model, setup.fixtures)
         self._shape = setup.fixtures.tool
@@ -159,12 +160,13 @@ class Session:
         self._frames.advance(now_s)
         self._tip.advance(now_s)
         self._clock.order.advance(now_s)
-        self._update_transform(now_s)
+        breathing = self._breathing.status(now_s)
+        self._update_transform(now_s, breathing)
         tool = self._tool.at(now_s)
         # an unknown tool has no position in a pose; a missing pose is reported first
         posed = self._transform.pose is not None and now_s < self._transform.pose_until_s
         tool_status = Status.STALE_TOOL if posed and tool.hazard else Status.OK
-        hazards, margin_mm = self._hazards(now_s, tool.hazard), self._margins.margin_mm
+        hazards, margin_mm = self._hazards(now_s, tool.hazard, breathing), self._margins.margin_mm
         tip = None if tool.hazard else (tool.tip_tracker_mm, tool.velocity_mm_s)
         axis = None if tool.hazard else self._shape.axis_in_tracker(tool.rotation)
         tick = self._servo.step(now_s, self._transform, hazards, tool_status, margin_mm, tip, axis)
@@ -179,10 +181,10 @@ class Session:
             pose_age_s=age_s,
             pose_bound_mm=nan
             if confirmation is None
-            else hypot(confirmation.bound_mm(now_s), self._breathing.bound_mm(now_s)),
+            else hypot(confirmation.bound_mm(now_s), breathing.bound_mm),
             doubt=self._pose.doubt,
-            breathing=self._breathing.reason(now_s),
-            breath=self._breathing.breath(now_s),
+            breathing=breathing.reason,
+            breath=breathing.breath,
             tip_seen=self._tip.seen,
             registration=self.history.last_registration,
             model_phase=self._servo.model_phase,
@@ -234,10 +236,10 @@ class Session:
             if seen is not None:
                 self._pose.add_tip(seen, peak.detected_at_s)
 
-    def _update_transform(self, now_s: float) -> None:
+    def _update_transform(self, now_s: float, breathing: BreathingStatus) -> None:
         """Publish a new value if the pose, its confirmation or the phase's forecast has changed."""
         phase, motion = self._clock.forecast(now_s), self._pose.motion
-        confirmation, breath_s = self._pose.confirmation, self._breathing.changed_s(now_s)
+        confirmation, breath_s = self._pose.confirmation, breathing.changed_s
         phase_before, motion_before, confirmation_before, breath_before_s = self._known
         if (
             phase is phase_before
@@ -247,7 +249,6 @@ class Session:
         ):
             return
         self._known = (phase, motion, confirmation, breath_s)
-        withheld = self._breathing.withheld(now_s)
         if motion is not None:
             motion = self._breathing.motion(motion, now_s)
         heart, covariance = self.setup.heart, self._pose.covariance_mm2(now_s)
@@ -258,20 +259,20 @@ class Session:
             retiming=retiming_curve(phase.rr_s, model.timing.rr_s, model.es_fraction, self.setup.retiming)
             if phase.rr_s > 0
             else None,
-            covariance_mm2=None if covariance is None else covariance + self._breathing.covariance_mm2(now_s),
+            covariance_mm2=None if covariance is None else covariance + breathing.covariance_mm2,
             center_mm=heart.center_mm,
-            pose_until_s=-inf if confirmation is None or withheld else confirmation.until_s,
+            pose_until_s=-inf if confirmation is None or breathing.withheld else confirmation.until_s,
             warp=self._pose.warp,
         )
 
-    def _hazards(self, now_s: float, tool: Hazard) -> Hazard:
+    def _hazards(self, now_s: float, tool: Hazard, breathing: BreathingStatus) -> Hazard:
         """List the hazards of pose, phase, tracking and time at this moment."""
         hazards, transform = tool, self._transform
         if self._pose.estimate is None:
             hazards |= Hazard.NO_POSE
         elif transform.pose is None:
             hazards |= Hazard.POSE_CONTRADICTED
-        elif self._breathing.withheld(now_s):
+        elif breathing.withheld:
             hazards |= Hazard.BREATHING
         elif now_s >= transform.pose_until_s:
             hazards |= Hazard.POSE_UNCONFIRMED
@@ -279,10 +280,10 @@ class Session:
             hazards |= Hazard.POSE_MOVING
         if transform.phase.state is not PhaseState.LOCKED or now_s > transform.phase.until_s:
             hazards |= Hazard.NO_PHASE
-        streams = (self._frames, self._clock, self._breathing)
-        if any(one.order.restarted for one in streams) or self._sources.behind:
+        frames, beats, breaths, tools = self._orders
+        if frames.restarted or beats.restarted or breaths.restarted or self._sources.behind:
             hazards |= Hazard.CLOCK_BACKWARDS
-        if any(one.order.disordered for one in (*streams, self._tool)):
+        if frames.disordered or beats.disordered or breaths.disordered or tools.disordered:
             hazards |= Hazard.REORDERED_STAMPS
         if self._sources.skewed:
             hazards |= Hazard.CLOCK_SKEW

@@ -2,15 +2,15 @@
 
 from collections import deque
 from dataclasses import dataclass
-from itertools import pairwise
-from math import inf
+from itertools import chain
+from math import inf, isfinite, sqrt
 from statistics import median
 from typing import NamedTuple
 
 import numpy as np
 
 from dvf_ig.core import FloatArray, Points, read_only_arrays
-from dvf_ig.core.space.rigid import is_rigid
+from dvf_ig.core.space.rigid import RIGID_TOLERANCE, rigidity_defect
 from dvf_ig.guidance import Hazard
 
 from .clocks import StampOrder
@@ -69,14 +69,14 @@ class _Tracked:
 
 
 class _Step(NamedTuple):
-    """Displacement of the tip from one pose to the next, and its duration."""
+    """Displacement of the tip from one pose to the next, and whether it is large for its duration."""
 
     moved_mm: FloatArray
-    seconds: float
+    large: bool
 
-    @property
-    def large(self) -> bool:
-        return self.seconds <= TO_AND_FRO_S and float(np.linalg.norm(self.moved_mm)) > TO_AND_FRO_MM
+    @classmethod
+    def of(cls, moved_mm: FloatArray, seconds: float) -> "_Step":
+        return cls(moved_mm, seconds <= TO_AND_FRO_S and sqrt(moved_mm.dot(moved_mm)) > TO_AND_FRO_MM)
 
 
 class ToolTracker:
@@ -94,19 +94,21 @@ class ToolTracker:
         self._tip_mm = tip.xyz_mm[0]
         self._waiting: deque[ToolPose] = deque()
         self._tracked: deque[_Tracked] = deque(maxlen=RATE_POSES)
-        self._stamps_s: deque[float] = deque(maxlen=RATE_POSES)
+        self._newest_s = -inf
+        self._intervals_s: deque[float] = deque(maxlen=RATE_POSES - 1)
         self._newest = Hazard.TOOL_LOST
         """Hazard of the newest pose."""
-        self._last_matrix: FloatArray | None = None
+        self._last_rows: list[list[float]] = []
         self._repeats = 0
         self._velocity = _ZERO
         self._frame_s = MAX_AGE_S
         self._usual_late_s = 0.0
         self._latencies: deque[float] = deque(maxlen=RATE_POSES)
         self._delayed = False
-        self._step = _Step(_ZERO, inf)
+        self._step = _Step(_ZERO, large=False)
         self._back: deque[bool] = deque(maxlen=JUDGED_STEPS)
         """Whether each of the last steps of the tip led back."""
+        self._contradicted = False
 
     def push(self, pose: ToolPose) -> bool:
         """Add one pose; False if it is not later than all before, and dropped."""
@@ -130,16 +132,16 @@ class ToolTracker:
         return ToolReading(hazard, tip_mm, self._velocity, newest.rotation, age_s)
 
     def _hazard(self, now_s: float, age_s: float) -> Hazard:
-        if not self._stamps_s:
+        if self._newest_s == -inf:
             return Hazard.TOOL_LOST
         limit_s = min(MAX_AGE_S, MAX_AGE_FRAMES * self._frame_s + self._usual_late_s)
-        if now_s - self._stamps_s[-1] > limit_s:
+        if now_s - self._newest_s > limit_s:
             return Hazard.CLOCK_BACKWARDS if self.order.restarted else Hazard.STALE_TOOL
         if self._newest in (Hazard.NOT_FINITE, Hazard.TOOL_FROZEN):
             return self._newest
         if age_s > limit_s:
             return Hazard.TOOL_LOST
-        if sum(self._back) >= CONTRADICTED_STEPS:
+        if self._contradicted:
             return Hazard.TOOL_CONTRADICTED
         return Hazard.LATENCY_JUMP if self._delayed else Hazard.NONE
 
@@ -156,20 +158,23 @@ class ToolTracker:
         self._usual_late_s = usual_s = sorted(self._latencies)[len(self._latencies) // 2]
         recent = sorted(list(self._latencies)[-JUDGED_POSES:])
         excess_s = recent[-LATE_POSES] - usual_s
-        return excess_s > LATE_S and float(np.linalg.norm(self._velocity)) * excess_s > LATE_MM
+        return excess_s > LATE_S and sqrt(self._velocity.dot(self._velocity)) * excess_s > LATE_MM
 
     def _take(self, pose: ToolPose) -> None:
-        self._stamps_s.append(pose.t_s)
-        if len(self._stamps_s) > 1:
-            self._frame_s = median(after - before for before, after in pairwise(self._stamps_s))
+        if self._newest_s > -inf:
+            self._intervals_s.append(pose.t_s - self._newest_s)
+            self._frame_s = median(self._intervals_s)
+        self._newest_s = pose.t_s
         matrix = pose.tracker_from_tool
         self._newest = self._hazard_of(matrix, pose.by_encoders)
         if matrix is None or self._newest:
             return
         rotation = matrix[:3, :3]
         tip_mm = rotation @ self._tip_mm + matrix[:3, 3]
+        tip_mm.setflags(write=False)
         if self._tracked:
-            self._take_step(_Step(tip_mm - self._tracked[-1].tip_mm, pose.t_s - self._tracked[-1].t_s))
+            last = self._tracked[-1]
+            self._take_step(_Step.of(tip_mm - last.tip_mm, pose.t_s - last.t_s))
         self._tracked.append(_Tracked(pose.t_s, tip_mm, rotation))
         self._update_velocity()
 
@@ -178,22 +183,23 @@ class ToolTracker:
         before, self._step = self._step, step
         large = before.large and step.large
         self._back.append(large and float(before.moved_mm @ step.moved_mm) < 0.0)
+        self._contradicted = sum(self._back) >= CONTRADICTED_STEPS
 
     def _hazard_of(self, matrix: FloatArray | None, by_encoders: bool) -> Hazard:
         if matrix is None:
             return Hazard.TOOL_LOST
-        if not np.isfinite(matrix).all():
+        rows: list[list[float]] = matrix.tolist()
+        if not all(map(isfinite, chain.from_iterable(rows))):
             return Hazard.NOT_FINITE
-        if not is_rigid(matrix):
+        if rigidity_defect(matrix[:3, :3]) > RIGID_TOLERANCE:
             return Hazard.TOOL_LOST
-        frozen = self._repeated(matrix) and not by_encoders
+        frozen = self._repeated(rows) and not by_encoders
         return Hazard.TOOL_FROZEN if frozen else Hazard.NONE
 
-    def _repeated(self, matrix: FloatArray) -> bool:
+    def _repeated(self, rows: list[list[float]]) -> bool:
         """Check whether the pose has been the same, bit by bit, for FROZEN_POSES."""
-        same = self._last_matrix is not None and np.array_equal(matrix, self._last_matrix)
-        self._repeats = self._repeats + 1 if same else 1
-        self._last_matrix = matrix
+        self._repeats = self._repeats + 1 if rows == self._last_rows else 1
+        self._last_rows = rows
         return self._repeats >= FROZEN_POSES
 
     def _update_velocity(self) -> None:
@@ -206,6 +212,7 @@ class ToolTracker:
                 return
             if span_s > max(VELOCITY_SPAN_S - 0.5 * self._frame_s, 0.0):
                 self._velocity = (newest.tip_mm - before.tip_mm) / span_s
+                self._velocity.setflags(write=False)
                 return
 
 

@@ -200,8 +200,10 @@ class WorkQueue:
     @property
     def next_s(self) -> float:
         """When something is to be done next; infinite without work."""
-        beat_s = self._beats[0].next_s if self._beats else inf
-        return min([beat_s, *(one.next_s for one in self._registrations)])
+        next_s = self._beats[0].next_s if self._beats else inf
+        for one in self._registrations:
+            next_s = min(next_s, one.next_s)
+        return next_s
 
     def register(self, request: RegistrationRequest) -> None:
         """Register frames once all of them have arrived."""

@@ -18,29 +18,17 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from data_synth import PRESETS, EcgSpec, RhythmSpec, beat_series, synthetic_ecg
 from data_synth.breathing.breaths import BreathEvent, BreathSpec, draw_breaths
 from data_synth.breathing.motion import Breathing, breathing_of
 from data_synth.breathing.recorded import recorded_breathing
-from data_synth.scenario.presets import PRESETS
-from data_synth.signals.ecg import EcgSpec, synthetic_ecg
-from data_synth.signals.rhythm import RhythmSpec, beat_series
 from dvf_ig.cardiac import detect_r_peaks
 from dvf_ig.core import HEART_RADIUS_MM, BoolArray, FloatArray, PoseMotion, Respiration, Rigid
 from dvf_ig.registration import BeatMeasurement
 from dvf_ig.session import EcgSamples, RespirationSample
 from dvf_ig.session.breathing import BreathingRecord, BreathingTracker, no_log
-from dvf_ig.study.driver import (
-    Driver,
-    Line,
-    Result,
-    Rows,
-    Settings,
-    Study,
-    Trials,
-    option,
-    seed_option,
-    seeds_option,
-)
+from dvf_ig.study.driver import Driver, Line, Result, Rows, Settings, Study, Trials
+from dvf_ig.study.options import option, seed_option, seeds_option
 
 CENTER = np.zeros(3)
 NOISE_MM = 0.45

@@ -7,57 +7,28 @@ One synthetic calibration recording a trial. The unit is the recording.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from enum import StrEnum
-from typing import Any
+from functools import partial
+from typing import Any, Literal
 
 import numpy as np
 
-from data_synth.phantoms.crosswire import CrossWireSpec, crosswire_recording
-from data_synth.phantoms.nwire import nwire_recording
+from data_synth import CrossWireSpec, Preset, SectorProbe, child_rng, crosswire_recording, nwire_recording
 from data_synth.phantoms.wall import WallSpec, wall_recording
 from data_synth.phantoms.watertank import watertank_recording
 from data_synth.scenario.ground_truth import GroundTruth, draw_ground_truth
-from data_synth.scenario.presets import Preset
-from data_synth.seeds import child_rng
-from data_synth.ultrasound.probe import SectorProbe
-from dvf_ig.calibration import (
-    MapUncertainty,
-    NWireOptions,
-    accepted,
-    calibrate_crosswire,
-    calibrate_nwire,
-    calibrate_wall,
-    compare_nwire_methods,
-    estimate_latency,
-)
+from dvf_ig.calibration import MapUncertainty, accepted, calibrate_crosswire, calibrate_wall, estimate_latency
+from dvf_ig.calibration.probe.nwire import NWireOptions, calibrate_nwire, compare_nwire_methods
+from dvf_ig.calibration.probe.target_fit import TargetResult
 from dvf_ig.core import FloatArray, InvalidInputError
-from dvf_ig.study.driver import (
-    Driver,
-    Result,
-    Rows,
-    Study,
-    Trials,
-    option,
-    refusals,
-    seed_option,
-    seeds_option,
-)
-
-
-class Kind(StrEnum):
-    """Which calibration."""
-
-    nwire = "nwire"
-    wall = "wall"
-    watertank = "watertank"
-    crosswire = "cross-wire"
+from dvf_ig.study.driver import Driver, Result, Rows, Study, Trials, refusals
+from dvf_ig.study.options import option, seed_option, seeds_option
 
 
 @dataclass(frozen=True, kw_only=True)
 class CalibrationSettings:
     """Options of the study."""
 
-    kind: Kind = option("Which calibration.")
+    kind: Literal["nwire", "wall", "watertank", "cross-wire"] = option("Which calibration.")
     seeds: int = seeds_option(200)
     method: str = option("N-wire: linear, orthogonal, isotropic, all-wires or chosen.", "orthogonal")
     seed: int = seed_option(1)
@@ -81,7 +52,7 @@ class IntervalCoverage:
 
     Attributes:
         name: key of GROUPS, or one of its entries.
-        trials: intervals judged.
+        intervals: how many were judged.
         share: of them that held the truth.
         bias: mean of estimate minus truth, in the unit of the name; the largest of a group.
         sd: standard deviation of estimate minus truth; of the same member.
@@ -89,7 +60,7 @@ class IntervalCoverage:
     """
 
     name: str
-    trials: int
+    intervals: int
     share: float
     bias: float
     sd: float
@@ -166,24 +137,19 @@ def _nwire(
     return result.uncertainty, {"method": result.method}
 
 
-def _crosswire(
-    truth: GroundTruth, probe: SectorProbe, rng: np.random.Generator, _: Mapping[str, Any]
+def _target(
+    record: Callable[..., Any],
+    spec: CrossWireSpec | WallSpec,
+    solve: Callable[..., TargetResult[Any]],
+    truth: GroundTruth,
+    probe: SectorProbe,
+    rng: np.random.Generator,
+    _: Mapping[str, Any],
 ) -> tuple[MapUncertainty, dict[str, Any]]:
-    recording = crosswire_recording(
-        truth.probe_from_image, probe, Preset().nwire_tracker, CrossWireSpec(), rng, rendered=False
-    ).recording
-    poses = recording.sequence.stream("tracker", "probe")
-    return accepted(calibrate_crosswire(poses, recording.features_px, rng=rng)).uncertainty, {}
-
-
-def _wall(
-    truth: GroundTruth, probe: SectorProbe, rng: np.random.Generator, _: Mapping[str, Any]
-) -> tuple[MapUncertainty, dict[str, Any]]:
-    recording = wall_recording(
-        truth.probe_from_image, probe, Preset().nwire_tracker, WallSpec(), rng, rendered=False
-    ).recording
-    poses = recording.sequence.stream("tracker", "probe")
-    return accepted(calibrate_wall(poses, recording.features_px, rng=rng)).uncertainty, {}
+    """Record a fixed target and solve it."""
+    seen = record(truth.probe_from_image, probe, Preset().nwire_tracker, spec, rng, rendered=False).recording
+    poses = seen.sequence.stream("tracker", "probe")
+    return accepted(solve(poses, seen.features_px, rng=rng)).uncertainty, {}
 
 
 def _latency_trial(truth: GroundTruth, probe: SectorProbe, rng: np.random.Generator) -> dict[str, Any]:
@@ -208,15 +174,15 @@ def _line(names: Sequence[str], error: FloatArray, half: FloatArray) -> dict[str
 
 _MAPS: dict[str, Callable[..., tuple[MapUncertainty, dict[str, Any]]]] = {
     "nwire": _nwire,
-    "cross-wire": _crosswire,
-    "wall": _wall,
+    "cross-wire": partial(_target, crosswire_recording, CrossWireSpec(), calibrate_crosswire),
+    "wall": partial(_target, wall_recording, WallSpec(), calibrate_wall),
 }
 
 
 def run(settings: CalibrationSettings, driver: Driver) -> Result:
     """Calibrate every seed's recording."""
-    method = {"method": settings.method} if settings.kind is Kind.nwire else {}
-    fields = {"kind": settings.kind.value} | method
+    method = {"method": settings.method} if settings.kind == "nwire" else {}
+    fields = {"kind": settings.kind} | method
     seeds = range(settings.seed, settings.seed + settings.seeds)
     lines = driver.trials(Trials("calibration", fields, calibration_trial), seeds)
     entries = interval_coverage(lines)
@@ -225,20 +191,9 @@ def run(settings: CalibrationSettings, driver: Driver) -> Result:
         "trials": settings.seeds,
         "seed": settings.seed,
         "refused": sum("refused" in line for line in lines),
-        "coverage": [_entry(entry) for entry in entries],
+        "coverage": entries,
     }
     return Result(summary, _table(entries), {"summary.json": summary}, refusals(lines))
-
-
-def _entry(entry: IntervalCoverage) -> dict[str, str | int | float]:
-    return {
-        "name": entry.name,
-        "intervals": entry.trials,
-        "share": entry.share,
-        "bias": entry.bias,
-        "sd": entry.sd,
-        "half_width": entry.half_width,
-    }
 
 
 def _table(entries: Sequence[IntervalCoverage]) -> Rows:
@@ -246,7 +201,7 @@ def _table(entries: Sequence[IntervalCoverage]) -> Rows:
     for entry in entries:
         name = entry.name if entry.name in GROUPS else f"  {entry.name}"
         share, width = f"{100 * entry.share:.1f} %", f"{entry.half_width:.4f}"
-        rows.append((name, share, str(entry.trials), f"{entry.bias:+.4f}", f"{entry.sd:.4f}", width))
+        rows.append((name, share, str(entry.intervals), f"{entry.bias:+.4f}", f"{entry.sd:.4f}", width))
     return rows
 
 

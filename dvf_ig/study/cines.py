@@ -13,25 +13,13 @@ from pathlib import Path
 import numpy as np
 from scipy import ndimage
 
-from dvf_ig.core import (
-    AnyArray,
-    BoolArray,
-    FloatArray,
-    InvalidInputError,
-    UnreadableFileError,
-    Volume,
-    VolumeSeries,
-)
+from dvf_ig.core import InvalidInputError, UnreadableFileError, Volume, VolumeSeries
+from dvf_ig.core.arrays import AnyArray, BoolArray, FloatArray
 from dvf_ig.io import read_json, read_labels, read_volume_series
-from dvf_ig.preop import (
-    MotionOptions,
-    axis_of_lost_spacing,
-    dice,
-    propagate_labels,
-    track_cycle,
-    with_voxel_size,
-)
-from dvf_ig.study.driver import Driver, Result, Rows, Study, option
+from dvf_ig.preop import MotionOptions, axis_of_lost_spacing, dice, propagate_labels, track_cycle
+from dvf_ig.preop.voxel_size import with_voxel_size
+from dvf_ig.study.driver import Driver, Result, Rows, Study
+from dvf_ig.study.options import option
 from dvf_ig.study.statistics import number_text
 
 VOXEL_HELP = "Voxel size where the header has lost it, three numbers of mm, for example 1.5,1.5,10."

@@ -1,4 +1,4 @@
-"""Shared parts of all studies: options, trials over processes or a cluster, resuming, and what is written.
+"""Shared parts of all studies: trials over processes or a cluster, resuming, and what is written.
 
 A study is one file of this folder (or `study.py` in a folder of its own) that ends in `STUDY`. Its
 docstring says in the first line what the study does, then what it claims and on what, and ends with example
@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import MISSING, dataclass, field
+from dataclasses import dataclass, field
 from functools import partial
 from multiprocessing import get_context, parent_process
 from pathlib import Path
@@ -42,38 +42,6 @@ Progress = Callable[[float], None]
 """Called with the fraction done."""
 
 
-def option(
-    help: str,
-    default: Any = MISSING,
-    *,
-    flag: str | None = None,
-    least: float | None = None,
-    most: float | None = None,
-    argument: bool = False,
-) -> Any:
-    """A field of a study's settings that is also an option of its command.
-
-    Args:
-        help: one sentence.
-        default: without one the option is required. A field of type tuple[T, ...] may be given several times.
-        flag: "--name"; without one the field's name.
-        least, most: of a number.
-        argument: given by its position instead.
-    """
-    about = {"help": help, "flag": flag, "least": least, "most": most, "argument": argument}
-    return field(default=default, metadata=about)
-
-
-def seeds_option(default: int) -> Any:
-    """How many seeds a study takes."""
-    return option("How many seeds, counted up from --seed; one trial or heart each.", default, least=1)
-
-
-def seed_option(default: int) -> Any:
-    """The first seed of a study."""
-    return option("The first seed.", default)
-
-
 @dataclass(frozen=True, slots=True)
 class Result:
     """Result of a study.
@@ -98,7 +66,7 @@ class Study:
     """A study as the command line needs it.
 
     Attributes:
-        settings: frozen dataclass of fields made by `option`.
+        settings: frozen dataclass of fields made by `options.option`.
         run: (settings, driver) to the result.
         outputs: settings to the names of the files it may write.
         trials: it has trials, and with them workers and a scheduler.

@@ -14,51 +14,16 @@ from typing import Any
 
 import numpy as np
 
-from data_synth import (
-    Examination,
-    HeartSpec,
-    MotionPreset,
-    PhantomAnatomy,
-    ScenarioSpec,
-    cine_preop,
-    examination,
-    two_segment_phase,
-)
-from data_synth.mr.examination import ExamName
+from data_synth import HeartSpec, MotionPreset, PhantomAnatomy, ScenarioSpec, cine_preop, two_segment_phase
+from data_synth.mr.examination import Examination, ExamName, examination
 from data_synth.scenario.recording import scenario_heart
 from data_synth.seeds import child_rng
-from dvf_ig.core import (
-    CycleTiming,
-    DvfModel,
-    FloatArray,
-    Mesh,
-    Preop,
-    SeenPart,
-    Volume,
-    VolumeSeries,
-    nearest_phase,
-)
-from dvf_ig.preop import (
-    CineModel,
-    CineOptions,
-    ModelOptions,
-    MotionOptions,
-    check_surface,
-    model_from_cine,
-    model_from_labels,
-)
-from dvf_ig.study.driver import (
-    Driver,
-    Line,
-    Result,
-    Rows,
-    Settings,
-    Study,
-    Trials,
-    refusals,
-    seed_option,
-    seeds_option,
-)
+from dvf_ig.core import CycleTiming, FloatArray, Mesh, Preop, SeenPart, Volume, VolumeSeries, nearest_phase
+from dvf_ig.core.model import DvfModel
+from dvf_ig.preop import CineModel, CineOptions, MotionOptions, check_surface, model_from_cine
+from dvf_ig.preop.build import ModelOptions, model_from_labels
+from dvf_ig.study.driver import Driver, Line, Result, Rows, Settings, Study, Trials, refusals
+from dvf_ig.study.options import seed_option, seeds_option
 
 KNOT_MM = 8.0
 """Knots of the splines, which are fitted to the surfaces that are compared here."""

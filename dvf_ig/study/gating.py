@@ -9,7 +9,7 @@ limits were chosen on TUNING_RECORDS; all others are held out.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from time import process_time
@@ -17,26 +17,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dvf_ig.cardiac import (
-    PREDICTORS,
-    PredictorName,
-    RPeak,
-    make_predictor,
-    phase_from_peaks,
-    stream_recording,
-)
-from dvf_ig.core import (
-    BoolArray,
-    FloatArray,
-    IntArray,
-    InvalidInputError,
-    PhaseTrack,
-    Signal,
-    read_only_arrays,
-)
+from dvf_ig.cardiac import PREDICTORS, PredictorName, make_predictor, phase_from_peaks, stream_recording
+from dvf_ig.cardiac.rpeak import RPeak
+from dvf_ig.core import InvalidInputError, PhaseTrack, Signal
+from dvf_ig.core.arrays import BoolArray, FloatArray, IntArray, read_only_arrays
 from dvf_ig.io import BeatAnnotations, read_annotations, read_ecg
 from dvf_ig.report.style import ESTIMATE, SERIES, START, png_bytes
-from dvf_ig.study.driver import Driver, Result, Rows, Study, option
+from dvf_ig.study.driver import Driver, Result, Rows, Study
+from dvf_ig.study.options import option
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -268,19 +256,18 @@ def pool(parts: Sequence[PhaseErrors]) -> PhaseErrors:
     )
 
 
-def risk_coverage(errors: PhaseErrors) -> tuple[FloatArray, FloatArray, FloatArray]:
+def risk_coverage(errors: PhaseErrors) -> tuple[FloatArray, FloatArray]:
     """Risk–coverage curve (El-Yaniv and Wiener 2010) of refusing by σφ alone, whatever the state.
 
     Returns:
-        (k,) coverage: share of the time with σφ below a threshold; risk: p95 of |error| there in % of RR; the
-        threshold.
+        (k,) coverage: share of the time with σφ below a threshold; risk: p95 of |error| there in % of RR.
     """
     finite = np.isfinite(errors.sigma)
     order = np.argsort(errors.sigma[finite], kind="stable")
-    error, sigma = np.abs(errors.error[finite][order]), errors.sigma[finite][order]
+    error = np.abs(errors.error[finite][order])
     counts = np.unique(np.linspace(max(1, len(order) // 50), len(order), RISK_POINTS).astype(np.int64))
     p95 = np.array([100 * np.percentile(error[:count], 95) for count in counts])
-    return counts / len(errors.error), p95, sigma[counts - 1]
+    return counts / len(errors.error), p95
 
 
 def summarise_study(scored: Sequence[RecordGating]) -> dict[str, Any]:
@@ -348,40 +335,22 @@ COLORS = {"sinus": ESTIMATE, "ectopic": START, "fibrillation": SERIES[3]}
 TARGET_P95 = {"sinus": 8.0, "ectopic": 15.0}
 
 
-@read_only_arrays
-@dataclass(frozen=True, slots=True, eq=False)
-class RiskCoverage:
-    """Recordings of one rhythm.
-
-    Attributes:
-        name: the rhythm.
-        kept_share: (k,) shares of the time, 0 to 1, that are kept when phase is refused by σφ alone.
-        p95_percent: (k,) 95th percentile of the phase error then, % of RR.
-        locked_share, locked_p95_percent: the same where the clock is LOCKED; NaN error where it never is.
-    """
-
-    name: str
-    kept_share: FloatArray
-    p95_percent: FloatArray
-    locked_share: float
-    locked_p95_percent: float
-
-
-def risk_coverage_figure(rhythms: Sequence[RiskCoverage]) -> Figure:
+def risk_coverage_figure(rhythms: Mapping[str, PhaseErrors]) -> Figure:
     """p95 error against the share of time kept, refusing by σφ; dots: where the clock is LOCKED."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(7.6, 4.8), layout="constrained")
     axis = figure.subplots()
-    for rhythm in rhythms:
-        color = COLORS.get(rhythm.name, "#444444")
-        label = f"{rhythm.name}: refused by σφ alone"
-        axis.plot(100 * rhythm.kept_share, rhythm.p95_percent, color=color, lw=1.6, label=label)
-        if not math.isnan(rhythm.locked_p95_percent):
-            place = (100 * rhythm.locked_share, rhythm.locked_p95_percent)
-            axis.plot(*place, "o", color=color, label=f"{rhythm.name}: LOCKED by the clock")
-        if rhythm.name in TARGET_P95:
-            axis.axhline(TARGET_P95[rhythm.name], color=color, lw=0.8, ls=":")
+    for name, errors in rhythms.items():
+        color = COLORS.get(name, "#444444")
+        share, p95_percent = risk_coverage(errors)
+        axis.plot(100 * share, p95_percent, color=color, lw=1.6, label=f"{name}: refused by σφ alone")
+        locked = summarise_phase([errors])
+        if not math.isnan(locked.p95_percent):
+            place = (100 * locked.valid_share, locked.p95_percent)
+            axis.plot(*place, "o", color=color, label=f"{name}: LOCKED by the clock")
+        if name in TARGET_P95:
+            axis.axhline(TARGET_P95[name], color=color, lw=0.8, ls=":")
     axis.set(
         xlabel="share of the time in which phase is used, % (dotted: the error aimed at)",
         ylabel="p95 of the phase error then, % of RR",
@@ -405,7 +374,7 @@ def run(settings: GatingSettings, driver: Driver) -> Result:
     summary = summarise_study(scored)
     files: dict[str, Any] = {"summary.json": summary}
     if driver.folder is not None:
-        files["risk_coverage.png"] = png_bytes(risk_coverage_figure(risk_by_rhythm(scored)), dpi=130)
+        files["risk_coverage.png"] = png_bytes(risk_coverage_figure(_held_out(scored)), dpi=130)
     note: Rows = [("* the phase clock's limits were chosen on these records",), ("",)]
     return Result(summary["records"], [*_table(summary), *note, *_phase_table(summary)], files)
 
@@ -471,21 +440,14 @@ def _phase_cells(phase: dict[str, float]) -> tuple[str, str, str, str]:
     )
 
 
-def risk_by_rhythm(scored: Sequence[RecordGating]) -> list[RiskCoverage]:
-    """Risk and coverage of the held-out records of each rhythm; of all records if none is held out."""
+def _held_out(scored: Sequence[RecordGating]) -> dict[str, PhaseErrors]:
+    """Errors of the held-out records of each rhythm; of all records if none is held out."""
     classes: dict[str, PhaseErrors] = {}
     for rhythm in RHYTHMS:
         chosen = [r.errors for r in scored if r.rhythm == rhythm and not r.tuning]
         if chosen:
             classes[rhythm] = pool(chosen)
-    if not classes:
-        classes["all"] = pool([r.errors for r in scored])
-    rhythms = []
-    for name, errors in classes.items():
-        share, p95, _ = risk_coverage(errors)
-        locked = summarise_phase([errors])
-        rhythms.append(RiskCoverage(name, share, p95, locked.valid_share, locked.p95_percent))
-    return rhythms
+    return classes or {"all": pool([r.errors for r in scored])}
 
 
 STUDY = Study(

@@ -9,6 +9,7 @@ shows in the live session.
 
 import multiprocessing
 import threading
+from collections.abc import Sequence
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -16,33 +17,24 @@ from typing import Any
 
 import numpy as np
 
-from dvf_ig.core import (
-    BoolArray,
-    FloatArray,
-    IntArray,
-    InvalidInputError,
-    Landmarks,
-    Scenario,
-    ScenarioTruth,
-    read_only_arrays,
-)
+from dvf_ig.core import InvalidInputError, Landmarks, Scenario, ScenarioTruth
+from dvf_ig.core.arrays import BoolArray, FloatArray, IntArray, read_only_arrays
 from dvf_ig.guidance import Status, SupervisorState
+from dvf_ig.intake import cached_model, read_scenario
 from dvf_ig.intake.live import EcgFieldConfig, LiveConfig
-from dvf_ig.intake.model_cache import cached_model
-from dvf_ig.intake.session import read_scenario
 from dvf_ig.intake.start import landmarks_start
 from dvf_ig.live.igtl import Message, Transform, encode
 from dvf_ig.live.link import Link, listen
-from dvf_ig.live.loop import Answer, LiveLoop
+from dvf_ig.live.loop import Answer
 from dvf_ig.live.player import play
 from dvf_ig.live.serve import LiveOptions, SessionThread, live_session
 from dvf_ig.live.summary import LiveSummary
-from dvf_ig.replay import Replay, run_replay
-from dvf_ig.replay.events import events_of
+from dvf_ig.replay import Replay, events_of, run_replay
 from dvf_ig.replay.operator import SimulatedOperator
 from dvf_ig.replay.result.score import pose_errors_mm
-from dvf_ig.session import EcgSource, RegistrationRecord, Session, SessionHistory, SessionSetup
-from dvf_ig.study.driver import Driver, Result, Rows, Study, option
+from dvf_ig.session import EcgSource, GuidanceState, RegistrationRecord, Session, SessionHistory, SessionSetup
+from dvf_ig.study.driver import Driver, Result, Rows, Study
+from dvf_ig.study.options import option
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,6 +55,43 @@ SETTLE_S = 1.0
 CONNECT_WITHIN_S = 30.0
 
 
+@read_only_arrays
+@dataclass(frozen=True, slots=True, eq=False)
+class LiveSamples:
+    """States of a session as arrays.
+
+    Attributes:
+        t_s: (n,) times of the states, by the recording's clock.
+        force_n: (n, 3) in frame "tracker".
+        supervisor, status: (n,) codes.
+        mr_from_tracker: (n, 3, 4) NaN if none was in use.
+        tool_age_s: (n,) of the newest pose of the tool that had come.
+    """
+
+    t_s: FloatArray
+    force_n: FloatArray
+    supervisor: IntArray
+    status: IntArray
+    mr_from_tracker: FloatArray
+    tool_age_s: FloatArray
+
+
+def samples_of(states: Sequence[GuidanceState], offset_s: float = 0.0) -> LiveSamples:
+    """Gather states; `offset_s` is the recording's time less that of their clock."""
+    poses = np.full((len(states), 3, 4), np.nan)
+    for i, state in enumerate(states):
+        if state.transform.pose is not None and state.now_s < state.transform.pose_until_s:
+            poses[i] = state.transform.pose.matrices(np.array([state.now_s]))[0]
+    return LiveSamples(
+        t_s=np.array([state.now_s for state in states]) + offset_s,
+        force_n=np.array([state.force_n for state in states]).reshape(-1, 3),
+        supervisor=np.array([int(state.supervisor) for state in states], dtype=np.int64),
+        status=np.array([int(state.status) for state in states], dtype=np.int64),
+        mr_from_tracker=poses,
+        tool_age_s=np.array([state.tool.age_s for state in states]),
+    )
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class LiveRun:
     """Run of a live session on a recording.
@@ -78,6 +107,10 @@ class LiveRun:
     history: SessionHistory
     offset_s: float
     result: dict[str, Any]
+
+    @property
+    def samples(self) -> LiveSamples:
+        return samples_of([answer.state for answer in self.answers], self.offset_s)
 
 
 def run_live(
@@ -155,32 +188,11 @@ def _taken(
         thread.end()
         result = summary.result(loop)
         child.send("end")
-        return LiveRun(tuple(answers), history, _offset_s(loop), result)
+        return LiveRun(tuple(answers), history, loop.source.tool_offset_s - ORIGIN_S, result)
 
 
-def _offset_s(loop: LiveLoop) -> float:
-    return loop.source.tool_offset_s - ORIGIN_S
-
-
-@read_only_arrays
-@dataclass(frozen=True, slots=True, eq=False)
-class AskedStates:
-    """States of a session to which nothing comes late.
-
-    Attributes:
-        force_n: (n, 3) in frame "tracker".
-        status, supervisor: (n,) codes.
-        tool_age_s: (n,) of the newest pose of the tool.
-    """
-
-    force_n: FloatArray
-    status: IntArray
-    supervisor: IntArray
-    tool_age_s: FloatArray
-
-
-def asked_at(scenario: Scenario, setup: SessionSetup, t_s: FloatArray) -> AskedStates:
-    """States at (n,) times in order, by the recording's clock.
+def asked_at(scenario: Scenario, setup: SessionSetup, t_s: FloatArray) -> LiveSamples:
+    """States, at (n,) times in order by the recording's clock, of a session to which nothing comes late.
 
     Between two ticks of a replay a pose may have come: the force between them is that of neither.
     """
@@ -193,12 +205,7 @@ def asked_at(scenario: Scenario, setup: SessionSetup, t_s: FloatArray) -> AskedS
                 session.push(upcoming[1])
                 upcoming = next(events, (np.inf, upcoming[1]))
             states.append(session.state(now_s))
-    return AskedStates(
-        np.array([state.force_n for state in states]).reshape(-1, 3),
-        np.array([int(state.status) for state in states], dtype=np.int64),
-        np.array([int(state.supervisor) for state in states], dtype=np.int64),
-        np.array([state.tool.age_s for state in states]),
-    )
+    return samples_of(states)
 
 
 LATE_S = 0.001
@@ -208,71 +215,21 @@ SETTLED_S = 1.0
 """A force that fades, rises or is limited on either side is not compared until so long after."""
 
 
-@read_only_arrays
-@dataclass(frozen=True, slots=True, eq=False)
-class LiveSamples:
-    """The answers of a live session as arrays, by the recording's clock.
-
-    Attributes:
-        state_s: (n,) times of the states; servo_s: of the servo's ticks.
-        force_n: (n, 3) the servo's; session_n: (n, 3) the session's.
-        servo, supervisor, status: (n,) codes.
-        mr_from_tracker: (n, 3, 4) NaN if none was in use.
-        tool_age_s: (n,) of the newest pose of the tool that had come.
-    """
-
-    state_s: FloatArray
-    servo_s: FloatArray
-    force_n: FloatArray
-    session_n: FloatArray
-    servo: IntArray
-    supervisor: IntArray
-    status: IntArray
-    mr_from_tracker: FloatArray
-    tool_age_s: FloatArray
-
-    def __len__(self) -> int:
-        return len(self.state_s)
-
-
-def samples_of(run: LiveRun) -> LiveSamples:
-    """Gather what a live session sent."""
-    answers, poses = run.answers, np.full((len(run.answers), 3, 4), np.nan)
-    for i, answer in enumerate(answers):
-        transform, now_s = answer.state.transform, answer.state.now_s
-        if transform.pose is not None and now_s < transform.pose_until_s:
-            poses[i] = transform.pose.matrices(np.array([now_s]))[0]
-    return LiveSamples(
-        state_s=np.array([a.state.now_s for a in answers]) + run.offset_s,
-        servo_s=np.array([a.state.now_s for a in answers]) + run.offset_s,
-        force_n=np.array([a.state.force_n for a in answers]),
-        session_n=np.array([a.state.force_n for a in answers]),
-        servo=np.array([int(a.state.supervisor) for a in answers]),
-        supervisor=np.array([int(a.state.supervisor) for a in answers]),
-        status=np.array([int(a.state.status) for a in answers]),
-        mr_from_tracker=poses,
-        tool_age_s=np.array([a.state.tool.age_s for a in answers]),
-    )
-
-
 def comparison(live: LiveRun, replay: Replay, truth: ScenarioTruth | None) -> dict[str, Any]:
     """Compare a live session with a replay; JSON values."""
-    samples, ticks = samples_of(live), replay.ticks
-    here = (samples.state_s > ticks.t_s[0]) & (samples.state_s < ticks.t_s[-1])
-    at = np.clip(np.searchsorted(ticks.t_s, samples.state_s), 0, len(ticks) - 1)
+    samples, ticks = live.samples, replay.ticks
+    here = (samples.t_s > ticks.t_s[0]) & (samples.t_s < ticks.t_s[-1])
+    at = np.clip(np.searchsorted(ticks.t_s, samples.t_s), 0, len(ticks) - 1)
     same_status = (samples.status == ticks.status[at])[here]
     same_state = (samples.supervisor == ticks.supervisor[at])[here]
-    comparable = (
-        here & _settled(samples.state_s, samples.supervisor) & _settled(ticks.t_s, ticks.supervisor)[at]
-    )
+    comparable = here & _settled(samples.t_s, samples.supervisor) & _settled(ticks.t_s, ticks.supervisor)[at]
     comparable &= (samples.status == Status.OK) & (ticks.status[at] == Status.OK)
-    sent = comparable & _settled(samples.state_s, samples.servo)
     result = {
         "registrations": _registrations(live, replay),
         "same_status_share": float(same_status.mean()),
         "same_supervisor_share": float(same_state.mean()),
         "force_session": _force_at_answers(samples, replay, comparable),
-        "force_servo": _force(samples.servo_s[sent], samples.force_n[sent], replay),
+        "force_servo": _force(samples.t_s[comparable], samples.force_n[comparable], replay),
         "latency_ms": live.result["latency_ms"],
         "live": live.result,
     }
@@ -317,9 +274,9 @@ def _settled(t_s: FloatArray, codes: IntArray) -> BoolArray:
 
 def _force_at_answers(samples: LiveSamples, replay: Replay, comparable: BoolArray) -> dict[str, Any]:
     """Errors of the session's force at the very moments, and how many a late pose of the tool explains."""
-    states = asked_at(replay.scenario, replay.setup, samples.state_s)
-    comparable = comparable & (states.status == Status.OK) & _settled(samples.state_s, states.supervisor)
-    error = np.linalg.norm(samples.session_n - states.force_n, axis=1)
+    states = asked_at(replay.scenario, replay.setup, samples.t_s)
+    comparable = comparable & (states.status == Status.OK) & _settled(samples.t_s, states.supervisor)
+    error = np.linalg.norm(samples.force_n - states.force_n, axis=1)
     late = samples.tool_age_s > states.tool_age_s + LATE_S
     return {
         **_summary(error[comparable]),
@@ -334,7 +291,7 @@ def _summary(error_n: FloatArray) -> dict[str, Any]:
     return {
         "answers": len(error_n),
         "median_n": float(np.median(error_n)),
-        "p95_n": float(np.percentile(error_n, 95)),
+        "p95_n": _p95(error_n),
         "p99_n": float(np.percentile(error_n, 99)),
         "max_n": float(error_n.max()),
         "within_0.02_share": float((error_n <= 0.02).mean()),
@@ -362,25 +319,25 @@ def _tre(
     samples: LiveSamples, replay: Replay, truth: ScenarioTruth, at: IntArray, here: BoolArray
 ) -> dict[str, Any]:
     """Mean error at the targets over answers at which both had a pose."""
-    live = pose_errors_mm(samples.mr_from_tracker, samples.state_s, truth).mean(axis=1)
-    theirs = pose_errors_mm(replay.ticks.mr_from_tracker[at], samples.state_s, truth).mean(axis=1)
+    live = pose_errors_mm(samples.mr_from_tracker, samples.t_s, truth).mean(axis=1)
+    theirs = pose_errors_mm(replay.ticks.mr_from_tracker[at], samples.t_s, truth).mean(axis=1)
     both = here & np.isfinite(live) & np.isfinite(theirs)
     a, b = live[both], theirs[both]
     return {
-        "live": {"median": float(np.median(a)), "mean": float(a.mean()), "p95": float(np.percentile(a, 95))},
-        "replay": {
-            "median": float(np.median(b)),
-            "mean": float(b.mean()),
-            "p95": float(np.percentile(b, 95)),
-        },
+        "live": {"median": float(np.median(a)), "mean": float(a.mean()), "p95": _p95(a)},
+        "replay": {"median": float(np.median(b)), "mean": float(b.mean()), "p95": _p95(b)},
         "apart": {
             "of_medians": float(np.median(a) - np.median(b)),
             "of_means": float(a.mean() - b.mean()),
             "median": float(np.median(np.abs(a - b))),
-            "p95": float(np.percentile(np.abs(a - b), 95)),
+            "p95": _p95(np.abs(a - b)),
             "max": float(np.abs(a - b).max()),
         },
     }
+
+
+def _p95(values: FloatArray) -> float:
+    return float(np.percentile(values, 95))
 
 
 def after_cut(live: LiveRun, replay: Replay, cut_s: float) -> dict[str, Any]:
@@ -390,15 +347,15 @@ def after_cut(live: LiveRun, replay: Replay, cut_s: float) -> dict[str, Any]:
         `fading_s`: when the force began to fade; `back_s`: when the tool was known again; `phase_s`: when the
         phase was also locked again; null if that did not happen. `latched`: whether it took an operator.
     """
-    samples, recorded = samples_of(live), replay.scenario
+    samples, recorded = live.samples, replay.scenario
     first_s = min(float(recorded.ecg.t_s[0]), float(recorded.ultrasound.t_s[0]))
-    since_s = samples.servo_s - first_s - cut_s
-    faded = samples.servo > SupervisorState.DEGRADED
+    since_s = samples.t_s - first_s - cut_s
+    faded = samples.supervisor > SupervisorState.DEGRADED
     fading = _first(since_s, (since_s > 0.0) & faded)
     back = None if fading is None else _first(since_s, (since_s > fading) & ~faded)
     phase = None if back is None else _first(since_s, (since_s >= back) & (samples.status == Status.OK))
     until = np.inf if back is None else back
-    latched = (since_s > 0.0) & (since_s < until) & (samples.servo == SupervisorState.LATCHED)
+    latched = (since_s > 0.0) & (since_s < until) & (samples.supervisor == SupervisorState.LATCHED)
     return {
         "cut_s": cut_s,
         "fading_s": fading,

@@ -9,7 +9,6 @@ over pairs.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from enum import StrEnum
 from pathlib import Path
 from time import perf_counter, process_time
 from typing import Any
@@ -21,19 +20,9 @@ from data_synth.organ_pair.pair import OrganPair, cine_pair, displaced_start, or
 from data_synth.seeds import child_rng
 from dvf_ig.core import Grid, InvalidInputError, Rigid, Volume
 from dvf_ig.registration import register_pair
-from dvf_ig.study.cines import labelled_cines, read_labelled_cine
-from dvf_ig.study.driver import (
-    Driver,
-    Line,
-    Result,
-    Rows,
-    Settings,
-    Study,
-    Trials,
-    option,
-    seed_option,
-    seeds_option,
-)
+from dvf_ig.study.cines import VOXEL_HELP, labelled_cines, read_labelled_cine
+from dvf_ig.study.driver import Driver, Line, Result, Rows, Settings, Study, Trials
+from dvf_ig.study.options import option, seed_option, seeds_option
 from dvf_ig.study.statistics import FAILURE_MM, SUCCESS_MM, Share, number_text, share_of, share_text
 
 STARTS_MM = [4.0, 8.0]
@@ -52,9 +41,7 @@ class PairsSettings:
         "Instead of brains: real MR at end-diastole of the cines in this folder.", None
     )
     patients: str | None = option("Only folders that end so: 002,003 (default: all).", None)
-    voxel_mm: tuple[float, float, float] | None = option(
-        "Voxel size where the header has lost it, three numbers of mm, for example 1.5,1.5,10.", None
-    )
+    voxel_mm: tuple[float, float, float] | None = option(VOXEL_HELP, None)
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,13 +99,6 @@ def _refused(runs: Sequence[dict[str, Any]]) -> Share:
     return share_of(sum(not run["usable"] for run in runs), len(runs))
 
 
-class Family(StrEnum):
-    """Where pairs come from."""
-
-    brain = "brain"
-    cardiac_mr = "cardiac-mr"
-
-
 OWN, OTHER = "own", "another patient"
 OTHER_SEEDS = 500_000
 """Added to a pair's seed for the patient whose MR is not this one's."""
@@ -156,14 +136,14 @@ def _conditions(
 
 def _patient(settings: Settings, seed: int, further: int) -> str:
     """Whose pair a seed's is; the cines take turns. `further` 1: the patient taken for another."""
-    if settings["family"] == Family.brain:
+    if settings["family"] == "brain":
         return str(seed + further * OTHER_SEEDS)
     patients = settings["patients"]
     return str(patients[(seed + further) % len(patients)])
 
 
 def _pair_of(settings: Settings, seed: int, further: int) -> OrganPair:
-    if settings["family"] == Family.brain:
+    if settings["family"] == "brain":
         return organ_pair(seed + further * OTHER_SEEDS)
     folder = Path(_patient(settings, seed, further))
     return cine_pair(end_diastole(folder, settings["voxel_mm"]), seed + further * OTHER_SEEDS)
@@ -235,7 +215,7 @@ def _trial_settings(settings: PairsSettings) -> Settings:
         if settings.patients is not None or settings.voxel_mm is not None:
             raise InvalidInputError("--patients and --voxel-mm are of cines; give --cines FOLDER")
         fields: Settings = {
-            "family": Family.brain,
+            "family": "brain",
             "contrasts": list(settings.contrasts) or ["t1", "flair", "t1+flair"],
         }
         available = set(CONTRASTS)
@@ -244,7 +224,7 @@ def _trial_settings(settings: PairsSettings) -> Settings:
         if len(folders) < 2:
             raise InvalidInputError("one patient; needed two, so that one can be taken for the other")
         fields = {
-            "family": Family.cardiac_mr,
+            "family": "cardiac-mr",
             "contrasts": list(settings.contrasts) or ["cine"],
             "patients": [str(path.resolve()) for path in folders],
             "voxel_mm": settings.voxel_mm,

@@ -42,7 +42,8 @@ from dvf_ig.guidance import (
 from dvf_ig.guidance.devices.simulated import PREMIUM, Hand, SimulatedStylus
 from dvf_ig.guidance.laws import gaussian_steepness
 from dvf_ig.guidance.servo import ServoInputs, ServoOptions, ServoRecord, SimulatedServo
-from dvf_ig.study.driver import Driver, Result, Rows, Study, option
+from dvf_ig.study.driver import Driver, Result, Rows, Study
+from dvf_ig.study.options import option
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,4 +1,4 @@
-"""Prepare a session wrongly in each of twelve ways, and replay it in spite of what is named.
+"""Prepare a session wrongly in each of thirteen ways, and replay it in spite of what is named.
 
 A way is named if the check of the files (`config validate`) or the search for the cause of a refused
 registration (`register`) says what is wrong. A session whose files are refused is replayed all the same:
@@ -26,18 +26,8 @@ from dvf_ig.intake.model_cache import cached_model
 from dvf_ig.intake.parts import SessionFiles
 from dvf_ig.replay import result_of, run_replay
 from dvf_ig.replay.registration import explain_refusal, prepare_registration
-from dvf_ig.study.driver import (
-    Driver,
-    Line,
-    Result,
-    Rows,
-    Settings,
-    Study,
-    Trials,
-    option,
-    seed_option,
-    seeds_option,
-)
+from dvf_ig.study.driver import Driver, Line, Result, Rows, Settings, Study, Trials
+from dvf_ig.study.options import option, seed_option, seeds_option
 
 OTHERS = 1000
 """Another patient's recordings are of a seed so much higher."""
@@ -167,6 +157,12 @@ def _late_cine(recorded: Recorded) -> Scenario:
     return replace(recorded.right, preop=replace(preop, mr=_rolled(preop.mr), labels=_rolled(preop.labels)))
 
 
+def _still_heart(recorded: Recorded) -> Scenario:
+    """The cine's first phase as every phase."""
+    preop = recorded.right.preop
+    return replace(recorded.right, preop=replace(preop, mr=_still(preop.mr), labels=_still(preop.labels)))
+
+
 WAYS: dict[str, Way] = {
     "as it should be": Way(lambda recorded: recorded.right, r"$^"),
     "probe and tool exchanged": Way(_exchanged, "probe and tool look exchanged"),
@@ -182,6 +178,7 @@ WAYS: dict[str, Way] = {
     "the same without landmarks": Way(_other_day_alone, "of another day or probe"),
     "a start in RAS": Way(_ras, "RAS"),
     "a cine from another phase on": Way(_late_cine, "cine|phase"),
+    "a heart that does not beat": Way(_still_heart, "does not beat"),
 }
 """The first is not a wrong one; that of another day's calibration is tried twice."""
 
@@ -208,6 +205,12 @@ def _rolled(series: VolumeSeries | None) -> VolumeSeries | None:
     if series is None:
         return None
     return replace(series, values=np.roll(series.values, len(series.values) // 3, axis=0))
+
+
+def _still(series: VolumeSeries | None) -> VolumeSeries | None:
+    if series is None:
+        return None
+    return replace(series, values=np.repeat(series.values[:1], len(series.values), axis=0))
 
 
 def preparation_trial(settings: Settings, number: int) -> Line:

@@ -18,14 +18,12 @@ experts' labels.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
-from enum import StrEnum
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
-from data_synth.cine_heart.anatomy import CineHeart
-from data_synth.heart.heart_spec import HeartSpec
-from data_synth.scenario.presets import PRESETS, ScenarioSpec, preset_name
+from data_synth import PRESETS, CineHeart, HeartSpec, MotionPreset, ScenarioSpec, preset_name
 from data_synth.scenario.recording import cine_scenario, phantom_scenario
 from dvf_ig.core import BoolArray, InvalidInputError, Scenario, VolumeSeries
 from dvf_ig.intake.model_cache import cached_model
@@ -35,33 +33,9 @@ from dvf_ig.replay.result.pose import bounded_rms_mm
 from dvf_ig.replay.result.score import CONTACT_MM, pose_errors_mm
 from dvf_ig.session.pose_states import ELSEWHERE_BEATS
 from dvf_ig.study.cines import VOXEL_HELP, labelled_cines, read_labelled_cine
-from dvf_ig.study.driver import (
-    Driver,
-    Line,
-    Result,
-    Rows,
-    Settings,
-    Study,
-    Trials,
-    option,
-    seed_option,
-    seeds_option,
-)
+from dvf_ig.study.driver import Driver, Line, Result, Rows, Settings, Study, Trials
+from dvf_ig.study.options import option, seed_option, seeds_option
 from dvf_ig.study.statistics import Estimate, estimate_text, median_of, number_text, share_over_hearts
-
-
-class Motion(StrEnum):
-    """Motion presets."""
-
-    paper5mm = "paper5mm"
-    physiological = "physiological"
-
-
-class HeartKind(StrEnum):
-    """Hearts that the seeds draw."""
-
-    standard = "standard"
-    varied = "varied"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,8 +43,8 @@ class ReplaySettings:
     """Options of the study."""
 
     preset: tuple[str, ...] = option("One preset; may be repeated (default: all).", ())
-    motion: Motion = option("How far the heart moves.", Motion.paper5mm)
-    heart: HeartKind = option("One heart for all seeds, or another for each.", HeartKind.standard)
+    motion: MotionPreset = option("How far the heart moves.", "paper5mm")
+    heart: Literal["standard", "varied"] = option("One heart for all seeds, or another for each.", "standard")
     cines: Path | None = option("Folder of patients as for `study cines`, whose hearts are replayed.", None)
     voxel_mm: tuple[float, float, float] | None = option(VOXEL_HELP, None)
     seconds: float = option("Length of each intervention.", 60.0)
@@ -365,7 +339,7 @@ def run(settings: ReplaySettings, driver: Driver) -> Result:
     named = [preset_name(name) for name in settings.preset]
     presets = list(dict.fromkeys(named)) or list(PRESETS)
     checked = ScenarioSpec(
-        preset=presets[0], motion=settings.motion.value, seconds=settings.seconds, seed=settings.seed
+        preset=presets[0], motion=settings.motion, seconds=settings.seconds, seed=settings.seed
     )
     kinds: list[Kind] = [(preset, patient) for patient in _patients(settings) for preset in presets]
     described = {
@@ -373,7 +347,7 @@ def run(settings: ReplaySettings, driver: Driver) -> Result:
         "cines": None if settings.cines is None else str(settings.cines),
         "voxel_mm": settings.voxel_mm,
         "motion": checked.motion,
-        "heart": settings.heart.value,
+        "heart": settings.heart,
         "seconds": checked.seconds,
     }
     lines = driver.trials(

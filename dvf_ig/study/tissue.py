@@ -25,7 +25,8 @@ from dvf_ig.guidance.devices import limits_of
 from dvf_ig.guidance.devices.simulated import Hand, SimulatedStylus
 from dvf_ig.guidance.servo import ServoInputs, ServoOptions, ServoRecord, SimulatedServo
 from dvf_ig.guidance.tissue import FEEL_CAP_N, TISSUES, TissueClass, feel_fixtures, feel_of
-from dvf_ig.study.driver import Driver, Result, Rows, Study, option, seed_option
+from dvf_ig.study.driver import Driver, Result, Rows, Study
+from dvf_ig.study.options import option, seed_option
 from dvf_ig.study.passivity import steady_transform, wall_model
 
 FORCE_WEBER, DEPTH_WEBER, PRESSES = 0.07, 0.05, 3

@@ -21,21 +21,14 @@ from dvf_ig.intake.model_cache import cached_model
 from dvf_ig.intake.start import landmarks_start, start_pose
 from dvf_ig.registration import PoseEstimate, ShiftDetector
 from dvf_ig.replay import events_of
-from dvf_ig.session import (
-    BeatEvaluation,
-    InlineExecutor,
-    Job,
-    Session,
-    SessionHistory,
-    SessionSetup,
-    beat_source_of,
-    build_heart,
-)
+from dvf_ig.session import BeatEvaluation, Session, SessionHistory, SessionSetup, beat_source_of, build_heart
 from dvf_ig.session.beat_evaluation import ComparableBeat, ComparedBeat, evaluation_of
 from dvf_ig.session.pose_states import Confirmation, InUse, Pose
 from dvf_ig.session.pose_transition import BeatCompared, next_pose
-from dvf_ig.study.driver import Driver, Line, Result, Rows, Settings, Study, Trials, option
+from dvf_ig.session.work import InlineExecutor, Job
+from dvf_ig.study.driver import Driver, Line, Result, Rows, Settings, Study, Trials
 from dvf_ig.study.hearts.recordings import MOTION, VARIED, ListName, heart_list, hearts_option, list_option
+from dvf_ig.study.options import option
 from dvf_ig.study.statistics import Estimate, estimate_text, number_text, poisson_rate, share_over_hearts
 
 
@@ -446,9 +439,9 @@ def run(settings: WatchSettings, driver: Driver) -> Result:
     """Watch every heart of the list."""
     checked = ScenarioSpec(preset=settings.preset, seconds=settings.seconds)
     fields = {"preset": checked.preset, "seconds": checked.seconds}
-    hearts = heart_list(settings.list.value).first_world[: settings.hearts]
+    hearts = heart_list(settings.list).first_world[: settings.hearts]
     result = summarise_watch(driver.trials(Trials("watch", fields, watch_trial), hearts))
-    summary = {"list": settings.list.value, **fields, **asdict(result)}
+    summary = {"list": settings.list, **fields, **asdict(result)}
     return Result(summary, _table(result), {"summary.json": summary})
 
 

@@ -9,7 +9,7 @@ import typer
 from click import Command
 from typer.testing import CliRunner
 
-from dvf_ig.cli.fixture_options import LAW_NAMES, RetimingName, chosen_fixtures, chosen_retiming
+from dvf_ig.cli.fixture_options import LAW_NAMES, chosen_fixtures, chosen_retiming
 from dvf_ig.cli.main import app
 from dvf_ig.core import InvalidInputError
 from dvf_ig.guidance import Confinement, FixtureOptions, FixtureSet, Gaussian
@@ -54,10 +54,10 @@ def test_what_is_given_reaches_the_fixture() -> None:
 
 def test_retiming_is_given_once() -> None:
     assert chosen_retiming(None, None) == "two-segment"
-    assert chosen_retiming(RetimingName.uniform, None) == "uniform"
+    assert chosen_retiming("uniform", None) == "uniform"
     assert chosen_retiming(None, "uniform") == "uniform"
     with pytest.raises(typer.BadParameter, match="leave out --retiming"):
-        chosen_retiming(RetimingName.uniform, "uniform")
+        chosen_retiming("uniform", "uniform")
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,8 @@ from typer.testing import CliRunner
 
 from dvf_ig.cli import study as command
 from dvf_ig.cli.main import app
-from dvf_ig.study.driver import Driver, Line, Result, Settings, Study, Trials, option, refusals, seeds_option
+from dvf_ig.study.driver import Driver, Line, Result, Settings, Study, Trials, refusals
+from dvf_ig.study.options import option, seeds_option
 
 ONE_FILE = '''"""Multiply seeds.
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from fake_library import POSITION, SharedDhd, compiled
+from fake_library import BUTTON, POSITION, SharedDhd, compiled
 from toy_sphere import sphere
 from typer.testing import CliRunner
 
@@ -15,7 +15,7 @@ from data_synth.operator.contact import MovingSurface
 from dvf_ig.cli.main import app
 from dvf_ig.core import CycleTiming, FloatArray, SurfaceSeries
 from dvf_ig.guidance import Hazard, SupervisorState
-from dvf_ig.guidance.devices import HeldDevice, open_device
+from dvf_ig.guidance.devices import HeldDevice
 from dvf_ig.guidance.servo import SentForce
 from dvf_ig.preop import ModelOptions, model_from_surfaces
 from dvf_ig.study.operators import closed_loop, pellets, practice
@@ -75,7 +75,7 @@ def test_a_person_plays_with_a_vendor_s_device(
     heart: OperatingHeart, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The fake device is pushed 7 to 10 mm into the heart, held for a beat, and drawn back; with force and
-    without."""
+    without. Its trial begins where its button was pressed, not where the device was when it was opened."""
     library = compiled("fake_dhd", tmp_path, "libdhd.so")
     monkeypatch.setattr("dvf_ig.guidance.devices.force_dimension.LIBRARY", str(library))
     monkeypatch.delenv("FORCEDIM_SDK", raising=False)
@@ -85,25 +85,28 @@ def test_a_person_plays_with_a_vendor_s_device(
     rotation = practice.place_of_device("force-dimension", loop, np.zeros(3)).rotation
     inwards = -rotation.T @ task.pellets.sites[0].normal
 
+    aside_m, await_press = np.array([0.03, -0.02, 0.01]), practice.tip_at_press_mm
+
     def push() -> None:
         for share in np.minimum(2.0 * np.sin(np.linspace(0.0, np.pi, 1400)), 1.0):
-            state.numbers[POSITION : POSITION + 3] = 1e-3 * 18.0 * share * inwards
+            state.numbers[POSITION : POSITION + 3] = aside_m + 1e-3 * 18.0 * share * inwards
             time.sleep(0.001)
 
     pushes: list[threading.Thread] = []
 
-    def begin_push(_: object) -> None:
-        pushes.append(threading.Thread(target=push))
-        pushes[-1].start()
-
-    def opened(name: str) -> HeldDevice:
-        """Open the device once the push of the trial before has been drawn back: it begins from there."""
+    def tip_at_press_mm(device: HeldDevice) -> FloatArray:
+        """Move the hand after the device was opened, press, and begin to push once the press was taken."""
         for before in pushes:
             before.join()
-        return open_device(name)
+        state.numbers[BUTTON] = 0.0
+        state.numbers[POSITION : POSITION + 3] = aside_m
+        threading.Timer(0.1, state.numbers.__setitem__, (BUTTON, 1.0)).start()
+        tip_mm = await_press(device)
+        pushes.append(threading.Thread(target=push))
+        pushes[-1].start()
+        return tip_mm
 
-    monkeypatch.setattr(practice, "await_button", begin_push)
-    monkeypatch.setattr(practice, "open_device", opened)
+    monkeypatch.setattr(practice, "tip_at_press_mm", tip_at_press_mm)
     command = ["train", "cutting", "--device", "force-dimension", "--person", "anna", "-o", str(tmp_path)]
     done = CliRunner().invoke(app, command)
     assert done.exit_code == 0, done.output

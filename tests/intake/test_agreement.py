@@ -57,9 +57,10 @@ def heart_of(length_mm: float) -> Change:
 
 
 def labels_of(length_mm: float) -> Change:
-    """An organ of ten voxels along each axis among others that are none."""
+    """An organ of ten voxels along each axis among others that are none, and of nine in its second phase."""
     values = np.ones((2, 20, 20, 20), np.uint8)
     values[:, 5:15, 5:15, 5:15] = 7
+    values[1, 14] = 1
     grid = Grid.axis_aligned("mr", (20, 20, 20), [0.0] * 3, length_mm / 10)
     series = VolumeSeries(grid, values, CycleTiming.uniform(2, 0.8))
 

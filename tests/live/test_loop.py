@@ -4,6 +4,7 @@ import json
 import threading
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import cache
 from types import MappingProxyType, SimpleNamespace
 from typing import Any
 
@@ -35,7 +36,12 @@ def toy(known_images: None) -> Iterator[LiveToy]:
 
 
 def streams_of(until_s: float) -> list[Arrival]:
-    return arrivals_of(toy_streams(until_s, chunk=5))
+    return list(_streams_of(until_s))
+
+
+@cache
+def _streams_of(until_s: float) -> tuple[Arrival, ...]:
+    return tuple(arrivals_of(toy_streams(until_s, chunk=5)))
 
 
 def without(arrivals: list[Arrival], device: str, from_s: float, until_s: float) -> list[Arrival]:

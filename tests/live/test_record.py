@@ -275,6 +275,17 @@ def test_killed_while_it_records(run: tuple[Path, list[GuidanceState]], tmp_path
         pass
 
 
+def test_a_session_that_fails_keeps_what_came_before(tmp_path: Path) -> None:
+    def fail() -> None:
+        with session_record(tmp_path, attach, print) as record:
+            record.event(ToolPose(0.0, np.eye(4)), 0.0)
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        fail()
+    assert [file.name for file in tmp_path.iterdir()] == [PART]
+
+
 class FullDisk(BytesIO):
     """Takes so many bytes."""
 

@@ -147,7 +147,7 @@ def test_changes_of_a_session_are_reported_once_and_a_latch_at_once(tmp_path: Pa
     ]
 
 
-@pytest.mark.parametrize(("level", "shown"), [(LogLevel.info, ["connected"]), (LogLevel.warning, [])])
+@pytest.mark.parametrize(("level", "shown"), [("info", ["connected"]), ("warning", [])])
 def test_messages_go_to_the_terminal_and_with_times_to_a_file(
     level: LogLevel, shown: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

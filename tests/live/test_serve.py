@@ -136,6 +136,20 @@ def test_serve_leaves_what_view_shows_and_refuses_a_folder_with_a_record(tmp_pat
     assert "never replaced" in again.stderr
 
 
+@pytest.mark.usefixtures("toy_patient")
+def test_serve_that_is_refused_leaves_no_record(tmp_path: Path) -> None:
+    pytest.importorskip("mcap", reason="session logs need mcap")
+    pytest.importorskip("rosbags", reason="session logs need rosbags")
+    out = tmp_path / "run"
+    with listen("127.0.0.1", 0, None) as server:
+        for folder, there in ((out, False), (tmp_path, True)):
+            done = run("serve", "x", "--listen", "--port", server.port, "--seconds", 0.1, "-o", folder)
+            assert done.exit_code == 3, done.stderr
+            assert "cannot listen" in done.stderr
+            assert folder.exists() is there
+    assert not list(tmp_path.glob("session*"))
+
+
 @pytest.mark.parametrize(
     ("changes", "key", "expected"),
     [

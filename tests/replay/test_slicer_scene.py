@@ -30,7 +30,7 @@ from toy_run import (
 )
 from toy_sphere import sphere
 
-from dvf_ig.core import InvalidInputError, Mesh, Rigid, UnreadableFileError, Warp
+from dvf_ig.core import Grid, InvalidInputError, Mesh, Rigid, Tissue, UnreadableFileError, Volume, Warp
 from dvf_ig.io import read_mesh
 from dvf_ig.replay.export.exported_run import read_exported_run
 from dvf_ig.replay.export.slicer_scene import write_slicer_scene
@@ -221,6 +221,32 @@ def test_a_changed_heart_is_shown_where_the_patient_has_it(tmp_path: Path) -> No
     assert "heart_now_further_out.stl" in (tmp_path / "README.md").read_text()
 
 
+def test_labels_are_segments_with_names_and_properties_as_the_patient_has_them(tmp_path: Path) -> None:
+    """A slab of myocardium, moved by 3 mm to the left."""
+    values = np.zeros((9, 5, 5), dtype=np.uint8)
+    values[2:4], values[4:6] = 1, 2
+    labels = Volume(Grid.axis_aligned("mr", values.shape, [-6.0, -3.0, -3.0], 1.5), values)
+    origin, model = np.full(3, -60.0), ball_model()
+    still, moved_mm = np.zeros((13**3, 3)), np.tile([3.0, 0.0, 0.0], (13**3, 1))
+    motion = Warp.through("mr", origin, 10.0, still, np.zeros(13**3))
+    tissue = Tissue(labels, ((1, "lv_myocardium"), (2, "lv_blood")), (motion,) * model.phases)
+    warp = Warp.through("mr", origin, 10.0, moved_mm, np.full(13**3, 0.25))
+    write_slicer_scene(replace(run_folder(), warp=warp), replace(model, tissue=tissue), tmp_path)
+    slicer = Slicer(tmp_path)
+    file = slicer.file(slicer.named("labels"))
+    shown = SimpleITK.ReadImage(str(file))
+    np.testing.assert_array_equal(SimpleITK.GetArrayFromImage(shown).T[2:], values[:-2])
+    assert shown.GetOrigin() == (-6.0, -3.0, -3.0)
+    fields = header(file)
+    assert (fields["Segment0_Name"], fields["Segment0_LabelValue"]) == ("lv myocardium", "1")
+    assert "stiffness:0.075 N/mm (Villemain 2019, shear" in fields["Segment0_Tags"]
+    assert "damping:0.15 N·s/m (assumed)" in fields["Segment0_Tags"]
+    assert fields["Segment1_Tags"] == ""
+    for identity, node in slicer.nodes.items():
+        assert re.fullmatch(rf"vtkMRML{CLASSES[node.tag]}Node\d+", identity)
+    assert "`labels.seg.nrrd`" in (tmp_path / "README.md").read_text()
+
+
 def test_a_reference_marker_keeps_its_name(tmp_path: Path) -> None:
     """A lab's own sequence with ProbeToReference goes under ReferenceToRas."""
     run = run_folder()
@@ -241,6 +267,9 @@ CLASSES = {
     "Model": "Model",
     "ModelDisplay": "ModelDisplay",
     "ModelStorage": "ModelStorage",
+    "Segmentation": "Segmentation",
+    "SegmentationDisplay": "SegmentationDisplay",
+    "SegmentationStorage": "SegmentationStorage",
     "Sequence": "Sequence",
     "SequenceBrowser": "SequenceBrowser",
     "TransformStorage": "TransformStorage",

@@ -219,6 +219,34 @@ def test_the_contour_lies_on_the_models_surface(opened: Page, run: Path, model: 
     assert np.median(np.linalg.norm(np.array([field[i] for i in known]) - true, axis=1)) < 0.03
 
 
+@NEEDS_BROWSER
+def test_labels_in_the_image_are_those_of_the_model(opened: Page, model: DvfModel) -> None:
+    """Looked up by the page as by the model; their contours and properties appear with a key."""
+    tissue, rng = model.tissue, np.random.default_rng(2)
+    assert tissue is not None
+    grid = tissue.labels.grid
+    places = grid.to_mm(rng.uniform(0.0, np.array(grid.shape) - 1.0, (3000, 3)))
+    for phase in (0.0, 0.33):
+        true = tissue.label_at(places, phase, model.timing)
+        shown = np.array(opened.run(LABELS, places.tolist(), phase))
+        assert (shown == true).mean() > 0.98
+        assert len(np.unique(shown)) > 1
+    shown = opened.run("return dvf.seek(arguments[0])", 14.5)
+    assert not [one for one in shown["contours"] if one["role"] == "label"]
+    key = "document.body.dispatchEvent(new KeyboardEvent('keydown', {key: 'l', bubbles: true}))"
+    listed = f"{key}; dvf.state(); return document.getElementById('tissue').innerText"
+    text = opened.run(listed)
+    contours = opened.run("return dvf.state().contours")
+    names = [one["name"] for one in contours if one["role"] == "label" and one["segments"]]
+    assert names
+    assert all(name.lower().replace("_", " ") in text for name in names)
+    assert opened.run(f"{key}; dvf.state(); return document.getElementById('tissue').hidden")
+
+
+LABELS = (
+    "const labels = dvf.viewer.heart.labels; labels.phase(arguments[1]);"
+    "return arguments[0].map((p) => labels.at(p))"
+)
 FIELD = "return arguments[0].map((p) => dvf.forceAt(arguments[1], ...p))"
 
 

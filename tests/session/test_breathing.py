@@ -64,13 +64,13 @@ def test_without_samples_there_is_no_force_until_beats_exclude_breathing() -> No
     tracker.advance(5.0)
     assert tracker.frames(np.array([1.0])) is None
     assert tracker.motion(RESTING, 5.0) is RESTING
-    assert not tracker.covariance_mm2(5.0).any()
+    assert not tracker.status(5.0).covariance_mm2.any()
     for k in range(LEAST_BEATS):
         assert tracker.withheld(10.0 + k)
-        assert tracker.reason(10.0 + k) == (BreathingReason.NOT_EXCLUDED.value if k else None)
+        assert tracker.status(10.0 + k).reason == (BreathingReason.NOT_EXCLUDED.value if k else None)
         watch_beat(tracker, 9.0 + k, NOISE_MM * rng.standard_normal(6))
     assert not tracker.withheld(30.0)
-    assert tracker.reason(30.0) is None
+    assert tracker.status(30.0).reason is None
 
 
 @pytest.mark.parametrize("excursion_mm", [4.0, 10.0])
@@ -84,8 +84,8 @@ def test_the_ecg_follows_a_breath_that_nothing_records_and_force_is_given_at_res
     assert 0.15 < served.sum() / (times > 25.0).sum() < 0.45
     assert np.percentile(errors[served], 95) < 1.5
     assert tracker.model is None  # what happens between two beats is not noticed at once
-    assert tracker.reason(float(times[-1])) == BreathingReason.BY_ECG.value
-    assert tracker.bound_mm(float(times[-1])) > 0.0
+    assert tracker.status(float(times[-1])).reason == BreathingReason.BY_ECG.value
+    assert tracker.status(float(times[-1])).bound_mm > 0.0
     assert [record.by_ecg for record in records] == [False, True]
     assert records[0].unfollowed_mm == pytest.approx(excursion_mm, rel=0.4)
 
@@ -193,12 +193,12 @@ def test_the_followed_breath_is_recorded_with_its_loop_and_what_beats_miss() -> 
     assert len(breath.beats) == len(residual_mm)
     assert 0.6 < np.sqrt(np.mean((residual_mm / sigma_mm) ** 2)) < 1.3
     last_s = float(times[-1])
-    now = tracker.breath(last_s)
+    now = tracker.status(last_s).breath
     assert now.state == BreathState.LOCKED
     assert 0.0 <= now.phase < 1.0
     moved_mm = -breathing.mr_from_rest(np.array([last_s]))[1][0] @ model.along[3:]
     assert now.displacement_mm == pytest.approx(moved_mm, abs=1.5)
-    nothing = BreathingTracker(CENTER).breath(5.0)
+    nothing = BreathingTracker(CENTER).status(5.0).breath
     assert nothing.state == UNFOLLOWED
     assert np.isnan([nothing.phase, nothing.displacement_mm]).all()
 
@@ -226,7 +226,7 @@ def test_what_withholds_the_pose_is_said() -> None:
             tracker.push(RespirationSample(float(recorded.t_s[k]), recorded.values[k]))
         pushed = due
         tracker.advance(now_s)
-        said.append((now_s, tracker.reason(now_s), tracker.withheld(now_s)))
+        said.append((now_s, tracker.status(now_s).reason, tracker.withheld(now_s)))
     reasons = [reason for _, reason, _ in said if reason is not None]
     order = list(dict.fromkeys(reasons))
     assert order == [

@@ -15,7 +15,7 @@ from dvf_ig.study.calibration import calibration_trial, interval_coverage
 def test_summary_counts_intervals_that_hold_the_truth() -> None:
     lines = [{"error": {"lag_ms": e}, "half_width": {"lag_ms": 1.0}} for e in (-2.0, -0.5, 0.0, 0.5)]
     (entry,) = interval_coverage([*lines, {"refused": "why"}])
-    assert (entry.name, entry.trials, entry.share) == ("lag_ms", 4, 0.75)
+    assert (entry.name, entry.intervals, entry.share) == ("lag_ms", 4, 0.75)
     assert entry.bias == pytest.approx(-0.5)
     assert entry.sd == pytest.approx(np.std([-2.0, -0.5, 0.0, 0.5], ddof=1))
     assert interval_coverage([{"refused": "why"}]) == []

@@ -1,7 +1,6 @@
 """The gating study: scores against closed forms, numbers on real and synthetic recordings."""
 
 import json
-import math
 from pathlib import Path
 
 import numpy as np
@@ -16,8 +15,8 @@ from dvf_ig.cli.main import app
 from dvf_ig.core import PhaseState, PhaseTrack
 from dvf_ig.io import BeatAnnotations, read_annotations
 from dvf_ig.study.gating import (
+    RISK_POINTS,
     PhaseErrors,
-    RiskCoverage,
     match_beats,
     phase_errors,
     predictor_errors,
@@ -79,10 +78,9 @@ def test_risk_falls_with_coverage_where_sigma_knows() -> None:
     sigma = rng.uniform(0.01, 0.1, 20_000)
     error = sigma * rng.standard_normal(len(sigma))
     every = np.ones(len(sigma), dtype=bool)
-    share, p95, limit = risk_coverage(PhaseErrors(error, sigma, every, ~every))
+    share, p95 = risk_coverage(PhaseErrors(error, sigma, every, ~every))
     assert share[-1] == 1.0
     assert (np.diff(share) > 0).all()
-    assert (np.diff(limit) > 0).all()
     assert p95[0] < 0.3 * p95[-1]
 
 
@@ -136,15 +134,16 @@ def test_gating_command_refuses_an_empty_folder(tmp_path: Path) -> None:
 
 
 def test_curves_and_dots() -> None:
-    share, p95 = np.array([0.1, 0.5, 1.0]), np.array([1.0, 2.0, 9.0])
-    rhythms = [
-        RiskCoverage("sinus", share, p95, 0.9, 3.0),
-        RiskCoverage("fibrillation", share, 2 * p95, 0.0, math.nan),
-    ]
+    every, sigma = np.ones(1000, dtype=bool), np.linspace(0.01, 0.1, 1000)
+    most = np.arange(1000) < 900
+    rhythms = {
+        "sinus": PhaseErrors(0.03 * every, sigma, most, ~every),
+        "fibrillation": PhaseErrors(-0.02 * every, sigma, ~every, every),
+    }
     lines = risk_coverage_figure(rhythms).axes[0].lines
     curve, dot, target, other = lines
-    assert x_of(curve).tolist() == [10.0, 50.0, 100.0]
-    assert y_of(curve).tolist() == [1.0, 2.0, 9.0]
-    assert (x_of(dot)[0], y_of(dot)[0]) == (90.0, 3.0)
+    assert (x_of(curve)[0], x_of(curve)[-1]) == (2.0, 100.0)
+    assert y_of(curve) == pytest.approx(np.full(RISK_POINTS, 3.0))
+    assert (x_of(dot)[0], y_of(dot)[0]) == pytest.approx((90.0, 3.0))
     assert y_of(target)[0] == 8.0
-    assert y_of(other).tolist() == [2.0, 4.0, 18.0]
+    assert y_of(other) == pytest.approx(np.full(RISK_POINTS, 2.0))

@@ -143,6 +143,13 @@ class Streams:
 
 
 def toy_streams(until_s: float, *, patient: Patient = still, chunk: int = 50) -> Streams:
+    """Streams of a steady heart; their events are made once, their lists are the caller's."""
+    made = _made_streams(until_s, patient, chunk)
+    return Streams(list(made.ecg), list(made.frames), list(made.tool))
+
+
+@lru_cache(maxsize=8)
+def _made_streams(until_s: float, patient: Patient, chunk: int) -> Streams:
     return Streams(
         ecg_events(ecg_of(0.0, until_s), chunk=chunk),
         frame_events(until_s, patient=patient),

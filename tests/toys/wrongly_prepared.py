@@ -93,6 +93,12 @@ def in_metres(at: Landmarks) -> Landmarks:
     return Landmarks(at.names, Points(at.frame, 1e-3 * at.points.xyz_mm))
 
 
+def still_heart(parts: SessionFiles) -> SessionFiles:
+    assert parts.model is not None
+    first = parts.model.coefficients[:1]
+    return with_model(coefficients=np.repeat(first, parts.model.phases, axis=0))(parts)
+
+
 def blood(*sides: float) -> Change:
     """A chamber of these sizes over the model's four phases, from near the R peak on."""
     corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
@@ -127,7 +133,7 @@ def ten_phases(model: DvfModel | None, sides_mm: FloatArray, timing: CycleTiming
     return replace(
         model,
         timing=timing,
-        coefficients=np.repeat(model.coefficients[:1], len(meshes), axis=0),
+        coefficients=model.coefficients[0] + np.reshape(sides_mm, (-1, 1, 1, 1)),
         reference=meshes,
         reference_caps=(np.zeros(1, dtype=np.bool_),) * len(meshes),
     )
@@ -149,6 +155,7 @@ CASES: dict[str, tuple[Change, Disagreement, str]] = {
         "start.landmarks_tracker",
     ),
     "landmarks in m": (touched(in_metres), Disagreement.LANDMARKS_NOT_IN_MM, "start.landmarks_tracker"),
+    "a heart that does not beat": (still_heart, Disagreement.HEART_DOES_NOT_BEAT, "preop.model"),
     "a cine from another phase on": (
         blood(20.0, 26.0, 25.0, 22.0),
         Disagreement.CINE_ORDER_UNUSUAL,

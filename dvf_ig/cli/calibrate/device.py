@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from typer import Argument, Option
 
 from dvf_ig.cli.shell import JsonFlag, command
 
@@ -23,17 +24,15 @@ HELD_S, LOOK_S = 0.2, 0.002
 
 
 def device(
-    points: Annotated[
-        Path, typer.Argument(help="Named points in the tracker's frame: .mrk.json, .fcsv or .tag.")
-    ],
+    points: Annotated[Path, Argument(help="Named points in the tracker's frame: .mrk.json, .fcsv or .tag.")],
     name: Annotated[
         str | None,
-        typer.Option(
+        Option(
             "--device", help="force-dimension or openhaptics: touch each point in turn, press its button."
         ),
     ] = None,
     touched: Annotated[
-        Path | None, typer.Option("--touched", help="The same points in the device's frame, from a file.")
+        Path | None, Option(help="The same points in the device's frame, from a file.")
     ] = None,
     max_residual_mm: MaxResidualOption = None,
     output: OutputOption = None,

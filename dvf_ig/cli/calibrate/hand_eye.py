@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
+from typer import Argument, Option
 
 from dvf_ig.cli.shell import JsonFlag, SeedOption, command
 
@@ -15,14 +15,14 @@ if TYPE_CHECKING:
 
 
 def hand_eye(
-    robot: Annotated[Path, typer.Argument(help="Poses of the hand in its base: sequence, folder or table.")],
+    robot: Annotated[Path, Argument(help="Poses of the hand in its base: sequence, folder or table.")],
     camera: Annotated[
-        Path, typer.Argument(help="Poses of a fixed target as the camera sees it, in the same forms.")
+        Path, Argument(help="Poses of a fixed target as the camera sees it, in the same forms.")
     ],
-    hand: Annotated[str | None, typer.Option("--hand", help="Frame of the hand in a sequence.")] = None,
-    target: Annotated[str | None, typer.Option("--target", help="Frame of the target in a sequence.")] = None,
+    hand: Annotated[str | None, Option(help="Frame of the hand in a sequence.")] = None,
+    target: Annotated[str | None, Option(help="Frame of the target in a sequence.")] = None,
     method: Annotated[
-        str, typer.Option("--method", help="Start: tsai, park, horaud, andreff, daniilidis, shah or li.")
+        str, Option(help="Start: tsai, park, horaud, andreff, daniilidis, shah or li.")
     ] = "park",
     output: OutputOption = None,
     seed: SeedOption = 0,

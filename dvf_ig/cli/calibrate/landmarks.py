@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
+from typer import Argument, Option
 
 from dvf_ig.cli.shell import JsonFlag, command, warn
 
@@ -18,13 +18,10 @@ TIP_SHIFT_MM = 1.0
 
 
 def landmarks(
-    stylus: Annotated[
-        Path, typer.Argument(help="PLUS sequence of a stylus resting on the landmarks in order.")
-    ],
+    stylus: Annotated[Path, Argument(help="PLUS sequence of a stylus resting on the landmarks in order.")],
     device_set: DeviceSetOption,
     compare: Annotated[
-        Path | None,
-        typer.Option("--compare", help="PLUS XML with another placement (default: the device set's)."),
+        Path | None, Option(help="PLUS XML with another placement (default: the device set's).")
     ] = None,
     output: OutputOption = None,
     as_json: JsonFlag = False,
@@ -112,13 +109,7 @@ def _result(
         "second_rms_mm": fit.second_rms_mm if fit.second_rms_mm < float("inf") else None,
         "tip_shift_mm": checked.shift_mm.tolist(),
         "tip_spread_mm": [checked.spread_mm, checked.spread_after_mm],
-        "difference": None
-        if difference is None
-        else {
-            "rotation_deg": difference.rotation_deg,
-            "centroid_mm": difference.centroid_mm,
-            "largest_mm": difference.largest_mm,
-        },
+        "difference": difference,
         "target": fitted.target,
         "source": fitted.source,
     }

@@ -3,9 +3,9 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
+from typer import Argument, Option
 
-from dvf_ig.cli.shell import JsonFlag, SeedOption, command, output_file, warn
+from dvf_ig.cli.shell import JsonFlag, SeedOption, command, out_file, warn
 
 from .output import judge, marked, save, show, verdict
 
@@ -18,16 +18,12 @@ WANDER_S = 0.015
 
 
 def latency(
-    tracker: Annotated[Path, typer.Argument(help="PLUS sequence with the tracked probe.")],
-    video: Annotated[Path, typer.Argument(help="PLUS sequence of the water tank's floor.")],
+    tracker: Annotated[Path, Argument(help="PLUS sequence with the tracked probe.")],
+    video: Annotated[Path, Argument(help="PLUS sequence of the water tank's floor.")],
     line_table: Annotated[
-        Path | None,
-        typer.Option("--line-table", help="PLUS line results; otherwise lines are found in the images."),
+        Path | None, Option(help="PLUS line results; otherwise lines are found in the images.")
     ] = None,
-    output: Annotated[
-        Path | None,
-        typer.Option("-o", "--out", callback=output_file, help="Write JSON here, and a picture next to it."),
-    ] = None,
+    output: Annotated[Path | None, out_file("Write JSON here, and a picture next to it.")] = None,
     seed: SeedOption = 0,
     as_json: JsonFlag = False,
 ) -> None:

@@ -7,27 +7,11 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from dvf_ig.cli.shell import progress, wrote
 
-from .output import (
-    ProbeCalibration,
-    error_fields,
-    error_row,
-    image_fields,
-    map_rows,
-    rejected_list,
-    rejected_rows,
-    uncertainty,
-    verdict,
-    wire_rows,
-)
+from . import output
 
 if TYPE_CHECKING:
-    from dvf_ig.calibration import (
-        CalibrationErrors,
-        NWireResult,
-        NWireVariants,
-        WireImageOptions,
-        WireSegmentation,
-    )
+    from dvf_ig.calibration import CalibrationErrors, WireImageOptions, WireSegmentation
+    from dvf_ig.calibration.probe.nwire import NWireResult, NWireVariants
     from dvf_ig.core import NWireRecording, WireSearch
     from dvf_ig.io import ProbeNames
 
@@ -56,13 +40,8 @@ def read_wires(
     """
     from dvf_ig.calibration import recording_of, segment_wires
     from dvf_ig.core import InvalidInputError
-    from dvf_ig.io import (
-        phantom_from_probe,
-        read_nwire_phantom,
-        read_nwire_recording,
-        read_sequence,
-        read_wire_search,
-    )
+    from dvf_ig.io import phantom_from_probe, read_nwire_phantom, read_nwire_recording, read_wire_search
+    from dvf_ig.io.plus.sequence_read import read_sequence
     from dvf_ig.report import write_wire_picture
 
     if table is not None:
@@ -126,7 +105,7 @@ def nwire_result(
     picture: Path | None,
     max_residual_mm: float | None,
     rng: Any,
-) -> ProbeCalibration:
+) -> output.ProbeCalibration:
     """Calibrate from an N-wire sweep.
 
     Args:
@@ -162,7 +141,7 @@ def nwire_result(
     rows: list[tuple[str, ...]] = [*segmentation_rows(seen, validated)]
     rows += [*_rows(fit, checked[fit.method], result["turned_deg"]), *_variant_rows(result)]
     error_mm = (checked[fit.method] or fit.calibration).summary.mean95
-    return ProbeCalibration(result, rows, error_mm, fit)
+    return output.ProbeCalibration(result, rows, error_mm, fit)
 
 
 def _chosen(variants: "NWireVariants", method: str | None) -> "NWireResult":
@@ -197,19 +176,19 @@ def _result(
         )
     return {
         "kind": "probe",
-        **verdict(refusals),
-        **image_fields(fit.probe_from_image),
+        **output.verdict(refusals),
+        **output.image_fields(fit.probe_from_image),
         "phantom": "nwire",
-        "calibration": error_fields(fit.calibration),
-        "validation": error_fields(checked),
+        "calibration": output.error_fields(fit.calibration),
+        "validation": output.error_fields(checked),
         "method": fit.method,
         "inlier_frames": int(fit.inliers.sum()),
         "turned_deg": turned_deg,
-        "rejected": rejected_list(fit.rejected),
+        "rejected": output.rejected_list(fit.rejected),
         "edge_sd_mm": fit.edge_sd_mm,
         "shear_deg": fit.shear_deg,
         "leave_one_out_rms_mm": float((fit.uncertainty.held_out_mm**2).mean() ** 0.5),
-        "uncertainty": uncertainty(fit.uncertainty),
+        "uncertainty": output.uncertainty(fit.uncertainty),
     }
 
 
@@ -225,8 +204,8 @@ def _variants(
             continue
         errors = checked[name]
         table[name] = {
-            "calibration": error_fields(variants.results[name].calibration),
-            "validation": error_fields(errors),
+            "calibration": output.error_fields(variants.results[name].calibration),
+            "validation": output.error_fields(errors),
             "cross_validated_mean95_mm": variants.cross_validated_mm[name],
             "in_plane_mm": fmean((errors or variants.results[name].calibration).in_plane_mm.values()),
         }
@@ -241,13 +220,13 @@ def _rows(
     rows: list[tuple[str, ...]] = [
         ("frames used", f"{int(fit.inliers.sum())} of {fit.calibration.frames}"),
         ("probe turned", f"{turned_deg:.1f} deg at most between two frames"),
-        *map_rows(fit.uncertainty),
-        ("calibration", error_row(fit.calibration)),
+        *output.map_rows(fit.uncertainty),
+        ("calibration", output.error_row(fit.calibration)),
     ]
     if checked is not None:
-        rows.append(("validation", error_row(checked)))
-    rows += rejected_rows(fit.rejected)
-    return rows + list(wire_rows(checked or fit.calibration))
+        rows.append(("validation", output.error_row(checked)))
+    rows += output.rejected_rows(fit.rejected)
+    return rows + list(output.wire_rows(checked or fit.calibration))
 
 
 def _variant_rows(result: dict[str, Any]) -> list[tuple[str, ...]]:

@@ -6,38 +6,27 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
+from typer import Option
 
-from dvf_ig.cli.shell import emit, output_file, warn, wrote
+from dvf_ig.cli.shell import emit, out_file, warn, wrote
 
 if TYPE_CHECKING:
-    from dvf_ig.calibration import (
-        CalibrationErrors,
-        MapUncertainty,
-        NWireResult,
-        Refusal,
-        RejectedFrame,
-        TargetResult,
-    )
+    from dvf_ig.calibration import CalibrationErrors, MapUncertainty, NWireResult, TargetResult
+    from dvf_ig.calibration.refusal import Refusal, RejectedFrame
     from dvf_ig.core import FloatArray, ImageMap
 
 
-OutputOption = Annotated[
-    Path | None,
-    typer.Option(
-        "-o", "--out", callback=output_file, help="Write JSON here; PLUS XML and a picture go next to it."
-    ),
-]
+OutputOption = Annotated[Path | None, out_file("Write JSON here; PLUS XML and a picture go next to it.")]
 MaxResidualOption = Annotated[
     float | None,
-    typer.Option(
+    Option(
         "--max-residual-mm",
         min=0.0,
         help="Largest residual that is accepted; raise it only if you know that this error is acceptable.",
     ),
 ]
 DeviceSetOption = Annotated[
-    Path, typer.Option("--device-set", help="PLUS device-set XML with the phantom and its placement.")
+    Path, Option("--device-set", help="PLUS device-set XML with the phantom and its placement.")
 ]
 
 

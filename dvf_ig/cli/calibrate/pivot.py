@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
+from typer import Argument, Option
 
 from dvf_ig.cli.shell import JsonFlag, SeedOption, command
 
@@ -14,10 +14,8 @@ if TYPE_CHECKING:
 
 
 def pivot(
-    poses: Annotated[
-        Path, typer.Argument(help="PLUS sequence, folder of 4x4 texts, or table x y z qx qy qz qw.")
-    ],
-    tool: Annotated[str | None, typer.Option("--tool", help="Frame of the tool in a sequence.")] = None,
+    poses: Annotated[Path, Argument(help="PLUS sequence, folder of 4x4 texts, or table x y z qx qy qz qw.")],
+    tool: Annotated[str | None, Option(help="Frame of the tool in a sequence.")] = None,
     max_residual_mm: MaxResidualOption = None,
     output: OutputOption = None,
     seed: SeedOption = 0,

@@ -1,63 +1,45 @@
 """`dvf-ig calibrate probe`: map from image pixels to the probe's sensor."""
 
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
-import typer
+from typer import Argument, Option
 
 from dvf_ig.cli.shell import JsonFlag, ProbeNameOption, ReferenceNameOption, SeedOption, command
 
 from .output import MaxResidualOption, OutputOption, judge, save, show
 
 
-class Phantom(StrEnum):
-    """Imaged phantom."""
-
-    nwire = "nwire"
-    crosswire = "cross-wire"
-    wall = "wall"
-
-
 def probe(
     sequence: Annotated[
         Path,
-        typer.Argument(
+        Argument(
             help="Tracked images of the phantom; cross-wire and wall with --points: also poses as text."
         ),
     ],
-    phantom: Annotated[Phantom, typer.Option("--phantom", help="Imaged phantom.")] = Phantom.nwire,
+    phantom: Annotated[Literal["nwire", "cross-wire", "wall"], Option(help="Imaged phantom.")] = "nwire",
     device_set: Annotated[
-        Path | None,
-        typer.Option("--device-set", help="N-wire: PLUS device-set XML with the phantom and its placement."),
+        Path | None, Option(help="N-wire: PLUS device-set XML with the phantom and its placement.")
     ] = None,
     points: Annotated[
-        Path | None,
-        typer.Option(
-            "--points", help="N-wire: PLUS results XML (CalibrationData). Others: table of points, px."
-        ),
+        Path | None, Option(help="N-wire: PLUS results XML (CalibrationData). Others: table of points, px.")
     ] = None,
-    validate: Annotated[
-        Path | None, typer.Option("--validate", help="A second sequence on which the error is measured.")
-    ] = None,
+    validate: Annotated[Path | None, Option(help="A second sequence on which the error is measured.")] = None,
     validate_points: Annotated[
         Path | None,
-        typer.Option(
-            "--validate-points",
-            help="N-wire: PLUS results XML (ValidationData; default: --points). Others: table of points, px.",
+        Option(
+            help="N-wire: PLUS results XML (ValidationData; default: --points). Others: table of points, px."
         ),
     ] = None,
     method: Annotated[
         str | None,
-        typer.Option(
-            "--method",
+        Option(
             help="N-wire: linear, orthogonal, isotropic or all-wires (default: the one with the least "
-            "cross-validated error on the calibration frames). Others: orthogonal or isotropic.",
+            "cross-validated error on the calibration frames). Others: orthogonal or isotropic."
         ),
     ] = None,
     picture: Annotated[
-        Path | None,
-        typer.Option("--picture", help="N-wire without --points: PNG of the detected dots and wires."),
+        Path | None, Option(help="N-wire without --points: PNG of the detected dots and wires.")
     ] = None,
     max_residual_mm: MaxResidualOption = None,
     probe_name: ProbeNameOption = None,
@@ -75,17 +57,11 @@ def probe(
 
         names = ProbeNames.from_plus(probe_name, reference_name)
         rng = np.random.default_rng(seed)
-        if phantom is not Phantom.nwire:
+        if phantom != "nwire":
             from .target import target_result
 
             calibrated = target_result(
-                phantom.value,
-                (sequence, points),
-                (validate, validate_points),
-                names,
-                method,
-                max_residual_mm,
-                rng,
+                phantom, (sequence, points), (validate, validate_points), names, method, max_residual_mm, rng
             )
         else:
             from .nwire import nwire_result
@@ -95,7 +71,7 @@ def probe(
                 sequence, device_set, validate, tables, names, method, picture, max_residual_mm, rng
             )
         result = calibrated.result
-        of_plus = phantom is Phantom.nwire and points is not None  # PLUS's own points are of images in MF
+        of_plus = phantom == "nwire" and points is not None  # PLUS's own points are of images in MF
         result["image_orientation"] = "MF" if of_plus else image_orientation(sequence)
         matrix = np.array(result["sensor_from_image"])
         name = f"{result['sensor_frame']}_from_image"

@@ -4,18 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .output import (
-    ProbeCalibration,
-    error_fields,
-    error_row,
-    image_fields,
-    map_rows,
-    rejected_list,
-    rejected_rows,
-    uncertainty,
-    vector,
-    verdict,
-)
+from . import output
 
 if TYPE_CHECKING:
     from dvf_ig.calibration import CalibrationErrors, TargetResult
@@ -33,7 +22,7 @@ def target_result(
     method: str | None,
     max_residual_mm: float | None,
     rng: Any,
-) -> ProbeCalibration:
+) -> output.ProbeCalibration:
     """Calibrate from a fixed target: JSON, rows to print and the error to save.
 
     Args:
@@ -56,30 +45,30 @@ def target_result(
     fit, checked, place, rows = solve(seen, second, options, rng)
     result = {
         "kind": "probe",
-        **verdict(fit.refusals),
+        **output.verdict(fit.refusals),
         "max_residual_mm": options.max_rms_mm,
-        **image_fields(fit.probe_from_image),
+        **output.image_fields(fit.probe_from_image),
         "phantom": phantom,
-        "calibration": error_fields(fit.calibration),
-        "validation": error_fields(checked),
+        "calibration": output.error_fields(fit.calibration),
+        "validation": output.error_fields(checked),
         "method": method or METHODS[0],
         "inlier_frames": int(fit.inliers.sum()),
-        "rejected": rejected_list(fit.rejected),
-        "leave_one_out": error_fields(fit.held_out),
+        "rejected": output.rejected_list(fit.rejected),
+        "leave_one_out": output.error_fields(fit.held_out),
         **place,
-        "uncertainty": uncertainty(fit.uncertainty),
+        "uncertainty": output.uncertainty(fit.uncertainty),
     }
     table: list[tuple[str, ...]] = [
         ("frames used", f"{int(fit.inliers.sum())} of {fit.calibration.frames}"),
-        *map_rows(fit.uncertainty),
+        *output.map_rows(fit.uncertainty),
         *rows,
-        ("calibration", error_row(fit.calibration)),
-        ("leave-one-out", error_row(fit.held_out)),
+        ("calibration", output.error_row(fit.calibration)),
+        ("leave-one-out", output.error_row(fit.held_out)),
     ]
     if checked is not None:
-        table.append(("validation", error_row(checked)))
-    table += rejected_rows(fit.rejected)
-    return ProbeCalibration(result, table, (checked or fit.held_out).summary.mean95, fit)
+        table.append(("validation", output.error_row(checked)))
+    table += output.rejected_rows(fit.rejected)
+    return output.ProbeCalibration(result, table, (checked or fit.held_out).summary.mean95, fit)
 
 
 Solved = tuple[
@@ -95,7 +84,7 @@ def _crosswire(seen: PosesAndPoints, second: PosesAndPoints | None, options: Any
     checked = None if second is None else validate_crosswire(fit.probe_from_image, *second)[0]
     crossing, frame = fit.target.xyz_mm.tolist(), seen[0].target
     place = {"crossing_mm": crossing, "target_frame": frame}
-    return fit, checked, place, [("crossing", f"{vector(crossing)} mm in '{frame}'")]
+    return fit, checked, place, [("crossing", f"{output.vector(crossing)} mm in '{frame}'")]
 
 
 def _wall(seen: PosesAndPoints, second: PosesAndPoints | None, options: Any, rng: Any) -> Solved:
@@ -105,7 +94,7 @@ def _wall(seen: PosesAndPoints, second: PosesAndPoints | None, options: Any, rng
     checked = None if second is None else validate_wall(fit.probe_from_image, *second)[0]
     plane, frame = fit.target, seen[0].target
     place = {"wall_normal": plane.normal.tolist(), "wall_offset_mm": plane.offset_mm, "target_frame": frame}
-    shown = f"{vector(plane.normal.tolist())} · x = {plane.offset_mm:.3f} mm in '{frame}'"
+    shown = f"{output.vector(plane.normal.tolist())} · x = {plane.offset_mm:.3f} mm in '{frame}'"
     return fit, checked, place, [("wall", shown)]
 
 

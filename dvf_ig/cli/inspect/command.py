@@ -3,49 +3,31 @@
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
+from typer import Argument
 
-from dvf_ig.cli.shell import (
-    EcgLeadOption,
-    EcgRateOption,
-    JsonFlag,
-    ProbeNameOption,
-    ReferenceNameOption,
-    command,
-    emit,
-    output_file,
-    wrote,
-)
+from dvf_ig.cli import shell
 
 SHOWN_VALUES = 12
 """Longest list that the table prints in full; --json always prints everything."""
 
 
 def inspect(
-    file: Annotated[
-        str, typer.Argument(help="A file or folder, or an ECG as wfdb:, edf:, csv: or plus:PATH.")
-    ],
-    rate: EcgRateOption = None,
-    lead: EcgLeadOption = None,
-    probe_name: ProbeNameOption = None,
-    reference_name: ReferenceNameOption = None,
+    file: Annotated[str, Argument(help="A file or folder, or an ECG as wfdb:, edf:, csv: or plus:PATH.")],
+    rate: shell.EcgRateOption = None,
+    lead: shell.EcgLeadOption = None,
+    probe_name: shell.ProbeNameOption = None,
+    reference_name: shell.ReferenceNameOption = None,
     output: Annotated[
-        Path | None,
-        typer.Option(
-            "-o",
-            "--out",
-            callback=output_file,
-            help="Of a DICOM examination: draw where its slices lie (PNG).",
-        ),
+        Path | None, shell.out_file("Of a DICOM examination: draw where its slices lie (PNG).")
     ] = None,
-    as_json: JsonFlag = False,
+    as_json: shell.JsonFlag = False,
 ) -> None:
     """Describe a file: sequence, image, mesh, model, transform, landmarks, ECG, PLUS XML, scenario.
 
     Of a folder with all DICOM series of an examination: the short-axis stack, the long-axis views, and what
     is left out and why.
     """
-    with command():
+    with shell.command():
         from dvf_ig.intake import describe
         from dvf_ig.io import ProbeNames, plain
 
@@ -57,9 +39,9 @@ def inspect(
         facts = plain(description.facts)
         table = sequence_rows(facts) if description.kind == "tracked sequence" else _rows(facts)
         rows = [("file", file), ("kind", description.kind), *table]
-        emit({"file": file, "kind": description.kind, **facts}, rows, as_json=as_json)
+        shell.emit({"file": file, "kind": description.kind, **facts}, rows, as_json=as_json)
         if output is not None:
-            wrote(output)
+            shell.wrote(output)
 
 
 def _draw(folder: Path, kind: str, output: Path) -> None:
@@ -117,7 +99,7 @@ def sequence_rows(facts: Facts) -> list[Row]:
         _images(facts),
         *_clock(facts),
         *_tree(facts),
-        *_probe(facts),
+        *(("probe", f"{name}: {_moves(of)}") for name, of in facts.get("probe", {}).items()),
         *_fields(facts),
     ]
 
@@ -183,11 +165,6 @@ def _tree(facts: Facts) -> list[Row]:
         text = _transform(facts, parents[depth - 1], name) if depth else ""
         rows.append(("poses" if not rows else "", f"{line:<{width}}  {text}".rstrip()))
     return rows
-
-
-def _probe(facts: Facts) -> list[Row]:
-    """Describe the pose that the user named, joined from the recorded ones."""
-    return [("probe", f"{name}: {_moves(facts_of)}") for name, facts_of in facts.get("probe", {}).items()]
 
 
 def _fields(facts: Facts) -> list[Row]:

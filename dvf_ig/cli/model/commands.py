@@ -5,20 +5,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from typer import Argument, Option
 
-from dvf_ig.cli.shell import (
-    JsonFlag,
-    SeedOption,
-    ThreadsOption,
-    command,
-    cores_or,
-    emit,
-    output_file,
-    warn,
-    whole_numbers,
-    wrote,
-)
-from dvf_ig.cli.voxel_size import VoxelOption, voxel_size
+from dvf_ig.cli import shell
 
 from .export import export
 from .output import file_megabytes, model_payload, model_rows, phase_rows
@@ -30,92 +19,8 @@ if TYPE_CHECKING:
     from .request import BuildRequest
 
 
-OutputOption = Annotated[
-    Path, typer.Option("-o", "--out", callback=output_file, help="Model file to write (.npz).")
-]
-SurfacesOption = Annotated[
-    Path | None,
-    typer.Option(
-        "--surfaces",
-        help="Folder (or archive) of surfaces, one mesh a phase; or one mesh file, of a structure "
-        "that does not beat (an oesophagus, a nerve).",
-    ),
-]
-SurfaceOption = Annotated[str, typer.Option("--surface", help="Name of the surface to guard.")]
-LabelsOption = Annotated[
-    Path | None,
-    typer.Option(
-        "--labels",
-        help="4-D label image; with --image, a 3-D one of end-diastole is enough (also .seg.nrrd). A 3-D one "
-        "alone: of a structure that does not beat.",
-    ),
-]
-ImageOption = Annotated[
-    Path | None, typer.Option("--image", help="4-D image, for the motion of --labels or --seeds.")
-]
-DicomOption = Annotated[
-    Path | None,
-    typer.Option(
-        "--dicom",
-        help="Folder of an examination with all its series: short-axis stack and long-axis cines are found "
-        "by their geometry; the rest is left out with a reason.",
-    ),
-]
-SaxOption = Annotated[
-    Path | None, typer.Option("--sax", help="Short-axis 4-D stack, as --image, which --lax goes with.")
-]
-LaxOption = Annotated[
-    list[Path] | None,
-    typer.Option("--lax", help="Long-axis cine of one slice, with --sax or --image; once for each view."),
-]
-SeedsOption = Annotated[
-    Path | None,
-    typer.Option(
-        "--seeds",
-        help="Points named heart, cavity, background, any number of each name (.mrk.json, .fcsv, JSON).",
-    ),
-]
-OrganOption = Annotated[
-    str | None,
-    typer.Option(
-        "--organ",
-        help="Label values inside the surface, for example 1,2,5 (default with --image: all except 0).",
-    ),
-]
-CavityOption = Annotated[
-    str | None,
-    typer.Option(
-        "--cavity",
-        help="Label values of blood, the left ventricle's first, for example 3,1: end-systole is the phase "
-        "in which the first is smallest; ultrasound shows the boundaries of all (default: those that "
-        ".seg.nrrd names so).",
-    ),
-]
-EdPhaseOption = Annotated[
-    int, typer.Option("--ed-phase", min=0, help="With --image: the phase that is labelled.")
-]
-MotionOption = Annotated[str, typer.Option("--motion", help="With --image: bspline or demons.")]
-TimingOption = Annotated[
-    Path | None,
-    typer.Option(
-        "--timing",
-        help='JSON file of phase times and RR: {"fractions": [0.0, 0.05, ...], "rr_s": 0.86} (default: '
-        "timing.json next to the image).",
-    ),
-]
-PatientOption = Annotated[
-    str | None, typer.Option("--patient", help="Patient id (default: from the file's name).")
-]
-KnotOption = Annotated[float | None, typer.Option("--knot-mm", help="Spline knot pitch in mm (default 3).")]
-AccuracyOption = Annotated[
-    float | None,
-    typer.Option(
-        "--accuracy-mm",
-        help="Required mean surface error in mm (p99: four times that): the coarsest knots that reach it "
-        "on the most contracted phase.",
-    ),
-]
-MarginOption = Annotated[float, typer.Option("--margin-mm", help="Box margin around the heart in mm.")]
+OutputOption = Annotated[Path, shell.out_file("Model file to write (.npz).")]
+MarginOption = Annotated[float, Option("--margin-mm", help="Box margin around the heart in mm.")]
 LABELS_HELP = (
     "A label image and its position in the model's cycle. PHASE with a decimal point is a fraction of the "
     "cycle in [0, 1), a whole number one of the model's phases, counted from 0: es.nii.gz@0.35, "
@@ -136,30 +41,82 @@ app.command("export")(export)
 @app.command("build")
 def build(
     output: OutputOption,
-    surfaces: SurfacesOption = None,
-    surface: SurfaceOption = "EPICARDIAL",
-    labels: LabelsOption = None,
-    image: ImageOption = None,
-    dicom: DicomOption = None,
-    sax: SaxOption = None,
-    lax: LaxOption = None,
-    seeds: SeedsOption = None,
-    cavity: CavityOption = None,
-    ed_phase: EdPhaseOption = 0,
-    motion: MotionOption = "bspline",
-    organ: OrganOption = None,
-    timing: TimingOption = None,
-    patient: PatientOption = None,
-    voxel_mm: VoxelOption = None,
-    knot_mm: KnotOption = None,
-    accuracy_mm: AccuracyOption = None,
+    surfaces: Annotated[
+        Path | None,
+        Option(
+            help="Folder (or archive) of surfaces, one mesh a phase; or one mesh file, of a structure "
+            "that does not beat (an oesophagus, a nerve)."
+        ),
+    ] = None,
+    surface: Annotated[str, Option(help="Name of the surface to guard.")] = "EPICARDIAL",
+    labels: Annotated[
+        Path | None,
+        Option(
+            help="4-D label image; with --image, a 3-D one of end-diastole is enough (also .seg.nrrd). A "
+            "3-D one alone: of a structure that does not beat."
+        ),
+    ] = None,
+    image: Annotated[Path | None, Option(help="4-D image, for the motion of --labels or --seeds.")] = None,
+    dicom: Annotated[
+        Path | None,
+        Option(
+            help="Folder of an examination with all its series: short-axis stack and long-axis cines are "
+            "found by their geometry; the rest is left out with a reason."
+        ),
+    ] = None,
+    sax: Annotated[
+        Path | None, Option(help="Short-axis 4-D stack, as --image, which --lax goes with.")
+    ] = None,
+    lax: Annotated[
+        list[Path] | None,
+        Option(help="Long-axis cine of one slice, with --sax or --image; once for each view."),
+    ] = None,
+    seeds: Annotated[
+        Path | None,
+        Option(
+            help="Points named heart, cavity, background, any number of each name (.mrk.json, .fcsv, JSON)."
+        ),
+    ] = None,
+    cavity: Annotated[
+        str | None,
+        Option(
+            help="Label values of blood, the left ventricle's first, for example 3,1: end-systole is the "
+            "phase in which the first is smallest; ultrasound shows the boundaries of all (default: those "
+            "that .seg.nrrd names so)."
+        ),
+    ] = None,
+    ed_phase: Annotated[int, Option(min=0, help="With --image: the phase that is labelled.")] = 0,
+    motion: Annotated[str, Option(help="With --image: bspline or demons.")] = "bspline",
+    organ: Annotated[
+        str | None,
+        Option(
+            help="Label values inside the surface, for example 1,2,5 (default with --image: all except 0)."
+        ),
+    ] = None,
+    timing: Annotated[
+        Path | None,
+        Option(
+            help='JSON file of phase times and RR: {"fractions": [0.0, 0.05, ...], "rr_s": 0.86} (default: '
+            "timing.json next to the image)."
+        ),
+    ] = None,
+    patient: Annotated[str | None, Option(help="Patient id (default: from the file's name).")] = None,
+    voxel_mm: shell.VoxelOption = None,
+    knot_mm: Annotated[float | None, Option(help="Spline knot pitch in mm (default 3).")] = None,
+    accuracy_mm: Annotated[
+        float | None,
+        Option(
+            help="Required mean surface error in mm (p99: four times that): the coarsest knots that reach it "
+            "on the most contracted phase."
+        ),
+    ] = None,
     margin_mm: MarginOption = 15.0,
-    threads: ThreadsOption = None,
-    seed: SeedOption = 0,
-    as_json: JsonFlag = False,
+    threads: shell.ThreadsOption = None,
+    seed: shell.SeedOption = 0,
+    as_json: shell.JsonFlag = False,
 ) -> None:
     """Fit signed-distance splines to a moving surface and write them as one model file."""
-    with command(threads):
+    with shell.command(threads):
         from .request import BuildRequest
 
         request = BuildRequest(
@@ -180,9 +137,9 @@ def build(
             knot_mm=knot_mm,
             accuracy_mm=accuracy_mm,
             margin_mm=margin_mm,
-            threads=cores_or(threads),
+            threads=shell.cores_or(threads),
             seed=seed,
-            voxel_mm=voxel_size(voxel_mm),
+            voxel_mm=shell.voxel_size(voxel_mm),
         )
         _build(request, as_json=as_json)
 
@@ -195,7 +152,7 @@ def _one_image(image: Path | None, sax: Path | None, dicom: Path | None) -> Path
 
 
 def _labels(text: str | None, option: str) -> tuple[int, ...]:
-    return whole_numbers(text, option, "1,2,5") if text else ()
+    return shell.whole_numbers(text, option, "1,2,5") if text else ()
 
 
 def _build(request: "BuildRequest", *, as_json: bool) -> None:
@@ -218,34 +175,30 @@ def _build(request: "BuildRequest", *, as_json: bool) -> None:
     size_mb = file_megabytes(output)
     payload = {**model_payload(model, result, request.seed, seconds, size_mb), **evidence}
     rows = model_rows(model, result, seconds, size_mb, evidence.get("anatomical_error_mm"))
-    emit(payload, rows, as_json=as_json)
+    shell.emit(payload, rows, as_json=as_json)
     for file in built.beside:
-        wrote(file.path, file.frame)
-    wrote(output, model.frame)
+        shell.wrote(file.path, file.frame)
+    shell.wrote(output, model.frame)
 
 
 @app.command("check")
 def check(
-    model_file: Annotated[Path, typer.Argument(metavar="MODEL", help="Model file.")],
-    points: Annotated[
-        int, typer.Option("--points", min=10, help="Random points on each phase.")
-    ] = CHECK_POINTS,
-    labels: Annotated[str | None, typer.Option("--labels", help=LABELS_HELP, metavar="FILE@PHASE")] = None,
+    model_file: Annotated[Path, Argument(metavar="MODEL", help="Model file.")],
+    points: Annotated[int, Option(min=10, help="Random points on each phase.")] = CHECK_POINTS,
+    labels: Annotated[str | None, Option(help=LABELS_HELP, metavar="FILE@PHASE")] = None,
     surfaces: Annotated[
-        Path | None,
-        typer.Option("--surfaces", help="Folder of surfaces of the same heart by another method: distances."),
+        Path | None, Option(help="Folder of surfaces of the same heart by another method: distances.")
     ] = None,
     organ: Annotated[
         str | None,
-        typer.Option(
-            "--organ",
-            help="With --labels: label values inside the surface, for example 1,2,5 (default: all except 0).",
+        Option(
+            help="With --labels: label values inside the surface, for example 1,2,5 (default: all except 0)."
         ),
     ] = None,
-    voxel_mm: VoxelOption = None,
-    threads: ThreadsOption = None,
-    seed: SeedOption = 0,
-    as_json: JsonFlag = False,
+    voxel_mm: shell.VoxelOption = None,
+    threads: shell.ThreadsOption = None,
+    seed: shell.SeedOption = 0,
+    as_json: shell.JsonFlag = False,
 ) -> None:
     """Measure a model's spline fit error, at random points of the surfaces kept in it.
 
@@ -259,7 +212,7 @@ def check(
     values = _labels(organ, "--organ")
     if values and given_labels is None:
         raise typer.BadParameter("--organ needs --labels, the label image that it belongs to")
-    with command(threads):
+    with shell.command(threads):
         from dvf_ig.io import read_model
 
         start = time.perf_counter()
@@ -272,13 +225,13 @@ def check(
         payload = model_payload(model, result, seed, seconds, size_mb)
         if given_labels is not None:
             payload["labels"], label_rows = check_with_labels(
-                model, given_labels, values, points, seed, voxel_size(voxel_mm)
+                model, given_labels, values, points, seed, shell.voxel_size(voxel_mm)
             )
             rows += label_rows
         if surfaces is not None:
             payload["surfaces"], surface_rows = check_with_surfaces(model, surfaces, points, seed)
             rows += surface_rows
-        emit(payload, rows, as_json=as_json)
+        shell.emit(payload, rows, as_json=as_json)
 
 
 def _errors(model: "DvfModel", points: int, seed: int) -> "ModelCheck":
@@ -291,9 +244,9 @@ def _errors(model: "DvfModel", points: int, seed: int) -> "ModelCheck":
 
 def _warn_of_assumptions(model: "DvfModel") -> None:
     if model.timing.timing_assumed:
-        warn(
+        shell.warn(
             f"phase times are assumed: phase i at i/{model.phases} of the cycle; give the measured ones with "
             "--timing FILE, or in a timing.json next to the image"
         )
     if model.timing.rr_assumed:
-        warn(f"the RR interval is assumed: {model.timing.rr_s:g} s")
+        shell.warn(f"the RR interval is assumed: {model.timing.rr_s:g} s")

@@ -1,42 +1,29 @@
 """`dvf-ig model export`: surface or signed distance, one file a phase, for 3D Slicer and others."""
 
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
-import typer
+from typer import Argument, Option
 
-from dvf_ig.cli.shell import JsonFlag, command, emit, output_dir, wrote
+from dvf_ig.cli.shell import JsonFlag, command, emit, out_folder, wrote
 
 if TYPE_CHECKING:
     from dvf_ig.core import DvfModel
 
 
-class ExportFormat(StrEnum):
-    """Format of the files: a mesh of the surface, or an image of the distance."""
-
-    vtp = "vtp"
-    stl = "stl"
-    nrrd = "nrrd"
-
-
-CONTENT = {
-    ExportFormat.vtp: "surface",
-    ExportFormat.stl: "surface",
-    ExportFormat.nrrd: "signed distance in mm, positive inside",
-}
+CONTENT = {"vtp": "surface", "stl": "surface", "nrrd": "signed distance in mm, positive inside"}
 
 
 def export(
-    model_file: Annotated[Path, typer.Argument(metavar="MODEL", help="Model file.")],
-    out: Annotated[Path, typer.Option("-o", "--out", callback=output_dir, help="Folder to write into.")],
+    model_file: Annotated[Path, Argument(metavar="MODEL", help="Model file.")],
+    out: Annotated[Path, out_folder("Folder to write into.")],
     form: Annotated[
-        ExportFormat,
-        typer.Option(
+        Literal["vtp", "stl", "nrrd"],
+        Option(
             "--format",
             help="Surface: vtp (every digit) or stl (32-bit floats). nrrd: image of the signed distance.",
         ),
-    ] = ExportFormat.vtp,
+    ] = "vtp",
     as_json: JsonFlag = False,
 ) -> None:
     """Write the surface that the model was fitted to, or its distance: mm, LPS (tagged so for 3D Slicer).
@@ -49,7 +36,7 @@ def export(
 
         model = read_model(model_file)
         with output_folder(out), files_together(out) as new:
-            kind = "_distance" if form is ExportFormat.nrrd else ""
+            kind = "_distance" if form == "nrrd" else ""
             files = [out / f"{model.surface_name}{kind}_{i:03d}.{form}" for i in range(model.phases)]
             for phase, path in enumerate(files):
                 _write_phase(model, phase, new / path.name, form)
@@ -71,11 +58,11 @@ def export(
         emit(result, rows, as_json=as_json)
 
 
-def _write_phase(model: "DvfModel", phase: int, path: Path, form: ExportFormat) -> None:
+def _write_phase(model: "DvfModel", phase: int, path: Path, form: str) -> None:
     from dvf_ig.io import write_mesh, write_volume
     from dvf_ig.preop import distance_volume
 
-    if form is ExportFormat.nrrd:
+    if form == "nrrd":
         write_volume(distance_volume(model, phase), path)
     else:
         flags = {} if model.seen is None else {"unseen": model.unseen(phase)}

@@ -31,6 +31,7 @@ def model_payload(
     model: "DvfModel", result: "ModelCheck", seed: int, seconds: float | None, file_mb: float
 ) -> dict[str, Any]:
     """Build the JSON of `model build` and `model check`."""
+    from dvf_ig.io import plain
     from dvf_ig.preop import border_distance_mm, caps_of, potential_at_border
 
     border_mm = border_distance_mm(model)
@@ -69,15 +70,7 @@ def model_payload(
         "unseen_share": model.unseen_share,
         "points": result.points,
         "excluded_area_share": result.excluded_area_share,
-        "caps": [
-            {
-                "area_mm2": cap.area_mm2,
-                "share": cap.share,
-                "beyond_mm": cap.beyond_mm,
-                "middle_mm": cap.middle_mm.tolist(),
-            }
-            for cap in caps_of(surface.vertices_mm, surface.triangles, model.reference_caps[model.ed_phase])
-        ],
+        "caps": plain(caps_of(surface.vertices_mm, surface.triangles, model.reference_caps[model.ed_phase])),
         "rim_mm": result.rim_mm,
         "seed": seed,
         "definitions": DEFINITIONS,

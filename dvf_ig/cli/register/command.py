@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from typer import Argument, Option
 
 from dvf_ig.cli.patient_model import patient_model
 from dvf_ig.cli.session_argument import SESSION, ModelOption, read_agreeing
@@ -133,32 +134,21 @@ PAIR = "Image pair"
 def register(
     out: Annotated[
         Path,
-        typer.Option(
-            "-o", "--out", callback=output_of_register, help="Folder, or a .tfm file, for the transform."
-        ),
+        Option("-o", "--out", callback=output_of_register, help="Folder, or a .tfm file, for the transform."),
     ],
     session: Annotated[
-        Path | None, typer.Argument(metavar="SESSION", help=f"{SESSION.capitalize()}; or give an image pair.")
+        Path | None, Argument(metavar="SESSION", help=f"{SESSION.capitalize()}; or give an image pair.")
     ] = None,
     model: ModelOption = None,
-    fixed: Annotated[
-        Path | None, typer.Option("--fixed", help="3-D ultrasound image.", rich_help_panel=PAIR)
-    ] = None,
+    fixed: Annotated[Path | None, Option(help="3-D ultrasound image.", rich_help_panel=PAIR)] = None,
     moving: Annotated[
         list[Path] | None,
-        typer.Option(
-            "--moving",
-            help="3-D MR or CT image; again for other contrasts in the same frame.",
-            rich_help_panel=PAIR,
-        ),
+        Option(help="3-D MR or CT image; again for other contrasts in the same frame.", rich_help_panel=PAIR),
     ] = None,
     init: Annotated[
-        Path | None,
-        typer.Option("--init", help="Coarse moving_from_fixed, ITK .tfm or .h5.", rich_help_panel=PAIR),
+        Path | None, Option(help="Coarse moving_from_fixed, ITK .tfm or .h5.", rich_help_panel=PAIR)
     ] = None,
-    mask: Annotated[
-        Path | None, typer.Option("--mask", help="Mask on the fixed image's grid.", rich_help_panel=PAIR)
-    ] = None,
+    mask: Annotated[Path | None, Option(help="Mask on the fixed image's grid.", rich_help_panel=PAIR)] = None,
     as_json: JsonFlag = False,
     seed: SeedOption = 0,
     threads: ThreadsOption = None,

@@ -11,26 +11,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from typer import Argument, Option
 
-from dvf_ig.cli.fixture_options import (
-    BlendOption,
-    CapOption,
-    DeltaOption,
-    DepthOption,
-    ExponentOption,
-    FixturesFileOption,
-    GammaOption,
-    InsideOption,
-    LawOption,
-    MarginOption,
-    RetimingOption,
-    chosen_fixtures,
-    chosen_retiming,
-    refuse_options,
-    with_margin,
-)
+from dvf_ig.cli import fixture_options
 from dvf_ig.cli.session_argument import ModelOption, require_own_model
-from dvf_ig.cli.shell import JsonFlag, SeedOption, ThreadsOption, command, emit, output_dir, output_file, warn
+from dvf_ig.cli.shell import JsonFlag, SeedOption, ThreadsOption, command, emit, out_folder, output_file, warn
 
 from .log import LOG, LogLevel, logged
 from .setup import live_setup
@@ -52,10 +37,11 @@ REMEMBERED = 200
 """Registrations and beats that are kept where there is no record: a session may last for hours."""
 
 
+@fixture_options.takes_fixture
 def serve(
     session: Annotated[
         Path,
-        typer.Argument(
+        Argument(
             metavar="SESSION",
             help="A session.yaml with a section 'live' (see the guide, live link), or a scenario folder that "
             "`dvf-ig synth stream` sends.",
@@ -64,74 +50,44 @@ def serve(
     model: ModelOption = None,
     host: Annotated[
         str | None,
-        typer.Option(
-            "--host", help="PLUS or Slicer; as a server, the address to listen at.", show_default="127.0.0.1"
-        ),
+        Option(help="PLUS or Slicer; as a server, the address to listen at.", show_default="127.0.0.1"),
     ] = None,
     port: Annotated[
         int | None,
-        typer.Option(
-            "--port",
-            min=0,
-            max=65535,
-            help="Its port; as a server, 0 takes a free one.",
-            show_default="18944",
-        ),
+        Option(min=0, max=65535, help="Its port; as a server, 0 takes a free one.", show_default="18944"),
     ] = None,
     listen: Annotated[
-        bool, typer.Option("--listen", help="Be the server that PLUS or Slicer connects to.")
+        bool, Option("--listen", help="Be the server that PLUS or Slicer connects to.")
     ] = False,
     allow: Annotated[
-        list[str] | None,
-        typer.Option("--allow", help="Address of another machine that poses may come from; may be repeated."),
+        list[str] | None, Option(help="Address of another machine that poses may come from; may be repeated.")
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option(
-            "-o",
-            "--out",
-            callback=output_dir,
-            help="Folder for the session's record, which `dvf-ig replay` repeats and `dvf-ig view` shows.",
-        ),
+        out_folder("Folder for the session's record, which `dvf-ig replay` repeats and `dvf-ig view` shows."),
     ] = None,
-    seconds: Annotated[
-        float | None, typer.Option("--seconds", min=0.1, help="End after so long (default: Ctrl-C).")
-    ] = None,
+    seconds: Annotated[float | None, Option(min=0.1, help="End after so long (default: Ctrl-C).")] = None,
     page: Annotated[
         int | None,
-        typer.Option(
-            "--page", min=0, max=65535, help="Show the session at http://127.0.0.1:PORT; 0 takes a free one."
-        ),
+        Option(min=0, max=65535, help="Show the session at http://127.0.0.1:PORT; 0 takes a free one."),
     ] = None,
-    log_level: Annotated[
-        LogLevel, typer.Option("--log-level", help="Least severe messages that are shown and logged.")
-    ] = LogLevel.info,
+    log_level: Annotated[LogLevel, Option(help="Least severe messages that are shown and logged.")] = "info",
     log_file: Annotated[
-        Path | None,
-        typer.Option(
-            "--log-file", callback=output_file, help="Append the messages with their times to this file."
-        ),
+        Path | None, Option(callback=output_file, help="Append the messages with their times to this file.")
     ] = None,
     device: Annotated[
         str | None,
-        typer.Option(
-            "--device",
+        Option(
             metavar="[force-dimension|openhaptics|simulated[:premium|:omni]]",
             help="Haptic device that is the tool and gives the force (guide, live session); a simulated one "
             "is led by a hand that follows the tool's poses.",
         ),
     ] = None,
-    law: LawOption = None,
-    gamma: GammaOption = None,
-    delta: DeltaOption = None,
-    m: ExponentOption = None,
-    cap_n: CapOption = None,
-    depth_mm: DepthOption = None,
-    inside: InsideOption = False,
-    blend: BlendOption = None,
-    fixtures: FixturesFileOption = None,
-    retiming: RetimingOption = None,
-    margin: MarginOption = None,
+    *,
+    fixture: dict[str, Any],
+    fixtures: fixture_options.FixturesFileOption = None,
+    retiming: fixture_options.RetimingOption = None,
+    margin: fixture_options.MarginOption = None,
     as_json: JsonFlag = False,
     seed: SeedOption = 0,
     threads: ThreadsOption = None,
@@ -151,13 +107,11 @@ def serve(
 
         require_own_model(session, model)
         files = read_session(session, "live")
-        given = {"law": law, "gamma": gamma, "delta": delta, "m": m, "cap_n": cap_n, "depth_mm": depth_mm}
-        given |= {"inside": inside, "blend": blend}
-        options, of_file = chosen_fixtures(given, fixtures)
+        options, of_file = fixture_options.chosen_fixtures(fixture, fixtures)
         if files.fixtures is not None:
-            refuse_options(given, fixtures)
+            fixture_options.refuse_options(fixture, fixtures)
             options = files.fixtures
-        mode = chosen_retiming(retiming, files.retiming or of_file)
+        mode = fixture_options.chosen_retiming(retiming, files.retiming or of_file)
         changes: dict[str, Any] = {"host": host, "port": port, "role": "server" if listen else None}
         changes["allow"] = None if not allow else (*files.required_live.allow, *allow)
         live = files.required_live.model_copy(update={key: v for key, v in changes.items() if v is not None})
@@ -166,7 +120,7 @@ def serve(
         if hardware is not None:
             place_of(hardware, files.device)
             options = replace(options, device=limits_of(hardware, options.device))
-        ready = live_setup(files, model, with_margin(options, margin), mode, seed)
+        ready = live_setup(files, model, fixture_options.with_margin(options, margin), mode, seed)
         typer.echo(ready.origin, err=True)
         for found in ready.findings:
             warn(f"{found.key}: {found.sentence}")
@@ -189,7 +143,7 @@ def _serve(
     from dvf_ig.live.summary import LiveSummary
     from dvf_ig.session import SessionHistory, no_force
 
-    from .setup import recorded_session, write_run
+    from .setup import recorded_session, write_logged_run
 
     summary, history = LiveSummary(), SessionHistory(REMEMBERED if out is None else None)
     if out is None:
@@ -209,7 +163,7 @@ def _serve(
         warn(f"no force was given: {silent}")
     if out is not None and failure is None:
         if summary.answers:
-            write_run(out, ready, history)
+            write_logged_run(out, ready, history)
         else:
             warn("no pose of the tool came, so that there is nothing to replay or to view")
     if failure is not None:

@@ -5,20 +5,14 @@ import logging.handlers
 import queue
 from collections.abc import Iterator
 from contextlib import contextmanager
-from enum import StrEnum
 from pathlib import Path
+from typing import Literal
 
 import typer
 
 LOG = logging.getLogger("dvf_ig.serve")
-
-
-class LogLevel(StrEnum):
-    """Levels of messages, the least severe first."""
-
-    debug = "debug"
-    info = "info"
-    warning = "warning"
+LogLevel = Literal["debug", "info", "warning"]
+"""Levels of messages, the least severe first."""
 
 
 class _Terminal(logging.Handler):

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dvf_ig.cli.patient_model import patient_model
-from dvf_ig.cli.run_outputs import run_files, write_logged_run
-from dvf_ig.cli.shell import warn
+from dvf_ig.cli.run_outputs import run_files, write_run
+from dvf_ig.cli.shell import warn, wrote
 
 if TYPE_CHECKING:
     from dvf_ig.cardiac import RetimeMode
@@ -43,11 +43,7 @@ class LiveSetup:
 
 
 def live_setup(
-    files: "SessionFiles",
-    model: Path | None,
-    fixtures: "FixtureSet",
-    retiming: "RetimeMode",
-    seed: int,
+    files: "SessionFiles", model: Path | None, fixtures: "FixtureSet", retiming: "RetimeMode", seed: int
 ) -> LiveSetup:
     """The setup of a session whose files agree.
 
@@ -113,13 +109,39 @@ def recorded_session(out: Path, ready: "LiveSetup") -> "Iterator[SessionRecord]"
         yield record
 
 
-def write_run(out: Path, ready: "LiveSetup", history: "SessionHistory") -> None:
-    """Write what a replay leaves, from the finished log.
+def write_logged_run(out: Path, ready: "LiveSetup", history: "SessionHistory") -> None:
+    """Write what a replay leaves next to the finished log, and print the files' names.
 
     Raises:
         UnreadableFileError: the session never began.
         OutputError: not writable.
     """
+    from dvf_ig.intake.session_log.read import read_session_log
     from dvf_ig.live.record import LOG
+    from dvf_ig.replay import Replay, result_of
+    from dvf_ig.replay.repetition import recorded_ticks
 
-    write_logged_run(out / LOG, ready.setup, ready.calibrations, ready.start, history, ready.findings)
+    recordings = read_session_log(out / LOG, images=False)
+    live = recordings.record
+    if live is None:
+        return
+    ticks = recorded_ticks(live)
+    seconds = float(ticks.t_s[-1] - ticks.t_s[0])
+    done = Replay(
+        recordings.scenario,
+        ready.setup,
+        ready.calibrations,
+        ready.start,
+        history,
+        ticks,
+        (*live.findings, *ready.findings),
+        seconds,
+        seconds,
+    )
+    result = result_of(done)
+    files = write_run(done, result, out, out / LOG, None)
+    wrote(out / LOG)
+    for name, frame in files.items():
+        wrote(out / name, frame)
+    for warning in result["warnings"]:
+        warn(f"{warning['key']}: {warning['sentence']}")

@@ -2,13 +2,12 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-import typer
+from typer import Argument
 
-from dvf_ig.cli.shell import JsonFlag, SeedOption, ThreadsOption, command, emit, output_dir, wrote
+from dvf_ig.cli.shell import JsonFlag, SeedOption, ThreadsOption, command, emit, out_folder, wrote
 
 if TYPE_CHECKING:
     import numpy as np
@@ -18,14 +17,7 @@ if TYPE_CHECKING:
     from dvf_ig.core import FloatArray
 
 
-class Kind(StrEnum):
-    """Kind of calibration recording."""
-
-    pivot = "pivot"
-    nwire = "nwire"
-    crosswire = "cross-wire"
-    wall = "wall"
-    watertank = "watertank"
+Kind = Literal["pivot", "nwire", "cross-wire", "wall", "watertank"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,8 +29,8 @@ class RecordingFiles:
 
 
 def calibration(
-    kind: Annotated[Kind, typer.Argument(help="Which recording.")],
-    out: Annotated[Path, typer.Option("-o", "--out", callback=output_dir, help="Folder to write.")],
+    kind: Annotated[Kind, Argument(help="Which recording.")],
+    out: Annotated[Path, out_folder("Folder to write.")],
     as_json: JsonFlag = False,
     seed: SeedOption = 1,
     threads: ThreadsOption = None,
@@ -47,20 +39,18 @@ def calibration(
     with command(threads):
         import numpy as np
 
-        from data_synth.scenario.ground_truth import draw_ground_truth
-        from data_synth.seeds import child_rng
-        from data_synth.ultrasound.probe import SectorProbe
+        from data_synth import SectorProbe, child_rng, draw_ground_truth
         from dvf_ig.io import files_together, output_folder, write_json, write_text
 
         truth = draw_ground_truth(
             np.zeros(3), SectorProbe().plane_from_image, 150.0, child_rng(seed, "planting")
         )
         with output_folder(out), files_together(out) as new:
-            recording = _MAKERS[kind](truth, new, child_rng(seed, kind.name))
-            write_json(new / "truth.json", {"kind": kind.value, "seed": seed, **recording.truth})
+            recording = _MAKERS[kind](truth, new, child_rng(seed, kind.replace("-", "")))
+            write_json(new / "truth.json", {"kind": kind, "seed": seed, **recording.truth})
             write_text(new / "README.md", _readme(kind, seed, recording))
         emit(
-            {"kind": kind.value, "folder": str(out), "files": [name for name, _, _ in recording.files]},
+            {"kind": kind, "folder": str(out), "files": [name for name, _, _ in recording.files]},
             [(name, content) for name, content, _ in recording.files],
             as_json=as_json,
         )
@@ -71,8 +61,7 @@ def calibration(
 
 
 def _pivot(truth: "GroundTruth", out: Path, rng: "np.random.Generator") -> RecordingFiles:
-    from data_synth.phantoms.pivot import pivot_recording
-    from data_synth.scenario.presets import Preset
+    from data_synth import Preset, pivot_recording
     from dvf_ig.io import write_poses
 
     write_poses(pivot_recording(truth.tip_in_tool, Preset().pivot_tracker, rng), out / "pivot.igs.mha")
@@ -83,9 +72,7 @@ def _pivot(truth: "GroundTruth", out: Path, rng: "np.random.Generator") -> Recor
 
 
 def _nwire(truth: "GroundTruth", out: Path, rng: "np.random.Generator") -> RecordingFiles:
-    from data_synth.phantoms.nwire import nwire_images
-    from data_synth.scenario.presets import Preset
-    from data_synth.ultrasound.probe import SectorProbe
+    from data_synth import Preset, SectorProbe, nwire_images
     from dvf_ig.core import PoseStream, Rigid, TrackedSequence
     from dvf_ig.io import write_nwire_phantom, write_sequence, write_wire_points
 
@@ -113,9 +100,7 @@ def _nwire(truth: "GroundTruth", out: Path, rng: "np.random.Generator") -> Recor
 
 
 def _crosswire(truth: "GroundTruth", out: Path, rng: "np.random.Generator") -> RecordingFiles:
-    from data_synth.phantoms.crosswire import CrossWireSpec, crosswire_recording
-    from data_synth.scenario.presets import Preset
-    from data_synth.ultrasound.probe import SectorProbe
+    from data_synth import CrossWireSpec, Preset, SectorProbe, crosswire_recording
 
     crossing = crosswire_recording(
         truth.probe_from_image, SectorProbe(), Preset().nwire_tracker, CrossWireSpec(), rng
@@ -125,9 +110,7 @@ def _crosswire(truth: "GroundTruth", out: Path, rng: "np.random.Generator") -> R
 
 
 def _wall(truth: "GroundTruth", out: Path, rng: "np.random.Generator") -> RecordingFiles:
-    from data_synth.phantoms.wall import WallSpec, wall_recording
-    from data_synth.scenario.presets import Preset
-    from data_synth.ultrasound.probe import SectorProbe
+    from data_synth import Preset, SectorProbe, WallSpec, wall_recording
 
     wall = wall_recording(truth.probe_from_image, SectorProbe(), Preset().nwire_tracker, WallSpec(), rng)
     files = _write_tank(out, "wall", wall.recording, "two points of the wall's line in each image, px")
@@ -136,9 +119,7 @@ def _wall(truth: "GroundTruth", out: Path, rng: "np.random.Generator") -> Record
 
 
 def _watertank(truth: "GroundTruth", out: Path, rng: "np.random.Generator") -> RecordingFiles:
-    from data_synth.phantoms.watertank import watertank_images
-    from data_synth.scenario.presets import Preset
-    from data_synth.ultrasound.probe import SectorProbe
+    from data_synth import Preset, SectorProbe, watertank_images
     from dvf_ig.io import write_line_table, write_poses, write_sequence
 
     options = Preset()
@@ -160,11 +141,11 @@ def _watertank(truth: "GroundTruth", out: Path, rng: "np.random.Generator") -> R
 
 
 _MAKERS: dict[Kind, "Callable[[GroundTruth, Path, np.random.Generator], RecordingFiles]"] = {
-    Kind.pivot: _pivot,
-    Kind.nwire: _nwire,
-    Kind.crosswire: _crosswire,
-    Kind.wall: _wall,
-    Kind.watertank: _watertank,
+    "pivot": _pivot,
+    "nwire": _nwire,
+    "cross-wire": _crosswire,
+    "wall": _wall,
+    "watertank": _watertank,
 }
 
 
@@ -199,7 +180,7 @@ def _readme(kind: Kind, seed: int, made: RecordingFiles) -> str:
     rows = [f"| `{name}` | {content} | {frame} |" for name, content, frame in made.files]
     return "\n".join(
         [
-            f"# Synthetic {kind.value} calibration, seed {seed}",
+            f"# Synthetic {kind} calibration, seed {seed}",
             "",
             "Lengths in mm, times in s. `target_from_source` maps coordinates of the source frame to the "
             "target frame; `image` is in pixels (column, row). `truth.json` holds the ground truth: do not "

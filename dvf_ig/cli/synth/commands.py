@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from typer import Argument, Option
 
 from dvf_ig.cli.shell import command, warn
 
@@ -16,16 +17,11 @@ WAIT_S = 0.05
 
 
 def stream(
-    scenario: Annotated[Path, typer.Argument(help="Scenario folder (see `dvf-ig synth scenario`).")],
+    scenario: Annotated[Path, Argument(help="Scenario folder (see `dvf-ig synth scenario`).")],
     port: Annotated[
-        int,
-        typer.Option(
-            "--port", min=0, max=65535, help="Port to listen at, on this machine; 0 takes a free one."
-        ),
+        int, Option(min=0, max=65535, help="Port to listen at, on this machine; 0 takes a free one.")
     ] = 18944,
-    speed: Annotated[
-        float, typer.Option("--speed", min=0.01, max=100.0, help="Recorded seconds a second.")
-    ] = 1.0,
+    speed: Annotated[float, Option(min=0.01, max=100.0, help="Recorded seconds a second.")] = 1.0,
 ) -> None:
     """Wait for `dvf-ig serve` (or another client) on this machine, and send it a recording once.
 

@@ -61,6 +61,8 @@ def _fixtures(recorded: "Scenario", spec: "ScenarioSpec") -> "FixtureSet | None"
 
 
 def _made(file: "SpecFile", spec: "ScenarioSpec") -> "tuple[Scenario, ReplayedPath | None]":
+    from data_synth import phantom_scenario
+
     inputs, images = (
         (file.surfaces, file.ecg, file.probe_path),
         (file.cine, file.labels, file.es_labels, file.voxel_mm),
@@ -72,7 +74,8 @@ def _made(file: "SpecFile", spec: "ScenarioSpec") -> "tuple[Scenario, ReplayedPa
     if spec.preset == "atrial" and file.anatomy != "phantom":
         raise typer.BadParameter("--preset atrial belongs to --anatomy phantom")
     if file.anatomy == "phantom":
-        return _on_the_phantom(spec), None
+        with progress("synthetic scenario") as report:
+            return phantom_scenario(spec, report), None
     if file.anatomy == "cine":
         if file.cine is None or file.labels is None:
             raise typer.BadParameter("--anatomy cine needs --cine and --labels")
@@ -145,37 +148,26 @@ def _tracked_systole(series: "VolumeSeries", ed: "Volume") -> "tuple[Volume, int
     return Volume(series.grid, propagate_labels(motion, series, ed, phase)), phase
 
 
-def _on_the_phantom(spec: "ScenarioSpec") -> "Scenario":
-    from data_synth import phantom_scenario
-
-    with progress("synthetic scenario") as report:
-        return phantom_scenario(spec, report)
-
-
 def _on_real_anatomy(
     spec: "ScenarioSpec", surfaces: Path, ecg: str, probe_path: Path
 ) -> "tuple[Scenario, ReplayedPath]":
     """Read the real recordings and simulate the ultrasound between them."""
     from data_synth import replayed_path, surface_scenario
-    from dvf_ig.io import read_annotations, read_ecg, read_sequence, read_surface_series
+    from dvf_ig.io import read_annotations, read_ecg, read_sequence, read_surface_series, surface_names
 
     beats_s = read_annotations(ecg).t_s
     signal = read_ecg(ecg)
     sequence = read_sequence(probe_path)
     fixed = "reference" if any("reference" in name for name in sequence.poses) else "tracker"
     path = replayed_path(sequence.stream(fixed, "probe"))
-    present = _present_surfaces(surfaces)
-    series = {name: read_surface_series(surfaces, name=name) for name in present}
+    present = surface_names(surfaces)
+    series = {
+        name: read_surface_series(surfaces, name=name)
+        for name in SURFACES
+        if name == SURFACES[0] or name in present
+    }
     with progress("synthetic scenario") as report:
         return surface_scenario(spec, series, signal, beats_s, path, report), path
-
-
-def _present_surfaces(folder: Path) -> list[str]:
-    """List the required surface, and the optional ones that the folder holds."""
-    from dvf_ig.io import surface_names
-
-    present = surface_names(folder)
-    return [name for name in SURFACES if name == SURFACES[0] or name in present]
 
 
 def _facts(recorded: "Scenario", out: Path, path: "ReplayedPath | None") -> dict[str, Any]:

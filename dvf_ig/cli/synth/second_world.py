@@ -20,7 +20,10 @@ FAULTS = (
 )
 _PRESETS: dict[str, Any] = {"calm": None, "ventilated": "ventilated", "breathing": "spontaneous"}
 """Kind of breathing by the preset's name."""
-_KEYS = {"schema_", "world", "preset", "quality", "heart", "motion", "seconds", "seed", "us_rate_hz"}
+_KEYS = {
+    *("schema_", "world", "preset", "quality", "heart", "motion", "seconds", "seed", "us_rate_hz"),
+    "exam",
+}
 
 
 def second_scenario(file: "SpecFile", out: Path | None, *, print_spec: bool, as_json: bool) -> None:
@@ -37,14 +40,14 @@ def second_scenario(file: "SpecFile", out: Path | None, *, print_spec: bool, as_
     foreign = [key for key in type(file).model_fields if key not in _KEYS]
     if any(getattr(file, key) != getattr(default, key) for key in foreign) or file.preset not in _PRESETS:
         raise typer.BadParameter(
-            "--world second takes --quality, --heart, --motion, --seconds, --seed, --us-rate-hz, and "
+            "--world second takes --quality, --heart, --motion, --exam, --seconds, --seed, --us-rate-hz, and "
             "--preset ventilated or breathing"
         )
     motion: Any = file.motion  # checked there, like the kind of heart
     heart: Any = file.heart if "heart" in file.model_fields_set else "varied"
     quality = file.quality or "calm"
     spec = SecondWorldSpec(
-        file.seed, quality, motion, file.seconds, file.us_rate_hz, heart, _PRESETS[file.preset]
+        file.seed, quality, motion, file.seconds, file.us_rate_hz, heart, _PRESETS[file.preset], file.exam
     )
     if print_spec:
         print(_text(spec), end="")
@@ -56,7 +59,8 @@ def second_scenario(file: "SpecFile", out: Path | None, *, print_spec: bool, as_
 
     with progress("scenario of the second world") as report:
         recorded = second_world_recording(spec, progress=report)
-    notes = ScenarioNotes(FAULTS, _text(spec, recorded), preview_png(recorded.scenario))
+    exam = None if recorded.examined is None else recorded.examined.truth()
+    notes = ScenarioNotes(FAULTS, _text(spec, recorded), preview_png(recorded.scenario), exam)
     write_scenario(recorded.scenario, out, notes)
     facts = _facts(recorded, out)
     emit(facts, [(key.replace("_", " "), str(value)) for key, value in facts.items()], as_json=as_json)

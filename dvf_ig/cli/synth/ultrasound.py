@@ -4,12 +4,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from typer import Option
 
-from dvf_ig.cli.shell import JsonFlag, SeedOption, ThreadsOption, command, emit, output_file, wrote
+from dvf_ig.cli.shell import JsonFlag, SeedOption, ThreadsOption, command, emit, out_file, wrote
 
 if TYPE_CHECKING:
-    from data_synth.heart.tissue import Tissue
-    from data_synth.ultrasound.label_anatomy import LabelAnatomy
+    from data_synth import LabelAnatomy, Tissue
     from dvf_ig.core import FloatArray, Rigid
 
 Triple = tuple[float, float, float]
@@ -19,30 +19,22 @@ VIEW = "apical four-chamber"
 
 
 def us(
-    labels: Annotated[Path, typer.Option("--labels", help="Label volume: NIfTI, NRRD or MetaImage.")],
-    out: Annotated[
-        Path,
-        typer.Option(
-            "-o", "--out", callback=output_file, help="Image to write: .png, or .nrrd/.mha/.nii.gz."
-        ),
-    ],
+    labels: Annotated[Path, Option(help="Label volume: NIfTI, NRRD or MetaImage.")],
+    out: Annotated[Path, out_file("Image to write: .png, or .nrrd/.mha/.nii.gz.")],
     probe: Annotated[
-        str | None, typer.Option("--probe", help="epicardial, apical, tee, curvilinear, ice or matrix (3-D).")
+        str | None, Option(help="epicardial, apical, tee, curvilinear, ice or matrix (3-D).")
     ] = None,
     tissues: Annotated[
-        Path | None,
-        typer.Option("--tissues", help="YAML or JSON: label number to tissue name (default: whole heart)."),
+        Path | None, Option(help="YAML or JSON: label number to tissue name (default: whole heart).")
     ] = None,
-    view: Annotated[str | None, typer.Option("--view", help=f"Standard view (default: {VIEW}).")] = None,
+    view: Annotated[str | None, Option(help=f"Standard view (default: {VIEW}).")] = None,
     eye: Annotated[
-        Triple | None, typer.Option("--eye", help="Probe's position instead of a view: x y z in mm, LPS.")
+        Triple | None, Option(help="Probe's position instead of a view: x y z in mm, LPS.")
     ] = None,
     towards: Annotated[
-        Triple | None, typer.Option("--towards", help="With --eye: point to look at (default: the heart).")
+        Triple | None, Option(help="With --eye: point to look at (default: the heart).")
     ] = None,
-    roll_deg: Annotated[
-        float, typer.Option("--roll-deg", help="With --eye: turn about the viewing direction.")
-    ] = 0.0,
+    roll_deg: Annotated[float, Option(help="With --eye: turn about the viewing direction.")] = 0.0,
     as_json: JsonFlag = False,
     seed: SeedOption = 1,
     threads: ThreadsOption = None,
@@ -53,9 +45,7 @@ def us(
     pose in the labels' space, one slice for a plane; a .png does not.
     """
     with command(threads):
-        from data_synth.ultrasound.label_anatomy import label_anatomy
-        from data_synth.ultrasound.presets import probe_named
-        from data_synth.ultrasound.views import VIEW_PROBE
+        from data_synth import VIEW_PROBE, label_anatomy, probe_named
         from dvf_ig.core import InvalidInputError
         from dvf_ig.io import read_volume
 
@@ -124,8 +114,7 @@ def _write(anatomy: "LabelAnatomy", probe: Any, pose: "Rigid", seed: int, out: P
     """Simulate and write an image; return facts on it."""
     import numpy as np
 
-    from data_synth.ultrasound.sequence import simulate_frame
-    from data_synth.ultrasound.volume import MatrixProbe, simulate_volume
+    from data_synth import MatrixProbe, simulate_frame, simulate_volume
     from dvf_ig.core import Grid, Volume
     from dvf_ig.io import write_volume
 

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from dvf_ig.core.arrays import BoolArray, FloatArray, frozen, frozen_floats, read_only_arrays
 from dvf_ig.core.errors import InvalidInputError
 from dvf_ig.core.space.frames import check_frame
-from dvf_ig.core.space.rigid import Rigid, is_rigid
+from dvf_ig.core.space.rigid import Rigid, are_rigid
 
 MAX_GAP_S = 0.25
 """Longest gap between valid samples that is interpolated."""
@@ -76,9 +76,11 @@ class PoseStream:
         """
         matrices_ok = np.tile(np.eye(4), (len(matrices), 1, 1))
         valid = np.zeros(len(matrices), dtype=np.bool_)
-        for i, matrix in enumerate(matrices):
-            if matrix is not None and is_rigid(matrix):
-                matrices_ok[i], valid[i] = matrix, True
+        tracked = [i for i, matrix in enumerate(matrices) if matrix is not None]
+        if tracked:
+            matrices_ok[tracked] = [matrices[i] for i in tracked]
+            valid[tracked] = are_rigid(matrices_ok[tracked])
+            matrices_ok[~valid] = np.eye(4)
         return cls(target, source, t_s, matrices_ok[:, :3, :3], matrices_ok[:, :3, 3], valid)
 
     @property

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from dvf_ig.core.arrays import FloatArray, frozen_floats, read_only_arrays
+from dvf_ig.core.arrays import BoolArray, FloatArray, frozen_floats, read_only_arrays
 from dvf_ig.core.errors import FrameMismatchError, InvalidInputError
 
 from .frames import check_frame, require_same_frame
@@ -147,16 +147,20 @@ def rigidity_defect(rotation: FloatArray) -> float:
 
     Written with plain floats, as numpy takes eight times as long.
     """
-    rows: list[list[float]] = rotation.tolist()
+    return float(max(map(abs, _departures(rotation.tolist()))))
+
+
+def _departures(rows: Any) -> tuple[Any, ...]:
+    """Compute RᵀR − I, its upper half, and det R − 1 of (3, 3, ...) entries, floats or arrays."""
     (a, b, c), (d, e, f), (g, h, i) = rows
-    return max(
-        abs(a * a + d * d + g * g - 1.0),
-        abs(b * b + e * e + h * h - 1.0),
-        abs(c * c + f * f + i * i - 1.0),
-        abs(a * b + d * e + g * h),
-        abs(a * c + d * f + g * i),
-        abs(b * c + e * f + h * i),
-        abs(a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g) - 1.0),
+    return (
+        a * a + d * d + g * g - 1.0,
+        b * b + e * e + h * h - 1.0,
+        c * c + f * f + i * i - 1.0,
+        a * b + d * e + g * h,
+        a * c + d * f + g * i,
+        b * c + e * f + h * i,
+        a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g) - 1.0,
     )
 
 
@@ -171,3 +175,10 @@ def nearest_rotation(matrix: FloatArray) -> FloatArray:
 def is_rigid(matrix: FloatArray) -> bool:
     """Return whether a tracker's (4, 4) is finite and rigid to within RIGID_TOLERANCE."""
     return bool(np.isfinite(matrix).all()) and rigidity_defect(matrix[:3, :3]) <= RIGID_TOLERANCE
+
+
+def are_rigid(matrices: FloatArray) -> BoolArray:
+    """Return `is_rigid` of (n, 4, 4), bit for bit."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        defects = np.abs(_departures(matrices[:, :3, :3].transpose(1, 2, 0))).max(axis=0)
+    return np.asarray(np.isfinite(matrices).all(axis=(1, 2)) & (defects <= RIGID_TOLERANCE))

@@ -105,7 +105,7 @@ class TrackedServo:
         if silent and self._felt:
             withhold(self._bound, self._scratch, now_s)
         self._stepped_s = now_s
-        self._felt |= bool(self._scratch.row["sent_n"].any())
+        self._felt = self._felt or bool(self._scratch.row["sent_n"].any())
         return ServoTick(self._scratch.row)
 
     @property

@@ -6,20 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from dvf_ig.core.arrays import AnyArray
-from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
-from dvf_ig.core.model import DvfModel
+from dvf_ig.core import AnyArray, DvfModel, Grid, InvalidInputError, Landmarks, Mesh, UnreadableFileError
 from dvf_ig.core.plausible import surface_problem
-from dvf_ig.core.space.mesh import Mesh
-from dvf_ig.core.space.points import Landmarks
-from dvf_ig.core.space.volume import Grid
 from dvf_ig.core.timing.cycle import CycleTiming
+from dvf_ig.io import read_dicom_examination, read_label_names, read_labels, read_landmarks, read_tag_pair
 from dvf_ig.io.dicom.cine import read_dicom_cine
-from dvf_ig.io.dicom.examination import read_dicom_examination
-from dvf_ig.io.image.labels import read_label_names, read_labels
 from dvf_ig.io.image.volume import image_dimension, read_array, read_volume, series_timing
 from dvf_ig.io.itk_transform import linear_matrix
-from dvf_ig.io.landmarks import read_landmarks, read_tag_pair
 from dvf_ig.io.mesh.file import read_mesh
 from dvf_ig.io.mesh.series import read_surface_series, surface_names
 from dvf_ig.io.model.model_file import model_digest, read_model

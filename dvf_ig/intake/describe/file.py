@@ -7,46 +7,25 @@ from typing import Any
 
 import numpy as np
 
+from dvf_ig.core import ImageMap, LatencyRecording, NWireRecording, PoseStream, Scenario, Signal, TriggerTimes
 from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
-from dvf_ig.core.recordings.phantom import NWireRecording
-from dvf_ig.core.recordings.scenario import LatencyRecording, Scenario
-from dvf_ig.core.recordings.signal import Signal
-from dvf_ig.core.recordings.stream import PoseStream
-from dvf_ig.core.space.image_map import ImageMap
-from dvf_ig.core.timing.trigger import TriggerTimes
 from dvf_ig.intake.scenario import CONFIG
 from dvf_ig.intake.session import read_scenario
-from dvf_ig.io.dicom.cine import is_dicom_folder
+from dvf_ig.io import ProbeNames, is_dicom_folder, read_annotations, read_label_names, read_points, read_poses
 from dvf_ig.io.dicom.examination import is_examination
-from dvf_ig.io.ecg.beat_annotations import read_annotations
 from dvf_ig.io.ecg.recording import foreign_recording, names_ecg, read_ecg
-from dvf_ig.io.image.labels import read_label_names
 from dvf_ig.io.itk_transform import is_itk_text
 from dvf_ig.io.landmarks import is_markups
 from dvf_ig.io.mesh.file import DECODERS
 from dvf_ig.io.mesh.series import surface_names
 from dvf_ig.io.number_table import read_number_table
 from dvf_ig.io.plus.feature_points import read_feature_points, tracked_probe
-from dvf_ig.io.plus.names import ProbeNames
-from dvf_ig.io.plus.poses import read_poses
 from dvf_ig.io.plus.sequence_read import PIXEL_FRAMES, read_sequence
 from dvf_ig.io.plus.xml import CoordinateDefinition, parse_xml, read_transforms
-from dvf_ig.io.points_file import read_points
 from dvf_ig.io.reading import read_bytes
 from dvf_ig.io.respiration import names_breathing, read_respiration
 
-from .anatomy import (
-    cine_facts,
-    examination_facts,
-    image_facts,
-    landmark_facts,
-    mesh_facts,
-    model_facts,
-    segmentation_facts,
-    surface_facts,
-    tag_facts,
-    transform_facts,
-)
+from . import anatomy
 from .own import RUN, SESSION, json_facts, log_facts, run_facts, session_facts, yaml_facts
 from .sequence import clock_facts, sequence_facts, sequence_file_facts, signal_facts, stream_facts
 
@@ -124,10 +103,10 @@ def _folder_kind(path: Path) -> tuple[str, Reader]:
         return "folder of a session", lambda folder: session_facts(folder / SESSION)
     if is_dicom_folder(path):
         if is_examination(path):
-            return "examination of DICOM images", examination_facts
-        return "cine of DICOM images", cine_facts
+            return "examination of DICOM images", anatomy.examination_facts
+        return "cine of DICOM images", anatomy.cine_facts
     if surface_names(path):
-        return "surfaces through the cycle", surface_facts
+        return "surfaces through the cycle", anatomy.surface_facts
     endings = {one.suffix.lower() for one in path.iterdir() if one.is_file() and one.name[0] != "."}
     if endings and endings <= {"", ".dat", *TABLES}:
         return "tool poses, one 4x4 text file each", _pose_facts
@@ -141,13 +120,13 @@ def _folder_kind(path: Path) -> tuple[str, Reader]:
 def _file_kind(path: Path) -> tuple[str, Reader]:
     name = path.name.lower()
     by_ending: list[tuple[tuple[str, ...], str, Reader]] = [
-        (tuple(DECODERS), "triangle mesh", mesh_facts),
-        ((".npz",), "fixture model", model_facts),
-        ((".tfm", ".h5", ".mat"), "transform", transform_facts),
-        ((".mrk.json", ".fcsv"), "landmarks", landmark_facts),
+        (tuple(DECODERS), "triangle mesh", anatomy.mesh_facts),
+        ((".npz",), "fixture model", anatomy.model_facts),
+        ((".tfm", ".h5", ".mat"), "transform", anatomy.transform_facts),
+        ((".mrk.json", ".fcsv"), "landmarks", anatomy.landmark_facts),
         ((".mcap",), "log of a session", log_facts),
-        ((".tag",), "landmarks in two volumes", tag_facts),
-        ((".nii", ".nii.gz"), "image", image_facts),
+        ((".tag",), "landmarks in two volumes", anatomy.tag_facts),
+        ((".nii", ".nii.gz"), "image", anatomy.image_facts),
         ((".xml",), "PLUS configuration or result", _xml_facts),
     ]
     for endings, kind, facts in by_ending:
@@ -155,7 +134,7 @@ def _file_kind(path: Path) -> tuple[str, Reader]:
             return kind, facts
     if name.endswith((".json", ".yaml", ".yml")):
         if name.endswith(".json") and is_markups(path):
-            return "landmarks", landmark_facts
+            return "landmarks", anatomy.landmark_facts
         kind, own = (json_facts if name.endswith(".json") else yaml_facts)(path)
         return kind, lambda _: own
     if name.endswith(TABLES):
@@ -166,9 +145,13 @@ def _file_kind(path: Path) -> tuple[str, Reader]:
         )
         if tracked:
             return "tracked sequence", sequence_file_facts
-        return ("segmentation", segmentation_facts) if read_label_names(path) else ("image", image_facts)
+        return (
+            ("segmentation", anatomy.segmentation_facts)
+            if read_label_names(path)
+            else ("image", anatomy.image_facts)
+        )
     if is_dicom_folder(path):
-        return "cine of DICOM images", cine_facts
+        return "cine of DICOM images", anatomy.cine_facts
     raise UnreadableFileError(
         f"{path} is of no kind that can be read; give a tracked sequence (.igs.mha, .igs.nrrd), an image "
         "(.nii.gz, .nrrd, .mha), mesh (.obj, .stl, .ply, .vtp), model (.npz), transform (.tfm, .h5), "
@@ -180,7 +163,7 @@ def _file_kind(path: Path) -> tuple[str, Reader]:
 def _table_kind(path: Path, lead: str | None = None) -> tuple[str, Reader] | None:
     """Identify a text file as an ITK transform, poses, points or segmented points; None for another table."""
     if is_itk_text(path):
-        return "transform", transform_facts
+        return "transform", anatomy.transform_facts
     try:
         table = read_number_table(path, "a table of numbers")
     except UnreadableFileError:

@@ -9,10 +9,9 @@ from dvf_ig.intake.fixtures import read_fixtures
 from dvf_ig.intake.scenario import CONFIG
 from dvf_ig.intake.schema import SCHEMA, is_there, named_files
 from dvf_ig.intake.session import open_session, read_session
-from dvf_ig.io.calibration_files import read_hand_eye, read_lag, read_landmark_map, read_probe, read_tip
+from dvf_ig.io import read_hand_eye, read_json, read_lag, read_landmark_map, read_probe, read_tip
 from dvf_ig.io.image.seeds import KINDS, read_seeds
 from dvf_ig.io.image.timing import timing_from_document
-from dvf_ig.io.json_file import read_json
 from dvf_ig.io.provenance import MARK
 from dvf_ig.io.reading import reading
 from dvf_ig.io.yaml_config import read_yaml

@@ -5,11 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from dvf_ig.core.arrays import BoolArray, FloatArray
-from dvf_ig.core.errors import UnreadableFileError
+from dvf_ig.core import BoolArray, FloatArray, Signal, TrackedSequence, UnreadableFileError
 from dvf_ig.core.plausible import marker_problem
-from dvf_ig.core.recordings.sequence import TrackedSequence
-from dvf_ig.core.recordings.signal import Signal
 from dvf_ig.core.recordings.stream import MAX_GAP_S, PoseStream
 from dvf_ig.io.plus.ecg_field import ecg_fields, ecg_of_sequence
 from dvf_ig.io.plus.numeric_fields import numeric_fields
@@ -38,7 +35,9 @@ def sequence_file_facts(path: Path) -> Facts:
         "invalid_image_share": None if size is None else 1.0 - float(sequence.image_valid.mean()),
         **_stamp_facts(raw),
         "image_maps": sorted(sequence.image_maps),
-        "frame_tree": frame_tree([*_edges(sequence), *map(_pair, sequence.image_maps)]),
+        "frame_tree": frame_tree(
+            [*((one.target, one.source) for one in sequence.poses.values()), *map(_pair, sequence.image_maps)]
+        ),
         "numeric_fields": list(numeric_fields(raw)),
         "ecg": {name: _ecg_facts(path, raw, name) for name in ecg_fields(raw)},
     }
@@ -158,10 +157,6 @@ def _branches(frame: str, near: dict[str, list[str]], seen: set[str], indent: st
         lines.append(f"{indent}{'└─ ' if last else '├─ '}{child}")
         lines += _branches(child, near, seen, indent + ("   " if last else "│  "))
     return lines
-
-
-def _edges(sequence: TrackedSequence) -> list[tuple[str, str]]:
-    return [(stream.target, stream.source) for stream in sequence.poses.values()]
 
 
 def _pair(name: str) -> tuple[str, str]:

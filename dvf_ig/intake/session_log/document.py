@@ -7,13 +7,8 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field
 
-from dvf_ig.core.arrays import FloatArray
-from dvf_ig.core.errors import UnreadableFileError
-from dvf_ig.core.model import DvfModel
-from dvf_ig.core.recordings.scenario import Preop, Scenario
-from dvf_ig.core.space.image_map import ImageMap
+from dvf_ig.core import DvfModel, FloatArray, ImageMap, Preop, Rigid, Scenario, UnreadableFileError
 from dvf_ig.core.space.points import Landmarks, Points
-from dvf_ig.core.space.rigid import Rigid
 from dvf_ig.core.timing.trigger import TriggerTimes
 from dvf_ig.guidance import Hazard, Status, SupervisorState
 from dvf_ig.intake.parts import SessionFiles

@@ -21,16 +21,8 @@ from dvf_ig.guidance import FixtureSet
 from dvf_ig.intake.fixtures import FixturesConfig, RetimingName
 from dvf_ig.io.ros import messages as ros
 from dvf_ig.io.yaml_config import Section
-from dvf_ig.session import (
-    EcgSamples,
-    Event,
-    GuidanceState,
-    Landmark,
-    RespirationSample,
-    ToolPose,
-    TrackedFrame,
-    Trigger,
-)
+from dvf_ig.session import EcgSamples, Event, Landmark, RespirationSample, ToolPose, TrackedFrame, Trigger
+from dvf_ig.session.state import GuidanceState
 
 from .document import (
     ECG,

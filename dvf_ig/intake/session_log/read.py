@@ -7,24 +7,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from dvf_ig.core import (
-    FloatArray,
-    InvalidInputError,
-    PoseStream,
-    Respiration,
-    Scenario,
-    Signal,
-    TrackedSequence,
-    TriggerTimes,
-    UnreadableFileError,
-)
+from dvf_ig.core import FloatArray, PoseStream, Respiration, Scenario, Signal, TrackedSequence, TriggerTimes
+from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
 from dvf_ig.intake.fixtures import STRUCTURES
 from dvf_ig.intake.parts import SessionFiles
 from dvf_ig.intake.preop import PreopFiles, read_preop
-from dvf_ig.io import limits
+from dvf_ig.io import limits, read_model
 from dvf_ig.io.ecg.recording import require_plausible
 from dvf_ig.io.file_within import path_within
-from dvf_ig.io.model.model_file import read_model
 from dvf_ig.io.provenance import not_recorded
 from dvf_ig.io.ros import messages as ros
 from dvf_ig.io.ros.log_file import LogReader, opened_log
@@ -79,7 +69,7 @@ def read_session_log(path: Path, *, images: bool = True) -> SessionFiles:
             if topic == IMAGE:
                 shown.append(ros.grey_levels(message))
             else:
-                arrays[topic].append(_numbers(message))
+                arrays[topic].append(np.array(message.data, dtype=np.float64))
         scenario = _recorded(document, heart, arrays, shown)
         if isinstance(scenario.ecg, Signal):
             require_plausible(path, scenario.ecg)
@@ -207,7 +197,3 @@ def _heart(path: Path, document: SessionDocument, attached: dict[str, bytes]) ->
         except InvalidInputError as exc:
             reason = str(exc).replace(f"{folder}/", "its ")
             raise UnreadableFileError(f"{path}: {reason}") from exc
-
-
-def _numbers(message: ros.Message) -> FloatArray:
-    return np.array(message.data, dtype=np.float64)

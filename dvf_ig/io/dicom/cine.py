@@ -7,10 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from dvf_ig.core.arrays import read_only_arrays
-from dvf_ig.core.errors import UnreadableFileError
-from dvf_ig.core.space.volume import Grid
-from dvf_ig.core.timing.cycle import CycleTiming
+from dvf_ig.core import CycleTiming, Grid, UnreadableFileError, read_only_arrays
 from dvf_ig.io import limits
 from dvf_ig.io.provenance import record_file
 from dvf_ig.io.reading import reading

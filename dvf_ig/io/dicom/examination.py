@@ -12,9 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dvf_ig.core.errors import UnreadableFileError
-from dvf_ig.core.space.volume import Grid, VolumeSeries
-from dvf_ig.core.timing.cycle import CycleTiming
+from dvf_ig.core import CycleTiming, Grid, UnreadableFileError, VolumeSeries
 from dvf_ig.io import limits
 from dvf_ig.io.provenance import record_file
 from dvf_ig.io.reading import reading

@@ -7,8 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dvf_ig.core.arrays import FloatArray, read_only_arrays
-from dvf_ig.core.errors import UnreadableFileError
+from dvf_ig.core import FloatArray, UnreadableFileError, read_only_arrays
 from dvf_ig.io import limits
 
 from .process import Tags, read_tags

@@ -5,9 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dvf_ig.core import read_only_arrays
-from dvf_ig.core.arrays import BoolArray, FloatArray
-from dvf_ig.core.errors import UnreadableFileError
+from dvf_ig.core import BoolArray, FloatArray, UnreadableFileError, read_only_arrays
 from dvf_ig.io.reading import read_bytes
 
 from .recording import split_spec

@@ -11,9 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dvf_ig.core.arrays import AnyArray, FloatArray
-from dvf_ig.core.errors import UnreadableFileError
-from dvf_ig.core.recordings.signal import Signal
+from dvf_ig.core import AnyArray, FloatArray, Signal, UnreadableFileError
 from dvf_ig.io import limits
 from dvf_ig.io.reading import read_bytes
 
@@ -252,10 +250,8 @@ def _physical(path: Path, lead: _Lead, counts: AnyArray) -> FloatArray:
     outside = float(((counts < digital_low) | (counts > digital_high)).mean())
     if outside:
         log.warning(
-            "%s: %.2g %% of the samples of %s are outside the header's digital range; its gain may be wrong",
-            path,
-            100 * outside,
-            lead.label,
+            f"{path}: {100 * outside:.2g} % of the samples of {lead.label} are outside the header's digital "
+            "range; its gain may be wrong"
         )
     return _scaled(lead, counts)
 

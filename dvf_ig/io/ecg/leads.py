@@ -10,8 +10,7 @@ from typing import Literal
 
 import numpy as np
 
-from dvf_ig.core.arrays import FloatArray
-from dvf_ig.core.errors import UnreadableFileError
+from dvf_ig.core import FloatArray, UnreadableFileError
 from dvf_ig.io.table_text import IN_ONE_MV, UNSTATED
 
 log = logging.getLogger(__name__)
@@ -137,9 +136,8 @@ def _by_kind(source: Path | str, channels: Sequence[Channel], *, declared: bool)
                 or not _NO_NAME.fullmatch(channels[candidates[0]].label)
             ):
                 log.warning(
-                    "%s: no channel is named as an ECG; %s is taken as one, which a pulse wave must not be",
-                    source,
-                    channels[candidates[0]].described,
+                    f"{source}: no channel is named as an ECG; {channels[candidates[0]].described} is taken "
+                    "as one, which a pulse wave must not be"
                 )
             return candidates
     raise UnreadableFileError(
@@ -192,9 +190,8 @@ def in_millivolts(path: Path, samples: FloatArray, leads: Sequence[Channel]) -> 
     unstated = [unit in UNSTATED for unit in units]
     if all(unstated):
         log.warning(
-            "%s states no unit of %s: times are right, amplitudes are not calibrated",
-            path,
-            _listed(leads, range(len(leads))),
+            f"{path} states no unit of {_listed(leads, range(len(leads)))}: times are right, amplitudes are "
+            "not calibrated"
         )
         return samples, UNKNOWN_UNIT
     if any(unstated):

@@ -10,8 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dvf_ig.core.errors import UnreadableFileError
-from dvf_ig.core.recordings.signal import Signal
+from dvf_ig.core import Signal, UnreadableFileError
 
 from .leads import UNKNOWN_UNIT
 

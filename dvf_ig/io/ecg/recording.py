@@ -7,10 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from dvf_ig.core.arrays import FloatArray
-from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
+from dvf_ig.core import FloatArray, InvalidInputError, Signal, UnreadableFileError
 from dvf_ig.core.plausible import ECG_RATE_HZ, ECG_SWING_MV
-from dvf_ig.core.recordings.signal import Signal
 from dvf_ig.io import limits
 from dvf_ig.io.plus.ecg_field import read_ecg_field
 from dvf_ig.io.reading import reading
@@ -127,13 +125,9 @@ def require_plausible(path: Path, signal: Signal) -> None:
         swing = 0.0 if in_one_mv is None else swing_of(samples, signal.rate_hz) / in_one_mv
         if swing > 0 and not least <= swing <= most:
             log.warning(
-                "%s: lead %s swings by %.3g mV from beat to beat, and a heart gives %g to %g mV: its unit or "
-                "gain is wrong; R peaks are found from its shape alone",
-                path,
-                lead,
-                swing,
-                least,
-                most,
+                f"{path}: lead {lead} swings by {swing:.3g} mV from beat to beat, and a heart gives "
+                f"{least:g} to {most:g} mV: its unit or gain is wrong; R peaks are found from its shape "
+                "alone"
             )
 
 

@@ -11,10 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from dvf_ig.core.arrays import FloatArray
-from dvf_ig.core.errors import UnreadableFileError
+from dvf_ig.core import FloatArray, Signal, UnreadableFileError
 from dvf_ig.core.plausible import ECG_RATE_HZ, ECG_SWING_MV
-from dvf_ig.core.recordings.signal import Signal
 from dvf_ig.io import limits
 from dvf_ig.io.clock_times import past_midnight
 from dvf_ig.io.json_file import read_json

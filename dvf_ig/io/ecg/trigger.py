@@ -6,9 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dvf_ig.core.errors import UnreadableFileError
-from dvf_ig.core.recordings.signal import Signal
-from dvf_ig.core.timing.trigger import TriggerTimes
+from dvf_ig.core import Signal, TriggerTimes, UnreadableFileError
 from dvf_ig.io import limits
 from dvf_ig.io.reading import read_text, reading
 from dvf_ig.io.writing.atomic import write_text

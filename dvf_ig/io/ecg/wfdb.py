@@ -12,9 +12,8 @@ from types import ModuleType
 
 import numpy as np
 
-from dvf_ig.core.arrays import FloatArray
+from dvf_ig.core import FloatArray, Signal
 from dvf_ig.core.errors import MissingDependencyError, UnreadableFileError, install_extra
-from dvf_ig.core.recordings.signal import Signal
 from dvf_ig.io.provenance import record_file
 from dvf_ig.io.reading import refuse_lfs_pointer
 
@@ -108,10 +107,8 @@ def _compare_lengths(record: Path, header: RecordHeader) -> None:
         )
     if header.available > header.stated:
         log.warning(
-            "%s: its files hold %d samples of each signal, its header says %d; the rest is left out",
-            record,
-            header.available,
-            header.stated,
+            f"{record}: its files hold {header.available} samples of each signal, its header says "
+            f"{header.stated}; the rest is left out"
         )
 
 

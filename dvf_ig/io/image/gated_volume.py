@@ -11,11 +11,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from dvf_ig.core.arrays import AnyArray, BoolArray
-from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
+from dvf_ig.core import AnyArray, BoolArray, InvalidInputError, Rigid, TrackedVolume, UnreadableFileError
 from dvf_ig.core.plausible import VOLUME_STEP_S
-from dvf_ig.core.recordings.sequence import TrackedVolume
-from dvf_ig.core.space.rigid import Rigid
 from dvf_ig.core.space.volume import Grid, Volume
 from dvf_ig.io.reading import reading
 

@@ -8,8 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dvf_ig.core.arrays import AnyArray, FloatArray
-from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
+from dvf_ig.core import AnyArray, FloatArray, InvalidInputError, UnreadableFileError
 from dvf_ig.core.plausible import LABELS_MM
 from dvf_ig.core.space.volume import Grid, Volume, VolumeSeries
 from dvf_ig.io.reading import reading
@@ -234,8 +233,5 @@ def _warn_of_unnamed(path: Path, layers: AnyArray, segments: tuple[Segment, ...]
         named = [0, *(segment.value for segment in segments if segment.layer == number)]
         if unnamed := np.count_nonzero(~np.isin(layer, named)):
             log.warning(
-                "%s: %d voxels of layer %d have a value of no segment, and are left out",
-                path,
-                unnamed,
-                number,
+                f"{path}: {unnamed} voxels of layer {number} have a value of no segment, and are left out"
             )

@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from dvf_ig.core.arrays import AnyArray, FloatArray
-from dvf_ig.core.errors import UnreadableFileError
+from dvf_ig.core import AnyArray, FloatArray, UnreadableFileError
 from dvf_ig.io import limits
 from dvf_ig.io.inflate import inflated, require_size
 from dvf_ig.io.provenance import record_file

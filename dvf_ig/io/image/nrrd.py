@@ -10,20 +10,10 @@ from urllib.parse import unquote
 
 import numpy as np
 
-from dvf_ig.core.arrays import FloatArray
-from dvf_ig.core.errors import UnreadableFileError
+from dvf_ig.core import FloatArray, UnreadableFileError
 from dvf_ig.io import limits
 
-from .header import (
-    ImageHeader,
-    Storage,
-    named_voxel_files,
-    read_until,
-    real_numbers,
-    sides_and_directions,
-    three_dimensional,
-    whole_numbers,
-)
+from . import header
 from .phase_times import PhaseTimes, uniform_times
 
 log = logging.getLogger(__name__)
@@ -76,20 +66,20 @@ _TIME_TAGS = ("", "TriggerTime", "AcquisitionTime", "ContentTime", "SeriesTime",
 _VECTOR = re.compile(r"none|\(([^()]*)\)")
 
 
-def read_nrrd_header(path: Path) -> ImageHeader:
+def read_nrrd_header(path: Path) -> header.ImageHeader:
     """Parse the header without reading voxels.
 
     Raises:
         UnreadableFileError: not NRRD, a field that is absent or invalid, an unknown space or unit, or voxels
             in an unsupported encoding or outside its folder.
     """
-    data, end = read_until(path, _END)
+    data, end = header.read_until(path, _END)
     if len(data) > limits.HEADER_BYTES and end is None:
         raise UnreadableFileError(f"{path}: its header does not end within {len(data)} bytes; copy it again")
     text = data[: len(data) if end is None else end.start()].decode("utf-8", "replace")
     fields = _fields(path, text)
-    sizes = whole_numbers(path, "sizes", fields.get("sizes", ""), 1, limits.AXIS)
-    if whole_numbers(path, "dimension", fields.get("dimension", ""), 1, 16)[0] != len(sizes):
+    sizes = header.whole_numbers(path, "sizes", fields.get("sizes", ""), 1, limits.AXIS)
+    if header.whole_numbers(path, "dimension", fields.get("dimension", ""), 1, 16)[0] != len(sizes):
         raise UnreadableFileError(
             f"{path}: dimension is {fields['dimension']}, sizes holds {len(sizes)}: copy it again"
         )
@@ -114,7 +104,7 @@ def read_nrrd_header(path: Path) -> ImageHeader:
             )
     space_axes, phase = _axes(path, fields, kinds, listed=listed, dropped=dropped)
     stored = [a for a in range(len(sizes)) if a not in dropped]
-    return ImageHeader(
+    return header.ImageHeader(
         tuple(sizes[a] for a in stored),
         _dtype(path, fields),
         sizes[dropped[0]] if dropped else 1,
@@ -138,13 +128,15 @@ def _times(path: Path, fields: dict[str, str], axis: int, count: int) -> PhaseTi
     unit = unit or fields.get(f"axis {axis} index unit", "") or (label if "%" in label else "")
     stated, name = [], f"axis {axis} index values"
     if name in fields and fields.get(f"axis {axis} index type") != "text":
-        stated.append(PhaseTimes(real_numbers(path, name, unquote(fields[name]), count), unit, name))
+        stated.append(PhaseTimes(header.real_numbers(path, name, unquote(fields[name]), count), unit, name))
     elif name in fields:
         stated += _numbered(path, name, [unquote(word) for word in fields[name].split()], unit)
     name, tag = "MultiVolume.FrameLabels", fields.get("MultiVolume.FrameIdentifyingDICOMTagName", "")
     if name in fields and tag in _TIME_TAGS:
         own = fields.get("MultiVolume.FrameIdentifyingDICOMTagUnits", "")
-        stated.append(PhaseTimes(real_numbers(path, name, fields[name].replace(",", " "), count), own, name))
+        stated.append(
+            PhaseTimes(header.real_numbers(path, name, fields[name].replace(",", " "), count), own, name)
+        )
     if len(stated) == 2 and not np.array_equal(stated[0].order(path), stated[1].order(path)):
         raise UnreadableFileError(
             f"{path}: {stated[0].field} and {stated[1].field} put its volumes in different orders; delete one"
@@ -219,7 +211,7 @@ def _dtype(path: Path, fields: dict[str, str]) -> np.dtype[np.generic]:
     return np.dtype(("<" if endian == "little" else ">") + _TYPES[kind])
 
 
-def _storage(path: Path, fields: dict[str, str], text: str, end: int) -> Storage:
+def _storage(path: Path, fields: dict[str, str], text: str, end: int) -> header.Storage:
     encoding = fields.get("encoding", "").lower()
     if encoding not in ("raw", "gzip", "gz"):
         raise UnreadableFileError(f"{path}: encoding is '{encoding[:20]}'; save it as raw or gzip")
@@ -227,15 +219,15 @@ def _storage(path: Path, fields: dict[str, str], text: str, end: int) -> Storage
         raise UnreadableFileError(
             f"{path}: its voxels follow another header (line skip); save it as NRRD again"
         )
-    skip = whole_numbers(path, "byte skip", fields.get("byte skip", "0"), -1, limits.HEADER_BYTES)[0]
+    skip = header.whole_numbers(path, "byte skip", fields.get("byte skip", "0"), -1, limits.HEADER_BYTES)[0]
     compressed = encoding != "raw"
     if compressed and skip:
         raise UnreadableFileError(
             f"{path}: byte skip applies to raw voxels, but these are {encoding}; save it again"
         )
     names = re.split(r"(?im)^data ?file:.*$", text)[-1]
-    files = named_voxel_files(path, fields.get("data file", "LOCAL"), lambda: names)
-    return Storage(files, end, None if skip < 0 else skip, compressed)
+    files = header.named_voxel_files(path, fields.get("data file", "LOCAL"), lambda: names)
+    return header.Storage(files, end, None if skip < 0 else skip, compressed)
 
 
 def _axes(
@@ -283,8 +275,8 @@ def _geometry(
     if timed and phase is not None:
         matrix[:, 3] = _direction(path, fields, phase, count)
     turn = np.array(_SPACES[name])
-    matrix, origin = three_dimensional(path, matrix, _origin(path, fields, count))
-    return origin * turn, *sides_and_directions(path, matrix * turn[:, None])
+    matrix, origin = header.three_dimensional(path, matrix, _origin(path, fields, count))
+    return origin * turn, *header.sides_and_directions(path, matrix * turn[:, None])
 
 
 def _direction(path: Path, fields: dict[str, str], axis: int, count: int) -> FloatArray:
@@ -292,7 +284,7 @@ def _direction(path: Path, fields: dict[str, str], axis: int, count: int) -> Flo
     text = fields.get("space directions", "")
     vectors = [match[1] for match in _VECTOR.finditer(text)]
     vector = vectors[axis] if axis < len(vectors) and not _VECTOR.sub("", text).strip() else None
-    return real_numbers(
+    return header.real_numbers(
         path, "space directions", "none" if vector is None else vector.replace(",", " "), count
     )
 
@@ -303,7 +295,7 @@ def _origin(path: Path, fields: dict[str, str], count: int) -> FloatArray:
     text = fields.get("space origin", f"({','.join(['0'] * count)})")
     match = _VECTOR.fullmatch(text)
     inside = text if match is None or match[1] is None else match[1].replace(",", " ")
-    return real_numbers(path, "space origin", inside, count)
+    return header.real_numbers(path, "space origin", inside, count)
 
 
 def _without_space(
@@ -320,9 +312,9 @@ def _without_space(
     begins = fields.get("axis mins", "").lower().split()
     first = " ".join("0" if a >= len(begins) or begins[a] == "nan" else begins[a] for a in axes)
     log.warning("%s does not state the direction of its axes: left, posterior, superior are assumed", path)
-    spacing = real_numbers(path, "spacings", chosen, 3)
-    origin = real_numbers(path, "axis mins", first, 3)
-    return origin, *sides_and_directions(path, np.diag(spacing))
+    spacing = header.real_numbers(path, "spacings", chosen, 3)
+    origin = header.real_numbers(path, "axis mins", first, 3)
+    return origin, *header.sides_and_directions(path, np.diag(spacing))
 
 
 def _require_millimetres(path: Path, name: str, fields: dict[str, str], axes: list[int]) -> None:

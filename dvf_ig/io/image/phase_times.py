@@ -6,8 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dvf_ig.core.arrays import FloatArray, IntArray, read_only_arrays
-from dvf_ig.core.errors import UnreadableFileError
+from dvf_ig.core import FloatArray, IntArray, UnreadableFileError, read_only_arrays
 from dvf_ig.core.plausible import RR_S
 from dvf_ig.core.timing.cycle import CycleTiming, require_whole_cycle
 
@@ -113,10 +112,8 @@ class PhaseTimes:
         scale = self._scale() or next((s for s in (1.0, 1e-3) if _is_cycle(s * (times[-1] + step))), None)
         if scale is None or (self.nominal and not _is_cycle(scale * float(times[-1] + step))):
             log.warning(
-                "%s: %s states times of %s, which are no cycle of a heart: not used",
-                path,
-                self.field,
-                self._range(),
+                f"{path}: {self.field} states times of {self._range()}, which are no cycle of a heart: not "
+                "used"
             )
             return None
         rr_s = scale * float(times[-1] + step)

@@ -6,10 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from dvf_ig.core.arrays import FloatArray
-from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
+from dvf_ig.core import FloatArray, InvalidInputError, Points, Seeds, UnreadableFileError
 from dvf_ig.core.plausible import spread_problem
-from dvf_ig.core.space.points import Points, Seeds
 from dvf_ig.io import limits
 from dvf_ig.io.json_file import read_json
 from dvf_ig.io.landmarks import named_points

@@ -20,33 +20,28 @@ _SAME = 0.02
 
 
 def read_timing(
-    path: Path | str | None, *, folder: Path, phases: int, image: str | None = None, rr_s: float | None = None
+    path: Path | str | None, *, folder: Path, phases: int, image: str | None = None
 ) -> CycleTiming:
     """Read the timing of `phases` phases.
 
     Args:
-        path: the timing file; None looks for `timing.json` in `folder`; otherwise phase i is at i/N,
-            marked as assumed.
+        path: the timing file; None looks for `timing.json` in `folder`; otherwise phase i is at i/N
+            of an RR of 1.0 s, both marked as assumed.
         folder: of the data.
         phases: how many phases the data have.
         image: name of the image file, for a timing file that lists several.
-        rr_s: RR interval that overrides the file's; without file and without it, 1.0 s, marked as assumed.
     Raises:
         UnreadableFileError: absent, not a timing file, or of another number of phases.
     """
     if path is None:
         path = folder / "timing.json"
         if not path.is_file():
-            if rr_s is None:
-                return CycleTiming.uniform(phases, ASSUMED_RR_S, rr_assumed=True)
-            return CycleTiming.uniform(phases, rr_s)
+            return CycleTiming.uniform(phases, ASSUMED_RR_S, rr_assumed=True)
     path = Path(path)
     with reading(path, "a timing file"):
         timing = _parse(path, read_json(path, "a timing file"), image)
         if len(timing) != phases:
             raise UnreadableFileError(f"{path} times {len(timing)} phases, the data have {phases}")
-        if rr_s is not None:
-            timing = CycleTiming(timing.fractions, rr_s, timing_assumed=timing.timing_assumed)
         return timing
 
 
@@ -86,10 +81,8 @@ def timing_from_document(path: Path, document: Any) -> CycleTiming:
         timing = CycleTiming(np.array(fractions, dtype=np.float64), float(document["rr_s"]), *assumed)
         if timing.rr_s < 1 and abs(_end(timing) - timing.rr_s) < _SAME * timing.rr_s:
             log.warning(
-                "%s: its fractions would end the cycle at %.3g, as times in s of its rr_s do; they are read "
-                "as shares of the cycle",
-                path,
-                _end(timing),
+                f"{path}: its fractions would end the cycle at {_end(timing):.3g}, as times in s of its "
+                "rr_s do; they are read as shares of the cycle"
             )
         return timing
     except (TypeError, ValueError, OverflowError) as exc:

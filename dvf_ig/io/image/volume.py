@@ -6,12 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from dvf_ig.core.arrays import AnyArray, FloatArray
-from dvf_ig.core.errors import InvalidInputError, OutputError, UnreadableFileError
+from dvf_ig.core import AnyArray, CycleTiming, FloatArray, InvalidInputError, OutputError, UnreadableFileError
 from dvf_ig.core.plausible import SCANNER_MM
 from dvf_ig.core.space.rigid import rigidity_defect
 from dvf_ig.core.space.volume import Grid, Volume, VolumeSeries
-from dvf_ig.core.timing.cycle import CycleTiming
 from dvf_ig.io import limits
 from dvf_ig.io.dicom.cine import is_dicom_folder, read_dicom_cine
 from dvf_ig.io.reading import reading

@@ -5,8 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dvf_ig.core.arrays import AnyArray
-from dvf_ig.core.errors import UnreadableFileError
+from dvf_ig.core import AnyArray, UnreadableFileError
 from dvf_ig.io import limits
 from dvf_ig.io.inflate import MOST_PACKED, inflated, require_size
 from dvf_ig.io.provenance import record_file

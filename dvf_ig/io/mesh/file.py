@@ -9,9 +9,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from dvf_ig.core.arrays import BoolArray
-from dvf_ig.core.errors import OutputError, UnreadableFileError
-from dvf_ig.core.space.mesh import Mesh
+from dvf_ig.core import BoolArray, Mesh, OutputError, UnreadableFileError
 from dvf_ig.io import limits
 from dvf_ig.io.reading import read_bytes, reading
 from dvf_ig.io.writing.atomic import write_bytes

@@ -210,7 +210,8 @@ def _uniform_lengths(body: memoryview, at: int, element: _Element, order: str) -
     if at + record.itemsize * element.count > len(body):
         return None
     rows = np.frombuffer(body, record, element.count, at)
-    same = all((rows[f"#{name}"] == k).all() for name, k in zip(_list_names(element), lengths, strict=True))
+    names = [name for name, _, kind in element.properties if kind]
+    same = all((rows[f"#{name}"] == k).all() for name, k in zip(names, lengths, strict=True))
     return lengths if same else None
 
 
@@ -267,7 +268,3 @@ def _record_type(element: _Element, order: str, lengths: tuple[int, ...]) -> np.
         else:
             fields.append((name, order + kind))
     return np.dtype(fields)
-
-
-def _list_names(element: _Element) -> list[str]:
-    return [name for name, _, kind in element.properties if kind]

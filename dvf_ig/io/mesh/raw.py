@@ -4,8 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from dvf_ig.core import read_only_arrays
-from dvf_ig.core.arrays import AnyArray, FloatArray, IntArray
+from dvf_ig.core import AnyArray, FloatArray, IntArray, read_only_arrays
 
 
 class MeshFormatError(Exception):

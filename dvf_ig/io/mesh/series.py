@@ -10,10 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
+from dvf_ig.core import CycleTiming, InvalidInputError, SurfaceSeries, UnreadableFileError
 from dvf_ig.core.plausible import surface_problem
-from dvf_ig.core.space.mesh import SurfaceSeries
-from dvf_ig.core.timing.cycle import CycleTiming
 from dvf_ig.io import limits
 from dvf_ig.io.image.timing import read_timing, write_timing
 from dvf_ig.io.provenance import record_file
@@ -49,7 +47,6 @@ def read_surface_series(
     folder: Path | str,
     name: str = "EPICARDIAL",
     timing_file: CycleTiming | Path | str | None = None,
-    rr_s: float | None = None,
     frame: str = "mr",
 ) -> SurfaceSeries:
     """Read the files `<patient>_<NAME>_<number>.<obj|stl|ply|vtp>` of one surface, in order of their number.
@@ -61,7 +58,6 @@ def read_surface_series(
         name: which surface.
         timing_file: phase times or their file (see `read_timing`); None uses `timing.json` in the folder,
             else phase i is at i/N of an RR of 1.0 s, both marked as assumed.
-        rr_s: RR interval that overrides the file's.
         frame: name of the meshes' LPS frame.
     Returns:
         the series; the patient id is the prefix of the surface's name, "unknown" without one.
@@ -80,7 +76,7 @@ def read_surface_series(
         timing = (
             timing_file
             if isinstance(timing_file, CycleTiming)
-            else read_timing(timing_file, folder=folder, phases=len(files), rr_s=rr_s)
+            else read_timing(timing_file, folder=folder, phases=len(files))
         )
         for file, mesh in zip(files, meshes, strict=True):
             if problem := surface_problem(mesh.vertices):

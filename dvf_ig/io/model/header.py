@@ -6,13 +6,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from dvf_ig.core.arrays import AnyArray
-from dvf_ig.core.errors import InvalidInputError
-from dvf_ig.core.model import Chamber
-from dvf_ig.core.space.mesh import Mesh
-from dvf_ig.core.space.volume import Grid, Volume
-from dvf_ig.core.space.warp import Warp
-from dvf_ig.core.tissue import Tissue
+from dvf_ig.core import AnyArray, Chamber, Grid, InvalidInputError, Mesh, Tissue, Volume, Warp
 from dvf_ig.io import limits
 
 

@@ -9,12 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from dvf_ig.core.arrays import AnyArray
-from dvf_ig.core.errors import UnreadableFileError
-from dvf_ig.core.model import DvfModel
-from dvf_ig.core.seen_part import SeenPart
-from dvf_ig.core.space.mesh import Mesh
-from dvf_ig.core.timing.cycle import CycleTiming
+from dvf_ig.core import AnyArray, CycleTiming, DvfModel, Mesh, SeenPart, UnreadableFileError
 from dvf_ig.io.limits import MODEL_BYTES
 from dvf_ig.io.npz import read_npz, require_npz_sizes
 from dvf_ig.io.reading import read_bytes, reading

@@ -14,8 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dvf_ig.core.arrays import BoolArray, FloatArray, IntArray, read_only_arrays
-from dvf_ig.core.errors import InvalidInputError
+from dvf_ig.core import BoolArray, FloatArray, IntArray, InvalidInputError, read_only_arrays
 
 FEWEST_BATCHES = 10
 SMALLEST_DELAYS = 0.05

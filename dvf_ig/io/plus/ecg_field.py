@@ -23,9 +23,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dvf_ig.core.arrays import BoolArray, FloatArray, IntArray, read_only_arrays
+from dvf_ig.core import BoolArray, FloatArray, IntArray, Signal, read_only_arrays
 from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
-from dvf_ig.core.recordings.signal import Signal
 from dvf_ig.io.reading import read_bytes, reading
 from dvf_ig.io.writing.atomic import write_bytes
 
@@ -217,14 +216,9 @@ def _raster(path: Path, field: str, batches: _Batches, stated_hz: float | None) 
             f"{path}: {field}Rate is {stated_hz:g} Hz, but {times.rate_hz:.4g} Hz was recorded"
         )
     log.warning(
-        "%s: the ECG times in field %s are estimated from the time stamps of %d frames: %.5g Hz from %.3f s, "
-        "accurate to about %.0f ms",
-        path,
-        field,
-        len(counts),
-        times.rate_hz,
-        times.start_s,
-        max(1.0, 1000 * times.spread_s),
+        f"{path}: the ECG times in field {field} are estimated from the time stamps of {len(counts)} "
+        f"frames: {times.rate_hz:.5g} Hz from {times.start_s:.3f} s, accurate to about "
+        f"{max(1.0, 1000 * times.spread_s):.0f} ms"
     )
     return _Raster(times.rate_hz, times.start_s, first)
 

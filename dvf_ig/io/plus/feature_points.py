@@ -4,10 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dvf_ig.core.arrays import FloatArray
-from dvf_ig.core.errors import UnreadableFileError
-from dvf_ig.core.recordings.sequence import TrackedSequence
-from dvf_ig.core.recordings.stream import PoseStream
+from dvf_ig.core import FloatArray, PoseStream, TrackedSequence, UnreadableFileError
 from dvf_ig.io import limits
 from dvf_ig.io.number_table import read_number_table
 from dvf_ig.io.reading import reading

@@ -7,13 +7,9 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from dvf_ig.core.arrays import FloatArray, IntArray
+from dvf_ig.core import FloatArray, IntArray, LatencyRecording, PoseStream, Trace, TrackedSequence
 from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
 from dvf_ig.core.plausible import period_problem
-from dvf_ig.core.recordings.scenario import LatencyRecording
-from dvf_ig.core.recordings.sequence import TrackedSequence
-from dvf_ig.core.recordings.signal import Trace
-from dvf_ig.core.recordings.stream import PoseStream
 from dvf_ig.io import limits
 from dvf_ig.io.reading import reading
 

@@ -7,9 +7,7 @@ tracker_from_probe. Frame names are camel case there, lower snake case here: "St
 import re
 from dataclasses import dataclass
 
-from dvf_ig.core.errors import InvalidInputError
-from dvf_ig.core.recordings.sequence import TrackedSequence
-from dvf_ig.core.recordings.stream import PoseStream
+from dvf_ig.core import InvalidInputError, PoseStream, TrackedSequence
 from dvf_ig.core.space.frames import check_frame
 
 _TRANSFORM = re.compile(r"(.+?)To([A-Z].*)")

@@ -5,8 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dvf_ig.core.arrays import FloatArray
-from dvf_ig.core.errors import UnreadableFileError
+from dvf_ig.core import FloatArray, UnreadableFileError
 
 from .raw_sequence import RawSequence
 

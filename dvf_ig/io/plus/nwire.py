@@ -7,14 +7,10 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from dvf_ig.core.arrays import FloatArray
-from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
+from dvf_ig.core import FloatArray, InvalidInputError, PoseStream, Rigid, TrackedSequence, UnreadableFileError
 from dvf_ig.core.plausible import phantom_problem
 from dvf_ig.core.recordings.phantom import NWirePhantom, NWireRecording, Wire, WireSearch
-from dvf_ig.core.recordings.sequence import TrackedSequence
-from dvf_ig.core.recordings.stream import PoseStream
 from dvf_ig.core.space.points import Landmarks, Points
-from dvf_ig.core.space.rigid import Rigid
 from dvf_ig.io import limits
 from dvf_ig.io.reading import reading
 from dvf_ig.io.transform import rigid_from_matrix

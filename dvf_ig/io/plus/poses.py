@@ -7,10 +7,8 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from dvf_ig.core.arrays import BoolArray, FloatArray
-from dvf_ig.core.errors import InvalidInputError, UnreadableFileError
+from dvf_ig.core import BoolArray, FloatArray, InvalidInputError, TrackedSequence, UnreadableFileError
 from dvf_ig.core.plausible import identities, marker_problem, period_problem
-from dvf_ig.core.recordings.sequence import TrackedSequence
 from dvf_ig.core.recordings.stream import PoseStream
 from dvf_ig.io import limits
 from dvf_ig.io.number_table import NumberTable, read_number_table, scaled
@@ -75,10 +73,8 @@ def recorded_poses(path: Path, target: str | None = None, source: str | None = N
         limits.require_lengths(matrices[valid], "a pose")
         if not valid.all():
             log.warning(
-                "%s: %d of %d poses were lost (nan, empty, zero, exactly the identity, or marked so)",
-                path,
-                (~valid).sum(),
-                len(valid),
+                f"{path}: {(~valid).sum()} of {len(valid)} poses were lost (nan, empty, zero, exactly the "
+                "identity, or marked so)"
             )
         if problem := period_problem(times):
             log.warning("%s has %s", path, problem)
@@ -165,9 +161,8 @@ def _read_table(path: Path) -> tuple[FloatArray, FloatArray]:
     unseen = ~position.any(axis=1) & position.any()
     if unseen.any():
         log.warning(
-            "%s: %d poses lie exactly at the origin, as programs write poses that were lost, and count so",
-            path,
-            np.count_nonzero(unseen),
+            f"{path}: {np.count_nonzero(unseen)} poses lie exactly at the origin, as programs write poses "
+            "that were lost, and count so"
         )
     lost = np.isnan(pose).any(axis=1) | unseen | ~pose.any(axis=1) | ~_marked_valid(path, table)
     norm = np.where(lost, 1.0, np.linalg.norm(quaternion, axis=1))

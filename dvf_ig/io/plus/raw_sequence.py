@@ -12,8 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from dvf_ig.core.arrays import AnyArray, BoolArray, FloatArray
-from dvf_ig.core.errors import UnreadableFileError
+from dvf_ig.core import AnyArray, BoolArray, FloatArray, UnreadableFileError
 from dvf_ig.io import limits
 from dvf_ig.io.file_within import file_within
 from dvf_ig.io.inflate import inflated, require_size
@@ -162,25 +161,41 @@ def _read_metaimage(path: Path, data: bytes, read_pixels: bool) -> RawSequence:
         elif line.strip():
             raise UnreadableFileError(f"{path}: header line '{line.strip()[:60]}' is not 'name = value'")
     fields = header.fields
-    sizes = _integers(path, "DimSize", fields.get("DimSize"))
-    columns, rows, frames = _layout(path, sizes, fields.get("Kinds", "").split())
-    header.require_frames(frames)
-    if frames <= len(data):
-        header.complete(frames)
-    _require_nothing_skipped(path, fields, ("HeaderSize",))
-    expected = columns * rows * frames
-    if expected == 0 or not read_pixels:
-        return _without_pixels(path, header, (columns, rows, frames), len(data))
+    shape = _shape(header, "DimSize", fields.get("Kinds", ""), ("HeaderSize",), data)
+    if 0 in shape or not read_pixels:
+        return _without_pixels(path, header, shape, len(data))
     _require_uint8(path, fields.get("ElementType"), fields.get("ElementNumberOfChannels", "1"))
     if fields.get("BinaryData", "True").lower() != "true":
         raise UnreadableFileError(f"{path}: the pixels are stored as text; save the sequence as binary data")
     payload = _payload(path, data, end.end(), end[1].decode("utf-8", "replace").strip())
-    if fields.get("CompressedData", "False").lower() == "true":
-        pixels = _inflated(path, payload, expected)
-    else:
-        pixels = payload
+    packed = fields.get("CompressedData", "False").lower() == "true"
+    return _with_pixels(path, header, shape, payload, packed=packed)
+
+
+def _shape(
+    header: _Header, name: str, kinds: str, skips: tuple[str, ...], data: bytes
+) -> tuple[int, int, int]:
+    """Return columns, rows and frames by the field `name`, and complete the fields of the frames.
+
+    Raises:
+        UnreadableFileError: they do not fit the fields of frames, or bytes are to be skipped.
+    """
+    path, fields = header.path, header.fields
+    shape = _layout(path, _integers(path, name, fields.get(name)), kinds.split())
+    header.require_frames(shape[2])
+    if shape[2] <= len(data):
+        header.complete(shape[2])
+    _require_nothing_skipped(path, fields, skips)
+    return shape
+
+
+def _with_pixels(
+    path: Path, header: _Header, shape: tuple[int, int, int], payload: memoryview, *, packed: bool
+) -> RawSequence:
+    expected = shape[0] * shape[1] * shape[2]
+    pixels = _inflated(path, payload, expected) if packed else payload
     require_size(path, len(pixels), expected)
-    return RawSequence(fields, header.frame_fields, columns, rows, frames, pixels)
+    return RawSequence(header.fields, header.frame_fields, *shape, pixels)
 
 
 def _without_pixels(path: Path, header: _Header, shape: tuple[int, int, int], size: int) -> RawSequence:
@@ -204,26 +219,16 @@ def _read_nrrd(path: Path, data: bytes, read_pixels: bool) -> RawSequence:
             raise UnreadableFileError(f"{path}: header line '{line.strip()[:60]}' is not 'name: value'")
         header.add(name.strip(), value.removeprefix("=").strip())
     fields = header.fields
-    sizes = _integers(path, "sizes", fields.get("sizes"))
-    columns, rows, frames = _layout(path, sizes, fields.get("kinds", "").split())
-    header.require_frames(frames)
-    if frames <= len(data):
-        header.complete(frames)
-    _require_nothing_skipped(path, fields, ("line skip", "lineskip", "byte skip", "byteskip"))
-    expected = columns * rows * frames
-    if expected == 0 or not read_pixels:
-        return _without_pixels(path, header, (columns, rows, frames), len(data))
+    skips = ("line skip", "lineskip", "byte skip", "byteskip")
+    shape = _shape(header, "sizes", fields.get("kinds", ""), skips, data)
+    if 0 in shape or not read_pixels:
+        return _without_pixels(path, header, shape, len(data))
     _require_uint8(path, fields.get("type"), "1")
     payload = _payload(path, data, start, fields.get("data file", fields.get("datafile", "LOCAL")))
     encoding = fields.get("encoding", "raw").lower()
-    if encoding in ("gzip", "gz"):
-        pixels = _inflated(path, payload, expected)
-    elif encoding == "raw":
-        pixels = payload
-    else:
+    if encoding not in ("raw", "gzip", "gz"):
         raise UnreadableFileError(f"{path}: encoding '{encoding}' is not supported; save it as raw or gzip")
-    require_size(path, len(pixels), expected)
-    return RawSequence(fields, header.frame_fields, columns, rows, frames, pixels)
+    return _with_pixels(path, header, shape, payload, packed=encoding != "raw")
 
 
 def _require_nothing_skipped(path: Path, fields: dict[str, str], names: tuple[str, ...]) -> None:

@@ -7,11 +7,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from dvf_ig.core.arrays import BoolArray, FloatArray, IntArray
-from dvf_ig.core.errors import UnreadableFileError
+from dvf_ig.core import BoolArray, FloatArray, IntArray, PoseStream, TrackedSequence, UnreadableFileError
 from dvf_ig.core.plausible import identities, period_problem
-from dvf_ig.core.recordings.sequence import TrackedSequence
-from dvf_ig.core.recordings.stream import PoseStream
 from dvf_ig.io import limits
 from dvf_ig.io.reading import reading
 
@@ -108,10 +105,11 @@ def indexed_sequence(path: Path, raw: RawSequence) -> tuple[TrackedSequence, Int
         t_s = t_s[order]
         stored = require_orientation(path, raw.orientation)
         turned = turned_orientation(stored) if raw.columns else None
+        status = "ImageStatus" if "ImageStatus" in raw.frame_fields else "Status"  # the second in NRRD files
         sequence = TrackedSequence(
             t_s=t_s,
             images=_images(path, raw, order, stored),
-            image_valid=_statuses(path, raw, _image_status_field(raw))[order],
+            image_valid=_statuses(path, raw, status)[order],
             poses=_streams(path, raw, t_s, order),
             has_timestamps=has_timestamps,
             orientation=turned or stored,
@@ -133,11 +131,8 @@ def _times(path: Path, raw: RawSequence) -> tuple[FloatArray, bool]:
         )
     if bare.any():
         log.warning(
-            "%s: %d of %d frames have no Timestamp and are left out: %s",
-            path,
-            bare.sum(),
-            raw.frames,
-            _listed(np.flatnonzero(bare).tolist()),
+            f"{path}: {bare.sum()} of {raw.frames} frames have no Timestamp and are left out: "
+            f"{_listed(np.flatnonzero(bare).tolist())}"
         )
     try:
         t_s = np.array([float(texts[i]) if texts and not bare[i] else float(i) for i in range(raw.frames)])
@@ -165,25 +160,17 @@ def _usable_order(path: Path, t_s: FloatArray) -> IntArray:
     if restart is not None:
         latest_s = float(t_s[:restart].max())
         log.warning(
-            "%s: time jumps back by %.3f s at frame %d (from %.3f s to %.3f s), as when a clock restarts; "
-            "the %d frames from there on are not used: split the file there, or record again",
-            path,
-            latest_s - t_s[restart],
-            stamped[restart],
-            latest_s,
-            t_s[restart],
-            len(t_s) - restart,
+            f"{path}: time jumps back by {latest_s - t_s[restart]:.3f} s at frame {stamped[restart]} (from "
+            f"{latest_s:.3f} s to {t_s[restart]:.3f} s), as when a clock restarts; the {len(t_s) - restart} "
+            "frames from there on are not used: split the file there, or record again"
         )
     order = np.argsort(t_s[:frames], kind="stable")
     unique = order[np.concatenate([[True], np.diff(t_s[order]) > 0])]
     late = int(np.count_nonzero(np.diff(t_s[:frames]) < 0))
     if len(unique) < frames or late:
         log.warning(
-            "%s: dropped %d of %d frames that repeat a time stamp; time runs backwards at %d places, sorted",
-            path,
-            frames - len(unique),
-            frames,
-            late,
+            f"{path}: dropped {frames - len(unique)} of {frames} frames that repeat a time stamp; time runs "
+            f"backwards at {late} places, sorted"
         )
     return np.asarray(stamped[unique], dtype=np.int64)
 
@@ -205,10 +192,7 @@ def _images(path: Path, raw: RawSequence, order: IntArray, stored: str) -> NDArr
     in_order = len(order) == raw.frames and bool((np.diff(order) > 0).all())
     if turned := turned_orientation(stored):
         log.warning(
-            "%s: its images are stored as %s and were turned to %s, in which PLUS calibrates",
-            path,
-            stored,
-            turned,
+            f"{path}: its images are stored as {stored} and were turned to {turned}, in which PLUS calibrates"
         )
     elif stored[0] in "FN":
         log.warning("%s holds lines of the transducer (%s), not scan-converted images", path, stored)
@@ -250,11 +234,6 @@ def _statuses(path: Path, raw: RawSequence, name: str) -> BoolArray:
     return np.array([texts.get(i, absent) == "OK" for i in range(raw.frames)])
 
 
-def _image_status_field(raw: RawSequence) -> str:
-    """Return the name of the image status: ImageStatus in MetaImage files, Status in NRRD files."""
-    return "ImageStatus" if "ImageStatus" in raw.frame_fields else "Status"
-
-
 def _streams(path: Path, raw: RawSequence, t_s: FloatArray, order: IntArray) -> dict[str, PoseStream]:
     streams: dict[str, PoseStream] = {}
     for field, (target, source) in _transform_fields(raw):
@@ -265,12 +244,9 @@ def _streams(path: Path, raw: RawSequence, t_s: FloatArray, order: IntArray) -> 
         unseen = valid & identities(matrices)
         if unseen.any() and not (source == "reference" and unseen.all()):
             log.warning(
-                "%s: %s is exactly the identity in %d of %d frames, as programs write a pose that was not "
-                "tracked, though its status is OK; these poses count as lost",
-                path,
-                field,
-                np.count_nonzero(unseen),
-                len(valid),
+                f"{path}: {field} is exactly the identity in {np.count_nonzero(unseen)} of {len(valid)} "
+                "frames, as programs write a pose that was not tracked, though its status is OK; these "
+                "poses count as lost"
             )
             valid &= ~unseen
         stream = PoseStream(target, source, t_s, matrices[:, :3, :3], matrices[:, :3, 3], valid)

@@ -6,11 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dvf_ig.core.arrays import FloatArray
-from dvf_ig.core.errors import InvalidInputError, OutputError
-from dvf_ig.core.recordings.sequence import TrackedSequence
-from dvf_ig.core.recordings.stream import PoseStream
-from dvf_ig.core.space.frames import RAS_FROM_LPS
+from dvf_ig.core import RAS_FROM_LPS, FloatArray, InvalidInputError, OutputError, PoseStream, TrackedSequence
 from dvf_ig.core.space.rigid import Rigid
 from dvf_ig.io.provenance import SEQUENCE_COMMENT
 from dvf_ig.io.writing.atomic import write_bytes

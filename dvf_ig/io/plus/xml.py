@@ -7,11 +7,8 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from dvf_ig.core import read_only_arrays
+from dvf_ig.core import RAS_FROM_LPS, Rigid, UnreadableFileError, read_only_arrays
 from dvf_ig.core.arrays import FloatArray, frozen_floats
-from dvf_ig.core.errors import UnreadableFileError
-from dvf_ig.core.space.frames import RAS_FROM_LPS
-from dvf_ig.core.space.rigid import Rigid
 from dvf_ig.io.provenance import MARKUP_COMMENT
 from dvf_ig.io.reading import read_bytes, reading
 from dvf_ig.io.writing.atomic import write_bytes

@@ -13,7 +13,7 @@ from dvf_ig.io.writing.atomic import write_text
 
 VERSION = "Slicer5.0.3"
 """Oldest version with these nodes: sequences became part of Slicer with 5.0."""
-GREY, LABELS = "vtkMRMLColorTableNodeGrey", "vtkMRMLColorTableNodeLabels"
+GREY = "vtkMRMLColorTableNodeGrey"
 
 
 @dataclass(slots=True)
@@ -45,14 +45,19 @@ class SlicerScene:
         references = {"display": display, "storage": storage, "transform": parent}
         return self._add("Volume", "vtkMRMLScalarVolumeNode", name, references, description)
 
-    def add_labels(self, name: str, file: str, *, description: str = "") -> str:
-        """Add a label image, whose outlines and colours Slicer lays over other images."""
-        storage = self._storage("VolumeArchetypeStorage", "vtkMRMLVolumeArchetypeStorageNode", name, file)
+    def add_segmentation(self, name: str, file: str, *, description: str = "") -> str:
+        """Add a segmentation, whose outlines Slicer lays over images (`write_segmentation`)."""
+        storage = self._storage("SegmentationStorage", "vtkMRMLSegmentationStorageNode", name, file)
         display = self._add(
-            "LabelMapVolumeDisplay", "vtkMRMLLabelMapVolumeDisplayNode", f"{name} display", {"color": LABELS}
+            "SegmentationDisplay",
+            "vtkMRMLSegmentationDisplayNode",
+            f"{name} display",
+            {},
+            visibility="true",
+            visibility2D="true",
         )
         references = {"display": display, "storage": storage}
-        return self._add("LabelMapVolume", "vtkMRMLLabelMapVolumeNode", name, references, description)
+        return self._add("Segmentation", "vtkMRMLSegmentationNode", name, references, description)
 
     def add_model(
         self, name: str, file: str, *, visible: bool, color: tuple[float, float, float], description: str = ""

@@ -147,11 +147,8 @@ def _name_leftovers(parent: Path) -> None:
             _warned.add(path)
             size = sum(one.lstat().st_size for one in path.rglob("*") if one.is_file())
             _LOG.warning(
-                "%s (%.1f MB) was left by a program that was killed while it wrote; nothing uses it, remove "
-                "it with: rm -r '%s'",
-                path,
-                size / 1e6,
-                path,
+                f"{path} ({size / 1e6:.1f} MB) was left by a program that was killed while it wrote; "
+                f"nothing uses it, remove it with: rm -r '{path}'"
             )
 
 

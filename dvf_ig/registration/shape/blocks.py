@@ -216,6 +216,17 @@ class BlockedMatch:
         """(n, 3) middles of the blocks at a pose, target frame."""
         return pose.apply_array((self.cell.astype(np.float64) + 0.5) * BLOCK_MM)
 
+    def similarity_expansion(self, pose: Rigid, shift_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(n, 3) gradient and (n, 3, 3) curvature of LC2's −log likelihood by a displacement of every block.
+
+        Args:
+            shift_mm: (n, 3) by which each block is displaced at a pose already, target frame.
+        """
+        of_slices = self._lc2.shifted(pose, shift_mm[self._of_lc2], self._center_mm).gradient[:, SHIFT]
+        gradient = np.zeros((len(self), 3))
+        np.add.at(gradient, self._of_lc2, self._scale * of_slices)
+        return gradient, self._lc2_curvature[:, SHIFT, SHIFT]
+
     def costs(self, pose: Rigid, shift_mm: FloatArray, offset_mm: float) -> tuple[BlockCosts, Influences]:
         """To second order about a pose and a displacement of every block.
 

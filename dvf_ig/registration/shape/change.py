@@ -18,6 +18,7 @@ from dvf_ig.registration.boundary.fit import Boundary
 from dvf_ig.registration.boundary.target import BoundaryTarget
 from dvf_ig.registration.pose_chart import DISTINCT_MM, rigid_motion
 
+from .blocks import BlockedMatch
 from .modes import ShapeModes, shape_modes
 from .posterior import FIXED, SeenBoundary, ShapePosterior, ShapeProblem
 
@@ -38,10 +39,13 @@ LEAST_EVIDENCE = 20.0
 threshold hearts that have not."""
 LEAST_POINTS = 150
 """Points near the model's boundary below which nothing is said of the shape."""
-SIGMA_FACTOR, SIGMA_FLOOR_MM, SIGMA_SHARE = 1.3, 0.4, 0.13
+SIGMA_FACTOR, SIGMA_FLOOR_MM, SIGMA_SHARE = 1.15, 0.3, 0.13
 """Standard deviations of prior and noise count SIGMA_FACTOR times; to them are added SIGMA_FLOOR_MM and
-SIGMA_SHARE of the scale, which no point near by removes. From threshold hearts 2106 to 2110, 0 to 5 mm
-different: errors are 0.8 to 1.2 of the sum in every range of it, of seen and of unseen walls."""
+SIGMA_SHARE of the scale, which no point near by removes. From 24 changes of threshold hearts 2132 to 2140,
+1.2 to 7 mm: errors are 0.9 to 1.0 of the sum where the wall is seen, 0.7 to 1.1 where it is not."""
+SCALE_SPREAD = 0.05
+"""Half the variance of a heart's mean square error as a share of its square, beyond what covariances between
+walls make it: of the same hearts it is 0.44 to 1.6 of the mean variance that is stated."""
 MARGIN_MM = 30.0
 """How far the pull-back is given beyond the walls."""
 WALL_MM = (-12.0, 2.0)
@@ -93,7 +97,8 @@ class GuardedWalls:
     Attributes:
         square_of_motion: (6, 6) M: ξ of `PoseChart` moves them along their normals by ξᵀMξ in mean square.
         variance_mm2: mean variance of their place along their normals, the registered pose's included.
-        square_mm4: mean square of the covariances between them.
+        square_mm4: half the variance of their mean square error over hearts, by the covariances between them
+            and by how hearts differ.
     """
 
     square_of_motion: FloatArray
@@ -178,6 +183,7 @@ def change_of_shape(
     center_mm: FloatArray,
     organ: BoundaryTarget | None = None,
     least_mm: float = PLAINLY_RIGID_MM,
+    match: BlockedMatch | None = None,
 ) -> ShapeChange | None:
     """Estimate the change of shape at a registered pose; None if the boundary shows none.
 
@@ -187,13 +193,14 @@ def change_of_shape(
         offset_mm: of the boundary, see `BoundaryFit`.
         organ: outer surface of the organ, which says where its walls are thin.
         least_mm: RMS shift of the seen walls by the first fit below which nothing further is computed.
+        match: blocks of images, whose LC2 counts beside the boundary; None: the boundary alone.
     """
     modes = modes_of(boundary.target, tuple(center_mm.tolist()))
-    seen = SeenBoundary(boundary, offset_mm, pose, organ)
+    seen = SeenBoundary(boundary, offset_mm, pose, organ, match)
     problem = ShapeProblem(seen, modes, MODES)
     if len(problem) < LEAST_POINTS:
         return None
-    about = problem.fit(ABOUT_SCALE_MM, NOISE_FACTORS[0])
+    about = problem.fit(ABOUT_SCALE_MM, NOISE_FACTORS[0], images=True)
     if np.linalg.norm(about.state[:6]) > DISTINCT_MM or _rms(problem.shift_mm(about)) < least_mm:
         return None
     problem = ShapeProblem(seen, modes, MODES, about)
@@ -203,6 +210,7 @@ def change_of_shape(
     evidence = best.log_evidence - problem.fit(0.0, noise).log_evidence
     if evidence < LEAST_EVIDENCE:
         return None
+    best = problem.fit(best.scale_mm, noise, best, images=True)
     change = _change(boundary.target, problem, modes, best, evidence)
     if change.followed is None:
         return change
@@ -320,7 +328,7 @@ def _guarded_walls(target: BoundaryTarget, modes: ShapeModes, best: ShapePosteri
     motion = np.einsum("ni,nip->np", normals, rigid_motion(places, modes.center_mm))[served]
     # what the fit leaves out is taken to have the correlation of what it states
     alike = float(((columns.T @ columns) ** 2).sum() / (columns**2).sum() ** 2)
-    return GuardedWalls(motion.T @ motion / len(motion), variance, variance**2 * alike)
+    return GuardedWalls(motion.T @ motion / len(motion), variance, variance**2 * (alike + SCALE_SPREAD))
 
 
 def _most_moved(

@@ -29,6 +29,7 @@ from dvf_ig.registration.boundary.points import edges_of_model_mm
 from dvf_ig.registration.boundary.target import BoundaryTarget
 from dvf_ig.registration.pose_chart import rigid_motion
 
+from .blocks import BlockedMatch
 from .modes import ShapeModes
 
 NOISE_MM = 0.5
@@ -67,7 +68,7 @@ class ShapePosterior:
         state: (FIXED + k,) mm: ξ in the coordinates of `PoseChart`, o, τ, z.
         covariance_mm2: (FIXED + k, FIXED + k) of the state.
         scale_mm: s; 0 if the heart was taken to be rigid.
-        log_evidence: up to a constant that fits of one problem share.
+        log_evidence: up to a constant that fits of one problem share; of the boundary alone.
         shared: mean square of the shared error's coefficients w, a priori 1.
     """
 
@@ -87,12 +88,34 @@ class SeenBoundary:
         offset_mm: of the points from the model's boundary, about which it is free.
         pose: target_from_source.
         organ: outer surface, from which depths are measured; None: no wall counts as thin.
+        match: blocks of the images that show the boundary; None if the boundary counts alone.
     """
 
     boundary: Boundary
     offset_mm: float
     pose: Rigid
     organ: BoundaryTarget | None
+    match: BlockedMatch | None
+
+
+class ImagedBlocks:
+    """Blocks of images that a change of shape displaces, by LC2."""
+
+    def __init__(self, match: BlockedMatch, pose: Rigid, modes: ShapeModes, count: int) -> None:
+        """Evaluate the first modes at the blocks of a match at a pose."""
+        places = match.places_mm(pose)
+        fixed = np.zeros((len(places), 3, FIXED))
+        fixed[:, :, :6] = rigid_motion(places, modes.center_mm)
+        self._match, self._pose = match, pose
+        self._columns = np.concatenate([fixed, -modes.at(places, count)], axis=2)
+
+    def expansion(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(k, k) curvature and (k,) gradient of −log likelihood by a state of k unknowns."""
+        columns = self._columns[:, :, : len(state)]
+        gradient, curvature = self._match.similarity_expansion(self._pose, columns @ state)
+        bent = np.einsum("bij,bjk->bik", curvature, columns)
+        flat = columns.reshape(-1, columns.shape[2])
+        return flat.T @ bent.reshape(flat.shape), flat.T @ gradient.ravel()
 
 
 class ShapeProblem:
@@ -152,16 +175,18 @@ class ShapeProblem:
         every = modes.variance_along(feet, gradient[near])
         self._left_out = np.maximum(every - (inside**2).sum(axis=1), 0.0)
         self._shared = shared_error(oriented.points[near])
+        self._blocks = None if seen.match is None else ImagedBlocks(seen.match, pose, modes, count)
 
     def __len__(self) -> int:
         return len(self.places_mm)
 
     def part(self, keep: BoolArray) -> "ShapeProblem":
-        """Keep some of the points."""
+        """Keep some of the points, without the images."""
         some = copy(self)
         for name, of_points in vars(self).items():
-            if name not in ("_splines", "_offset_mm"):
+            if name not in ("_splines", "_offset_mm", "_blocks"):
                 setattr(some, name, of_points[keep])
+        some._blocks = None
         return some
 
     def _distance(self, places_mm: FloatArray, phases: IntArray) -> tuple[FloatArray, FloatArray]:
@@ -171,7 +196,13 @@ class ShapeProblem:
         return distance, gradient
 
     def fit(
-        self, scale_mm: float, noise: float, begin: ShapePosterior | None = None, steps: int = STEPS
+        self,
+        scale_mm: float,
+        noise: float,
+        begin: ShapePosterior | None = None,
+        steps: int = STEPS,
+        *,
+        images: bool = False,
     ) -> ShapePosterior:
         """Fit at one scale of the change of shape; 0 keeps the heart rigid.
 
@@ -179,6 +210,7 @@ class ShapeProblem:
             noise: factor on NOISE_MM and SHARED_MM.
             begin: fit to begin at.
             steps: most steps with OUTLIER_MM.
+            images: whether LC2 of the images counts as well, at steps with OUTLIER_MM.
         """
         modes = self._modes if scale_mm > 0 else self._modes[:, :, :0]
         count, rows = modes.shape[2], noise * self._shared
@@ -203,6 +235,9 @@ class ShapeProblem:
             mixed, last = half[:, :-1], half[:, -1]
             reduced = expected.T @ expected - mixed.T @ mixed + np.diag(prior)
             slope = expected.T @ (root * residual) + prior * state - mixed.T @ last
+            if images and self._blocks is not None and step >= len(far):
+                curvature, gradient = self._blocks.expansion(state)
+                reduced, slope = reduced + curvature, slope + gradient
             change = -np.linalg.solve(reduced, slope)
             state = state + change
             w = w + solve_triangular(lower, last + mixed @ change, trans=1, lower=True, check_finite=False)

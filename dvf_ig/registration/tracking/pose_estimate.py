@@ -221,7 +221,7 @@ class PoseEstimate:
 
         A registration's `tre_bound_mm` is on the largest error over them instead. Of a heart whose shape is
         followed the pose alone says little: the error is that of the guarded walls along their normals, by
-        `walls` and by what beats have moved them since.
+        `walls`, and by how far the heart may have moved since.
 
         Source: Satterthwaite 1946 (a quadratic form as a scaled χ² of the same mean and variance).
         """
@@ -238,12 +238,17 @@ class PoseEstimate:
         return replace(self, covariance_mm2=self.covariance_mm2 + beats * PROCESS_NOISE_MM**2 * np.eye(6))
 
     def update(self, offset_information_mm: FloatArray, information: FloatArray) -> "PoseEstimate":
-        """The estimate with one more measurement.
+        """The estimate with one more measurement, the same while a change of shape is followed.
+
+        Its walls are where the registration saw them. A beat's own view, compared as a rigid heart's, would
+        draw them aside from beat to beat (docs/decisions/0042).
 
         Args:
             offset_information_mm: (6,) Jξ, per mm, with ξ in the coordinates of `PoseChart` about `pose`.
             information: (6, 6) J, per mm².
         """
+        if self.warp is not None:
+            return self
         covariance = np.asarray(np.linalg.inv(np.linalg.inv(self.covariance_mm2) + information))
         offset = covariance @ offset_information_mm
         pose = PoseChart(self.pose, self.center_mm).pose(offset)

@@ -58,7 +58,7 @@ _HOW = (
     ("README.md", "this text"),
     (".seq.mha", "Add Data as *Transform Sequence*; Sequences module to play it"),
     (".seq.nrrd", "Add Data as *Volume Sequence*; Sequences module to play it"),
-    (".nrrd", "Add Data as *Volume* with *LabelMap* on"),
+    (".seg.nrrd", "Add Data as *Segmentation*; each segment's tags hold its tissue's properties"),
     (".tfm", "Add Data as *Transform*; apply it as loaded"),
     (".mha", "Add Data as *Volume*"),
     (".stl", "Add Data as *Model* (LPS, as the file says)"),

@@ -1,7 +1,7 @@
 """Run or registration as a 3D Slicer scene folder: the recording, placed in the patient.
 
     scene (RAS, the pre-operative images)
-    ├─ mr, heart_…, heart_now_…, targets, landmarks_mr
+    ├─ mr, labels, heart_…, heart_now_…, targets, landmarks_mr
     └─ TrackerToRas          the registration; a sequence if there were updates
        ├─ ProbeToTracker     at the moment that each image shows
        │  └─ ImageToProbe    calibration, pixels to mm
@@ -28,23 +28,28 @@ from dvf_ig.core import (
     Landmarks,
     Mesh,
     Points,
+    Tissue,
     Volume,
     Warp,
     read_only_arrays,
 )
 from dvf_ig.core.space.frames import RAS_FROM_LPS
+from dvf_ig.guidance.tissue import TissueClass, class_of
 from dvf_ig.io import write_mesh, write_text, write_volume
 from dvf_ig.io.plus.names import join_transform, split_transform
 from dvf_ig.io.plus.sequence_write import write_transform_sequence
 from dvf_ig.io.slicer.mrml import SlicerScene
 from dvf_ig.io.slicer.nodes import (
+    Segment,
     pixel_grid,
     write_node_points,
     write_node_transform,
+    write_segmentation,
     write_volume_sequence,
 )
 from dvf_ig.kernels.warp import LARGEST_SIGMA_MM
 from dvf_ig.report.registration.shape import shape_shown
+from dvf_ig.report.style import label_color
 from dvf_ig.session.gated_frames import smoothed_poses
 
 from .exported_run import ExportedRun
@@ -163,9 +168,12 @@ def _patient(out: SceneFolder, model: DvfModel) -> None:
         of_cycle = out.scene.add_sequence("mr cycle", sequence, index="phase", unit="RR")
         out.scene.add_browser("heart cycle", [(of_cycle, mr)], rate_hz=len(index) / preop.mr.timing.rr_s)
     if model.tissue is not None:
-        labels, named = "labels.nrrd", ", ".join(f"{value} {name}" for value, name in model.tissue.names)
-        write_volume(model.tissue.labels, out.place(labels, "mr"))
-        out.scene.add_labels("labels", labels, description=f"end-diastole: {named}")
+        name = "labels.seg.nrrd"
+        shown = _labels_now(model.tissue, model, out.run.warp)
+        write_segmentation(out.place(name, "mr"), shown, [_segment(*one) for one in model.tissue.names])
+        out.scene.add_segmentation(
+            "labels", name, description="tissue at end-diastole, as the patient has it"
+        )
     for phase, (mesh, fraction) in enumerate(zip(model.reference, model.timing.fractions, strict=True)):
         unseen = model.unseen(phase)
         parts = [("heart", ~unseen, HEART_COLOR, "")]
@@ -186,6 +194,34 @@ def _patient(out: SceneFolder, model: DvfModel) -> None:
         _points(out, "targets", truth.targets)
     if scenario.landmarks_mr is not None:
         _points(out, "landmarks_mr", scenario.landmarks_mr)
+
+
+def _labels_now(tissue: Tissue, model: DvfModel, warp: Warp | None) -> Volume:
+    """Look labels of end-diastole up through the change of the heart's shape since the MR."""
+    labels = tissue.labels
+    if warp is None:
+        return labels
+    places = labels.grid.centers_mm().reshape(-1, 3)
+    ed = float(model.timing.fractions[model.ed_phase])
+    values = tissue.label_at(places - warp.at(places)[0], ed, model.timing)
+    return Volume(labels.grid, values.astype(np.uint8).reshape(labels.grid.shape))
+
+
+def _segment(value: int, name: str) -> Segment:
+    """Describe a label: its colour as in the viewer, and the properties of its tissue with their sources."""
+    rgb = label_color(value)
+    red, green, blue = (int(rgb[i : i + 2], 16) / 255.0 for i in (1, 3, 5))
+    kind = class_of(name)
+    tags = () if kind is None else (("Tissue", kind.name), *_tagged(kind))
+    return Segment(value, name.replace("_", " "), (red, green, blue), tags)
+
+
+def _tagged(kind: TissueClass) -> tuple[tuple[str, str], ...]:
+    """Tag each property; a tag holds neither : nor |."""
+    return tuple(
+        (what, f"{value} ({source.replace(':', ',').replace('|', '/')})")
+        for what, value, source in kind.properties
+    )
 
 
 def _patient_surface(out: SceneFolder, model: DvfModel, warp: Warp) -> None:

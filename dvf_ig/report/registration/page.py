@@ -46,7 +46,8 @@ def fused_figure(overlay: PlaneOverlay, anatomy: AnatomyPlane, *, tinted: bool =
 def checkerboard_figure(overlay: PlaneOverlay, anatomy: AnatomyPlane) -> Figure:
     """Draw alternating squares of ultrasound in grey and anatomy in colour."""
     squares = checkerboard(overlay.image.shape, overlay.pixel_mm, max(overlay.size_mm) / SQUARES)
-    rgb = np.where(squares[..., None], _coloured(anatomy.grey), _grey(overlay.image))
+    coloured = np.nan_to_num(anatomy.grey)[..., None] * np.array(to_rgb(MR_ON_GREY))
+    rgb = np.where(squares[..., None], coloured, _grey(overlay.image))
     return _panel(rgb, overlay, anatomy)
 
 
@@ -66,10 +67,6 @@ def checkerboard(shape: tuple[int, ...], pixel_mm: tuple[float, float], edge_mm:
 
 def _grey(image: NDArray[np.uint8]) -> FloatArray:
     return np.repeat(np.asarray(image, dtype=np.float64)[..., None] / 255.0, 3, axis=2)
-
-
-def _coloured(grey: FloatArray) -> FloatArray:
-    return np.asarray(np.nan_to_num(grey)[..., None] * np.array(to_rgb(MR_ON_GREY)))
 
 
 def _panel(rgb: FloatArray, overlay: PlaneOverlay, anatomy: AnatomyPlane) -> Figure:

@@ -8,8 +8,7 @@ from enum import Enum
 
 import numpy as np
 
-from dvf_ig.core.arrays import FloatArray, read_only_arrays
-from dvf_ig.core.space.frames import RAS_FROM_LPS
+from dvf_ig.core import RAS_FROM_LPS, FloatArray, read_only_arrays
 from dvf_ig.report.plane_overlay import PlaneOverlay
 
 from .shape import ShapeShown

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib import colormaps
+from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
@@ -25,6 +25,7 @@ from dvf_ig.report.style import (
     SUSPENDED,
     TRUTH,
     WIDE_IN,
+    label_color,
     legend_below,
     open_frame,
     time_axes,
@@ -74,17 +75,12 @@ def overlay_figure(overlays: Sequence[PlaneOverlay]) -> Figure | None:
     return figure
 
 
-def _label_color(value: int) -> tuple[float, float, float]:
-    red, green, blue, _ = colormaps["tab20"](value % 20)
-    return float(red), float(green), float(blue)
-
-
 def _label_handles(overlays: Sequence[PlaneOverlay]) -> list[Artist]:
     """List the labels that are seen in any of the planes."""
     seen = set().union(*(np.unique(one.labels).tolist() for one in overlays if one.labels is not None))
     names = dict(overlays[0].label_names)
     return [
-        Patch(color=_label_color(value), label=names.get(value, f"label {value}").replace("_", " "))
+        Patch(color=label_color(value), label=names.get(value, f"label {value}").replace("_", " "))
         for value in sorted(seen - {0})
     ]
 
@@ -96,7 +92,7 @@ def _draw_labels(axis: Axes, overlay: PlaneOverlay) -> None:
     if overlay.labels is not None:
         tint = np.zeros((*overlay.labels.shape, 4))
         for value in np.unique(overlay.labels[overlay.labels != 0]).tolist():
-            tint[overlay.labels == value] = (*_label_color(value), LABEL_TINT)
+            tint[overlay.labels == value] = to_rgba(label_color(value), LABEL_TINT)
         axis.imshow(tint, extent=extent, interpolation="nearest")
     draw_plane_marks(axis, overlay.size_mm, overlay.registered.edges)
     without_ticks(axis)

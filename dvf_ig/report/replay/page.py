@@ -8,16 +8,7 @@ from collections.abc import Sequence
 from dvf_ig.report.page import html_page, image_tag, section, table
 from dvf_ig.report.plane_marks import LETTERS_NOTE
 
-from .figures import (
-    breathing_figure,
-    distance_histogram,
-    ecg_figure,
-    force_figure,
-    overlay_figure,
-    phase_error_figure,
-    pose_figure,
-    supervisor_figure,
-)
+from . import figures
 from .values import BeatTrace, BreathLoop, ReplayPage
 
 
@@ -30,30 +21,26 @@ def replay_html(page: ReplayPage) -> str:
             "Ultrasound and model, before and after registration",
             "The model's surface in the ultrasound plane at the phase of each frame, and its labels if it "
             f"keeps any. {LETTERS_NOTE}.",
-            overlay_figure(page.overlays),
+            figures.overlay_figure(page.overlays),
         ),
         (
             "The pose from beat to beat",
             "After each heart beat its ultrasound is compared with the model under the pose in use, and the "
             "log-likelihood ratio states how much better the beat's best pose explains it."
             + _tre_remark(page.beats),
-            pose_figure(page.beats, page.registrations, span_s),
+            figures.pose_figure(page.beats, page.registrations, span_s),
         ),
         (
             "Breathing: the heart's motion and its model",
             _breath_note(page.breath),
-            None if page.breath is None else breathing_figure(page.breath),
+            None if page.breath is None else figures.breathing_figure(page.breath),
         ),
-        (
-            "Phase error over time",
-            "Against the ground truth.",
-            phase_error_figure(ticks),
-        ),
+        ("Phase error over time", "Against the ground truth.", figures.phase_error_figure(ticks)),
         (
             "Force and distance",
             "Force of the fixture at the tool tip through the estimated pose and phase, and distance of the "
             "tip from the surface.",
-            force_figure(ticks),
+            figures.force_figure(ticks),
         ),
         (
             "Supervisor",
@@ -61,17 +48,17 @@ def replay_html(page: ReplayPage) -> str:
             "withheld until the operator re-armed (latched); the hazards behind it. Below: the age of the "
             "pose, the age at which it is withheld (by its age, or because its 95 % bound has grown too "
             "large), and the times in which it was withheld, each with the rule that acted.",
-            supervisor_figure(page.supervisor),
+            figures.supervisor_figure(page.supervisor),
         ),
         (
             "Distance from the surface",
             "How long the tool tip spent at each distance while a force was given.",
-            distance_histogram(ticks),
+            figures.distance_histogram(ticks),
         ),
         (
             "ECG, R peaks and phase",
             "Phase at each moment, estimated from past samples only.",
-            ecg_figure(page.ecg),
+            figures.ecg_figure(page.ecg),
         ),
     )
     body = "".join(

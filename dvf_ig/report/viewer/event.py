@@ -50,7 +50,10 @@ def state_event(state: GuidanceState, sent: SentForce | None = None) -> dict[str
     }
     hazards = Hazard(state.supervised.hazards) if sent is None else sent.hazards
     return {
-        **{name: _known(value, _DECIMALS[name]) for name, value in numbers.items()},
+        **{
+            name: round(value, _DECIMALS[name]) if np.isfinite(value) else None
+            for name, value in numbers.items()
+        },
         "status": state.status.name.lower(),
         "supervisor": (state.supervisor if sent is None else sent.state).name.lower(),
         "hazards": "|".join(one.name.lower() for one in hazards if one.name),
@@ -65,7 +68,3 @@ def shaft_in_tool(tip_mm: FloatArray) -> FloatArray:
 
 def _axes(names: tuple[str, ...], vector: FloatArray) -> dict[str, float]:
     return dict(zip(names, vector.tolist(), strict=True))
-
-
-def _known(value: float, decimals: int) -> float | None:
-    return round(value, decimals) if np.isfinite(value) else None

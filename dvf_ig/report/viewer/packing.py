@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from dvf_ig.core.arrays import AnyArray
-from dvf_ig.core.errors import InvalidInputError
+from dvf_ig.core import AnyArray, InvalidInputError
 
 TIME_STEP_S = 1e-6
 _SIGNED = (np.int8, np.int16, np.int32)

@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import dvf_ig
-from dvf_ig.core import DvfModel, Landmarks, Warp
-from dvf_ig.core.arrays import AnyArray
+from dvf_ig.core import AnyArray, DvfModel, Landmarks, Warp
 from dvf_ig.guidance import FixtureSet
 from dvf_ig.report.plane_overlay import PlaneOverlay
 

@@ -9,19 +9,12 @@ from typing import Any
 import numpy as np
 
 import dvf_ig
-from dvf_ig.core import BoolArray, DvfModel, Fan, FloatArray, Landmarks, Mesh, Warp
-from dvf_ig.guidance import (
-    HAZARD_RULES,
-    Evaluator,
-    FixtureOptions,
-    FixtureSet,
-    Gaussian,
-    Hazard,
-    Sigmoid,
-    Status,
-    SupervisorState,
-)
+from dvf_ig.core import BoolArray, DvfModel, Fan, FloatArray, Landmarks, Mesh, Tissue, Warp
+from dvf_ig.guidance import HAZARD_RULES, Evaluator, Gaussian, Hazard, Sigmoid, Status, SupervisorState
+from dvf_ig.guidance.fixtures import FixtureOptions, FixtureSet
+from dvf_ig.guidance.tissue import class_of
 from dvf_ig.kernels.warp import LARGEST_SIGMA_MM
+from dvf_ig.report.style import label_color
 
 from .packing import packed, packed_exactly
 from .surfaces import (
@@ -37,6 +30,7 @@ SCHEMA = "dvf_ig.view/1"
 ORGAN_PITCH_MM, BLOOD_PITCH_MM, STRUCTURE_PITCH_MM = 4.0, 3.5, 3.0
 VERTEX_STEP_MM, SHIFT_STEP_MM = 0.02, 0.01
 DISTANCE_PITCH_MM, DISTANCE_STEP_MM, FARTHEST_MM = 3.0, 0.1, 12.6
+PULL_BACK_STEP_MM = 0.1
 FIELD_MARGIN_MM = 9.0
 """Margin around the organ in which the distance is included."""
 FAN_POINTS = 24
@@ -116,6 +110,7 @@ def scene_payload(scene: SceneInput) -> dict[str, Any]:
         "version": dvf_ig.__version__,
         "heart": heart_payload(model, scene.fixtures, scene.warp),
         "distance": distance_payload(model),
+        "labels": None if model.tissue is None else labels_payload(model.tissue, scene.warp),
         "fixtures": [] if scene.fixtures is None else [_fixture(one) for one in scene.fixtures.fixtures],
         "fixtures_cap_n": (scene.fixtures or FixtureSet()).joint_cap_n,
         "image": None if scene.image is None else image_payload(scene.image),
@@ -267,6 +262,47 @@ def distance_payload(model: DvfModel) -> dict[str, Any]:
         "origin_mm": origin.round(6).tolist(),
         "spacing_mm": DISTANCE_PITCH_MM,
         "values": packed(clipped, DISTANCE_STEP_MM, delta=True),
+    }
+
+
+def labels_payload(tissue: Tissue, warp: Warp | None) -> dict[str, Any]:
+    """Encode labels of end-diastole, the motion that leads there, and what is assumed of each tissue.
+
+    Args:
+        warp: change of the heart's shape since the MR, through which the labels are shown.
+    """
+    grid = tissue.labels.grid
+    return {
+        "kinds": [_label_kind(value, name) for value, name in tissue.names],
+        "origin_mm": grid.origin_mm.tolist(),
+        "spacing_mm": float(grid.spacing_mm[0]),
+        "values": packed(tissue.labels.values, 1.0),
+        "motion": _pull_backs(tissue.motion),
+        "change": None if warp is None else _pull_backs((warp,)),
+    }
+
+
+def _label_kind(value: int, name: str) -> dict[str, Any]:
+    """Encode a label with the properties of its tissue, each with its source; none of blood."""
+    tissue = class_of(name)
+    properties = [] if tissue is None else [list(one) for one in tissue.properties]
+    kind = None if tissue is None else tissue.name
+    return {
+        "value": value,
+        "name": name,
+        "color": label_color(value),
+        "tissue": kind,
+        "properties": properties,
+    }
+
+
+def _pull_backs(warps: Sequence[Warp]) -> dict[str, Any]:
+    """Encode splines on the same knots, one for each phase."""
+    lanes = np.stack([warp.coefficients[..., :3] for warp in warps])
+    return {
+        "origin_mm": warps[0].origin_mm.tolist(),
+        "knot_mm": warps[0].knot_mm,
+        "coefficients_mm": packed(lanes, PULL_BACK_STEP_MM, delta=True),
     }
 
 

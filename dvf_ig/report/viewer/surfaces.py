@@ -10,9 +10,7 @@ import numpy as np
 from scipy import sparse
 from scipy.spatial import cKDTree
 
-from dvf_ig.core.arrays import FloatArray, IntArray, read_only_arrays
-from dvf_ig.core.space.mesh import Mesh
-from dvf_ig.core.space.warp import Warp
+from dvf_ig.core import FloatArray, IntArray, Mesh, Warp, read_only_arrays
 from dvf_ig.guidance import Confinement, Evaluator, Gaussian, Law
 
 SHARE_OF_CAP = 0.1

@@ -10,16 +10,8 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from dvf_ig.core import (
-    DvfModel,
-    FloatArray,
-    InvalidInputError,
-    PhaseForecast,
-    PhaseState,
-    PoseMotion,
-    RetimingCurve,
-    Rigid,
-)
+from dvf_ig.core import DvfModel, FloatArray, PhaseForecast, PhaseState, PoseMotion, RetimingCurve, Rigid
+from dvf_ig.core.errors import InvalidInputError
 from dvf_ig.guidance import Continuity, Evaluator, Gaussian, PoseAndPhase, Sigmoid, Status, check_continuity
 from dvf_ig.guidance.blend import BLEND_CODES
 from dvf_ig.kernels.compiled import kernel

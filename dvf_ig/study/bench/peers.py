@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from dvf_ig.core import FloatArray, Mesh, read_only_arrays
+from dvf_ig.core import FloatArray, Mesh
 from dvf_ig.kernels.compiled import inlined, kernel
 from dvf_ig.kernels.mesh.closest import DEPTH, triangle_squared_distance
 from dvf_ig.kernels.mesh.winding import winding_numbers
@@ -95,25 +95,29 @@ def nearest_batch(
 LEAF_SIZE = 4
 
 
-@read_only_arrays
-@dataclass(frozen=True, slots=True, eq=False)
 class CovarianceTree:
-    """Complete binary tree of oriented boxes.
+    """Complete binary tree of oriented boxes about a mesh's triangles.
 
-    Attributes:
-        nodes: (2L − 1, 15), see `nearest_in_covariance_tree`.
-        corners: (t, 9) triangle corners in leaf order, mm.
+    Every node is halved at the median along its longest axis; boxes fit its triangles' corners. A search
+    begins at the triangle that the last one found: one tree is for one thread.
     """
 
-    nodes: FloatArray
-    corners: FloatArray
-
-
-class CovarianceTreeSearch:
-    """Searches of one thread in a tree: each begins at the triangle that the last one found."""
-
-    def __init__(self, tree: CovarianceTree) -> None:
-        self._nodes, self._corners = tree.nodes.copy(), tree.corners.copy()
+    def __init__(self, mesh: Mesh) -> None:
+        triangles = mesh.vertices_mm[mesh.triangles]
+        count = len(triangles)
+        levels = max(0, int(np.ceil(np.log2(count / LEAF_SIZE))))
+        order = np.arange(count)
+        nodes = np.empty(((2 << levels) - 1, NODE))
+        for level in range(levels + 1):
+            start = (np.arange((1 << level) + 1, dtype=np.int64) * count) >> level
+            for k in range(1 << level):
+                part = slice(start[k], start[k + 1])
+                center, axes, half = _box(triangles[order[part]].reshape(-1, 3))
+                nodes[(1 << level) - 1 + k] = [*center, *axes.ravel(), *half]
+                if level < levels:
+                    along = triangles[order[part]].mean(axis=1) @ axes[int(half.argmax())]
+                    order[part] = order[part][np.argsort(along, kind="stable")]
+        self._nodes, self._corners = nodes, triangles[order].reshape(count, 9)
         self._work = np.zeros(WORK)
 
     def distance_mm(self, point_mm: FloatArray) -> float:
@@ -125,25 +129,6 @@ class CovarianceTreeSearch:
         out = np.empty(len(points_mm))
         nearest_batch(self._nodes, self._corners, points_mm, self._work, out)
         return out
-
-
-def build_covariance_tree(mesh: Mesh) -> CovarianceTree:
-    """Every node is halved at the median along its longest axis; boxes fit its triangles' corners."""
-    triangles = mesh.vertices_mm[mesh.triangles]
-    count = len(triangles)
-    levels = max(0, int(np.ceil(np.log2(count / LEAF_SIZE))))
-    order = np.arange(count)
-    nodes = np.empty(((2 << levels) - 1, NODE))
-    for level in range(levels + 1):
-        start = (np.arange((1 << level) + 1, dtype=np.int64) * count) >> level
-        for k in range(1 << level):
-            part = slice(start[k], start[k + 1])
-            center, axes, half = _box(triangles[order[part]].reshape(-1, 3))
-            nodes[(1 << level) - 1 + k] = [*center, *axes.ravel(), *half]
-            if level < levels:
-                along = triangles[order[part]].mean(axis=1) @ axes[int(half.argmax())]
-                order[part] = order[part][np.argsort(along, kind="stable")]
-    return CovarianceTree(nodes, triangles[order].reshape(count, 9))
 
 
 def _box(points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -161,8 +146,7 @@ TREE_KERNEL = "static tree kernel"
 _LOG = logging.getLogger(__name__)
 
 
-@read_only_arrays
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True)
 class Peer:
     """A library's distance: `single` takes a prepared query, `many` (n, 3) points, both in mm."""
 
@@ -208,7 +192,7 @@ def _error_mm(distance_mm: FloatArray, exact_mm: FloatArray) -> float:
 def _covariance_rows(
     mesh: Mesh, path: FloatArray, exact_mm: FloatArray, batch: int, repeats: int
 ) -> Iterator[Row]:
-    tree = CovarianceTreeSearch(build_covariance_tree(mesh))
+    tree = CovarianceTree(mesh)
     error = _error_mm(tree.distances_mm(path), exact_mm)
     note = "unsigned: spared the sign, which favours it"
     name = "covariance tree (numba)"
@@ -246,31 +230,20 @@ def _loads(library: str) -> bool:
     return True
 
 
-def _scene(mesh: Mesh) -> Any:
-    import open3d
-
-    scene = open3d.t.geometry.RaycastingScene(nthreads=1)
-    vertices = _tensor(mesh.vertices_mm.astype(np.float32))
-    scene.add_triangles(vertices, _tensor(mesh.triangles.astype(np.uint32)))
-    return scene
-
-
-def _tensor(array: Any) -> Any:
+def _open3d(mesh: Mesh) -> Peer:
     import open3d
 
     core: Any = open3d.core
-    return core.Tensor(array)
-
-
-def _open3d(mesh: Mesh) -> Peer:
-    scene = _scene(mesh)
+    scene = open3d.t.geometry.RaycastingScene(nthreads=1)
+    vertices = core.Tensor(mesh.vertices_mm.astype(np.float32))
+    scene.add_triangles(vertices, core.Tensor(mesh.triangles.astype(np.uint32)))
     return Peer(
         "open3d",
         STATIC,
-        lambda point: _tensor(point[None].astype(np.float32)),
+        lambda point: core.Tensor(point[None].astype(np.float32)),
         lambda query: scene.compute_signed_distance(query, nthreads=1),
         lambda points: np.asarray(
-            scene.compute_signed_distance(_tensor(points.astype(np.float32)), nthreads=1).numpy()
+            scene.compute_signed_distance(core.Tensor(points.astype(np.float32)), nthreads=1).numpy()
         ),
         "RaycastingScene, signed, one thread; the tensor is made beforehand",
     )

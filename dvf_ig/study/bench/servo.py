@@ -15,47 +15,25 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from dvf_ig.core import (
-    RIGID_SIGMA_MM,
-    DvfModel,
-    FloatArray,
-    Grid,
-    Mesh,
-    Rigid,
-    Tissue,
-    Volume,
-    Warp,
-    WarpMotion,
-)
+from dvf_ig.core import RIGID_SIGMA_MM, FloatArray, Grid, Mesh, Rigid, Tissue, Volume, Warp, WarpMotion
+from dvf_ig.core.model import DvfModel
 from dvf_ig.core.space.warp import CELLS, knots
-from dvf_ig.guidance import (
-    Evaluator,
-    FixtureOptions,
-    Fixtures,
-    FixtureSet,
-    Fulcrum,
-    Gaussian,
-    Hazard,
-    PathTarget,
-    PoseAndPhase,
-    Sigmoid,
-    Status,
-    Tool,
-)
+from dvf_ig.guidance import Evaluator, Gaussian, Hazard, PathTarget, PoseAndPhase, Sigmoid, Status
 from dvf_ig.guidance.device import COMMON_DEVICE
 from dvf_ig.guidance.devices.recorded import RecordedDevice
+from dvf_ig.guidance.fixtures import FixtureOptions, Fixtures, FixtureSet
 from dvf_ig.guidance.servo import Deadlines, Servo, ServoInputs, ServoOptions, TrackedServo
 from dvf_ig.guidance.servo.bound import bind_fixtures
 from dvf_ig.guidance.servo.inputs import Publication
 from dvf_ig.guidance.servo.record import BINS, deadlines_of
 from dvf_ig.guidance.servo.servo import real_time_thread
 from dvf_ig.guidance.tissue import Feel, feel_of
+from dvf_ig.guidance.tool import Fulcrum, Tool
 from dvf_ig.kernels.compiled import kernel
 from dvf_ig.kernels.pose_and_phase import GUIDED_SIZE, guided_batch
 from dvf_ig.kernels.servo import loop, shared
@@ -83,20 +61,21 @@ class CppFloor:
         )
         self._per_knot, self._law = 1.0 / float(model.knot_spacing_mm), law
 
-    def forces(self, xyz_mm: FloatArray, phase: FloatArray) -> Callable[[int, int, FloatArray], None]:
-        """A function of begin, end and (n, 4) output: forces (N) and distance (mm) at those points."""
+    def forces(self, xyz_mm: FloatArray, phase: FloatArray, out: FloatArray) -> Callable[[int, int], None]:
+        """A function of begin and end that puts forces (N) and distance (mm) at those points into (n, 4)."""
         c, shape, origin, pose = (a.ctypes.data_as(ctypes.c_void_p) for a in self._arrays)
         xyz, phi = (np.ascontiguousarray(a) for a in (xyz_mm, phase))
         numbers = (ctypes.c_double(self._law.gamma_per_mm), ctypes.c_double(self._law.cap_n))
         data = (xyz.ctypes.data_as(ctypes.c_void_p), phi.ctypes.data_as(ctypes.c_void_p))
         per_knot, function = ctypes.c_double(self._per_knot), self._function
 
-        def run(begin: int, end: int, out: FloatArray) -> None:
-            place = out.ctypes.data_as(ctypes.c_void_p)
+        place = out.ctypes.data_as(ctypes.c_void_p)
+
+        def run(begin: int, end: int) -> None:
             span = (ctypes.c_long(begin), ctypes.c_long(end))
             function(c, shape, origin, per_knot, pose, *numbers, *data, *span, place)
 
-        run.__dict__["kept"] = (xyz, phi, self)
+        run.__dict__["kept"] = (xyz, phi, out, self)
         return run
 
 
@@ -335,7 +314,7 @@ def bench_tick(model: DvfModel, seed: int) -> TickCost:
     if floor is not None:
         out = np.empty((POINTS, 4))
         for what, places, when in (("floor", path, phase), ("floor, random", anywhere, anywhen)):
-            passes[f"C++ {what}"] = partial(_into, floor.forces(places, when), out)
+            passes[f"C++ {what}"] = floor.forces(places, when, out)
     spent = _alternating(passes)
     rows = tuple(
         row("C++" if what.startswith("C++") else "dvf_ig", what, us, None, calls_per_sample=CALLS)
@@ -358,10 +337,6 @@ def bench_tick(model: DvfModel, seed: int) -> TickCost:
             "servo tick / C++ floor": median["servo tick"] / median["C++ floor"],
         }
     return TickCost(rows, ratios)
-
-
-def _into(function: Callable[[int, int, FloatArray], None], out: FloatArray, begin: int, end: int) -> None:
-    function(begin, end, out)
 
 
 def _alternating(passes: dict[str, Pass]) -> dict[str, FloatArray]:
@@ -486,12 +461,7 @@ def _ticks(
 
 @kernel
 def tick_batch(
-    bound: Any,
-    scratch: Any,
-    xyz_mm: FloatArray,
-    ticks: FloatArray,
-    period_s: float,
-    force: FloatArray,
+    bound: Any, scratch: Any, xyz_mm: FloatArray, ticks: FloatArray, period_s: float, force: FloatArray
 ) -> None:
     """`servo_tick` at (n, 3) positions a period apart; `ticks` counts on."""
     bound, scratch, xyz_mm, force = borrowed(bound), borrowed(scratch), borrowed(xyz_mm), borrowed(force)

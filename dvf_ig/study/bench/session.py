@@ -18,16 +18,8 @@ from dvf_ig.core import DvfModel, FloatArray, InvalidInputError, Scenario, Trigg
 from dvf_ig.intake.calibrations import calibrate
 from dvf_ig.replay.events import ECG_CHUNK, Timed, events_of
 from dvf_ig.replay.operator import SimulatedOperator
-from dvf_ig.session import (
-    EcgSamples,
-    InlineExecutor,
-    Session,
-    SessionSetup,
-    ToolPose,
-    TrackedFrame,
-    beat_source_of,
-    build_heart,
-)
+from dvf_ig.session import EcgSamples, InlineExecutor, Session, ToolPose, TrackedFrame, build_heart
+from dvf_ig.session.setup import SessionSetup, beat_source_of
 from dvf_ig.study.bench.timing import Row, row
 
 MIN_BEATS = 10

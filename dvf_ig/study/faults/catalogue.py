@@ -105,13 +105,13 @@ class Row:
         name: of the hazard, as docs/theory/safety.md has it, and what is disturbed.
         hazards: any of which detects the fault; NONE where a start is to be refused.
         limit: how the time limit follows from docs/theory/safety.md.
-        severities: three, the least first, which lies just above what must be detected.
+        severities: SEVERITIES, the least first, which lies just above what must be detected.
     """
 
     name: str
     hazards: Hazard
     limit: str
-    severities: tuple[Severity, Severity, Severity]
+    severities: tuple[Severity, ...]
 
 
 def tool_fault(label: str, change: ArrivalsChange, seconds: float, limit_s: float) -> Severity:
@@ -137,12 +137,6 @@ def state_step_s(limit_s: float) -> float:
     return STEP_S if limit_s < 1.0 else SLOW_STEP_S
 
 
-def three(severities: list[Severity]) -> tuple[Severity, Severity, Severity]:
-    """The three severities of a row, the least first."""
-    first, second, third = severities
-    return first, second, third
-
-
 _LOST = Hazard.TOOL_LOST | Hazard.STALE_TOOL
 _GAPS = (("2 frames", 0.02), ("20 frames", 0.2), ("1.5 s", 1.5))
 
@@ -151,98 +145,81 @@ TOOL_ROWS: tuple[Row, ...] = (
         "stale tracking",
         Hazard.STALE_TOOL,
         "age beyond the smaller of 2.5 frames, above the usual latency, and 50 ms",
-        three([tool_fault(f"no pose for {name}", missing, s, TOO_OLD_S) for name, s in _GAPS]),
+        tuple(tool_fault(f"no pose for {name}", missing, s, TOO_OLD_S) for name, s in _GAPS),
     ),
     Row(
         "line of sight lost",
         _LOST,
         "predicted until 2.5 frames, above the usual latency, after the last pose that was tracked",
-        three([tool_fault(f"status not OK for {name}", not_tracked, s, TOO_OLD_S) for name, s in _GAPS]),
+        tuple(tool_fault(f"status not OK for {name}", not_tracked, s, TOO_OLD_S) for name, s in _GAPS),
     ),
     Row(
         "tool frozen",
         Hazard.TOOL_FROZEN,
         "the fifth pose in a row that is the same: four frames after the last fresh one, and its arrival",
-        three(
-            [
-                tool_fault(f"frozen for {name}", frozen, s, 4 * FRAME_S + TOOL_ARRIVES_S + STEP_S)
-                for name, s in (("5 frames", 0.05), ("20 frames", 0.2), ("1.5 s", 1.5))
-            ]
+        tuple(
+            tool_fault(f"frozen for {name}", frozen, s, 4 * FRAME_S + TOOL_ARRIVES_S + STEP_S)
+            for name, s in (("5 frames", 0.05), ("20 frames", 0.2), ("1.5 s", 1.5))
         ),
     ),
     Row(
         "latency jump",
         Hazard.LATENCY_JUMP | Hazard.STALE_TOOL,
         "age 15 ms above its median in 3 of 5 poses, at 30 mm/s: three frames, the jump, the arrival",
-        three(
-            [
-                tool_fault(
-                    f"{1000 * by:g} ms later",
-                    late(by),
-                    LATE_FOR_S,
-                    3 * FRAME_S + by + TOOL_ARRIVES_S + STEP_S,
-                )
-                for by in (0.018, 0.040, 0.100)
-            ]
+        tuple(
+            tool_fault(
+                f"{1000 * by:g} ms later", late(by), LATE_FOR_S, 3 * FRAME_S + by + TOOL_ARRIVES_S + STEP_S
+            )
+            for by in (0.018, 0.040, 0.100)
         ),
     ),
     Row(
         "duplicate or reordered: tool",
         Hazard.REORDERED_STAMPS,
         "more than 10 of the last 100 poses",
-        three(
-            [
-                tool_fault(f"{share:.0%} come twice", repeated(share), 2.0, 100 * FRAME_S + TOOL_ARRIVES_S)
-                for share in (0.12, 0.3, 0.5)
-            ]
+        tuple(
+            tool_fault(f"{share:.0%} come twice", repeated(share), 2.0, 100 * FRAME_S + TOOL_ARRIVES_S)
+            for share in (0.12, 0.3, 0.5)
         ),
     ),
     Row(
         "two programs send the tool",
         Hazard.TOOL_CONTRADICTED,
         "four steps back: five poses, and their arrival",
-        three(
-            [
-                tool_fault(f"{by:g} mm apart", alternating(by), 0.5, 5 * FRAME_S + TOOL_ARRIVES_S + STEP_S)
-                for by in (4.0, 15.0, 60.0)
-            ]
+        tuple(
+            tool_fault(f"{by:g} mm apart", alternating(by), 0.5, 5 * FRAME_S + TOOL_ARRIVES_S + STEP_S)
+            for by in (4.0, 15.0, 60.0)
         ),
     ),
     Row(
         "NaN or Inf: tool pose",
         Hazard.NOT_FINITE,
         "the first such pose: one frame, and its arrival",
-        three(
-            [
-                tool_fault(f"NaN in {name}", not_finite, s, FRAME_S + TOOL_ARRIVES_S + STEP_S)
-                for name, s in (("1 pose", 0.01), ("5 poses", 0.05), ("50 poses", 0.5))
-            ]
+        tuple(
+            tool_fault(f"NaN in {name}", not_finite, s, FRAME_S + TOOL_ARRIVES_S + STEP_S)
+            for name, s in (("1 pose", 0.01), ("5 poses", 0.05), ("50 poses", 0.5))
         ),
     ),
     Row(
         "shear or scale: tool pose",
         _LOST,
         "rejected at 1e-3; as a pose that was not tracked",
-        three(
-            [
-                tool_fault(f"{100 * (by - 1.0):.2g} % of scale", scaled(by), 0.1, TOO_OLD_S)
-                for by in (1.0006, 1.01, 1.2)
-            ]
+        tuple(
+            tool_fault(f"{100 * (by - 1.0):.2g} % of scale", scaled(by), 0.1, TOO_OLD_S)
+            for by in (1.0006, 1.01, 1.2)
         ),
     ),
     Row(
         "out of volume",
         Hazard.OUT_OF_VOLUME,
         "two frames, the arrival, and 8 ms for 0.24 mm of the tracker's noise at 30 mm/s",
-        three(
-            [
-                Severity(
-                    f"{by:g} mm beyond the box",
-                    SessionFault(Fault(tip=leaving(by)), 0.6),
-                    2 * FRAME_S + TOOL_ARRIVES_S + 0.008,
-                )
-                for by in (0.5, 2.0, 8.0)
-            ]
+        tuple(
+            Severity(
+                f"{by:g} mm beyond the box",
+                SessionFault(Fault(tip=leaving(by)), 0.6),
+                2 * FRAME_S + TOOL_ARRIVES_S + 0.008,
+            )
+            for by in (0.5, 2.0, 8.0)
         ),
     ),
 )
@@ -263,7 +240,7 @@ PHASE_ROWS: tuple[Row, ...] = (
         "ECG silent",
         Hazard.NO_PHASE,
         "no R by 1.35 RR, and the detection latency",
-        three([ecg_fault(f"no sample for {s:g} s", Fault(ecg=missing), s, LOST_S) for s in (1.8, 4.0, 10.0)]),
+        tuple(ecg_fault(f"no sample for {s:g} s", Fault(ecg=missing), s, LOST_S) for s in (1.8, 4.0, 10.0)),
     ),
     Row(
         "arrhythmia",
@@ -286,105 +263,89 @@ POSE_ROWS: tuple[Row, ...] = (
         "not registered",
         Hazard.NO_POSE,
         "from the first state on",
-        three(
-            [
-                Severity(
-                    f"{name} from the start",
-                    SessionFault(Fault(frames=change), 18.0, POSE_BACK_S, from_start=True),
-                    WARM_UP_STEP_S,
-                )
-                for name, change in _KINDS
-            ]
+        tuple(
+            Severity(
+                f"{name} from the start",
+                SessionFault(Fault(frames=change), 18.0, POSE_BACK_S, from_start=True),
+                WARM_UP_STEP_S,
+            )
+            for name, change in _KINDS
         ),
     ),
     Row(
         "pose unconfirmed",
         Hazard.POSE_UNCONFIRMED,
         "three beats after the one that was being compared (below 5 s), and the last one's comparison",
-        three([frames_fault(f"{name} for 6 s", change, 6.0, _CONFIRMED_S) for name, change in _KINDS]),
+        tuple(frames_fault(f"{name} for 6 s", change, 6.0, _CONFIRMED_S) for name, change in _KINDS),
     ),
     Row(
         "patient moved",
         Hazard.POSE_CONTRADICTED,
         "three beats after the one in which it happened (docs/theory/trust.md), and the comparison",
-        three(
-            [
-                Severity(
-                    f"by {by:g} mm",
-                    SessionFault(Fault(patient=moved_by(by)), 12.0, POSE_BACK_S, SLOW_STEP_S, by_pose=True),
-                    _CONFIRMED_S,
-                )
-                for by in (4.0, 8.0, 15.0)
-            ]
+        tuple(
+            Severity(
+                f"by {by:g} mm",
+                SessionFault(Fault(patient=moved_by(by)), 12.0, POSE_BACK_S, SLOW_STEP_S, by_pose=True),
+                _CONFIRMED_S,
+            )
+            for by in (4.0, 8.0, 15.0)
         ),
     ),
     Row(
         "registration update jumps",
         Hazard.POSE_CONTRADICTED,
         "in the first state after the registration was taken",
-        three(
-            [
-                Severity(
-                    f"by {by:g} mm",
-                    SessionFault(
-                        Fault(registered=registered_off(by)), 4.5, POSE_BACK_S, on_registration=True
-                    ),
-                    2 * STEP_S,
-                )
-                for by in (3.0, 5.0, 10.0)
-            ]
+        tuple(
+            Severity(
+                f"by {by:g} mm",
+                SessionFault(Fault(registered=registered_off(by)), 4.5, POSE_BACK_S, on_registration=True),
+                2 * STEP_S,
+            )
+            for by in (3.0, 5.0, 10.0)
         ),
     ),
     Row(
         "pose follows the patient",
         Hazard.POSE_MOVING,
         "the beat after the one in which it happened, and its comparison; the force follows slowly",
-        three(
-            [
-                Severity(
-                    f"{by:g} mm within 0.5 s",
-                    SessionFault(Fault(patient=moved_by(by)), 3.0, 2.0),
-                    2 * BEAT_S + DETECTED_S + 0.15,
-                )
-                for by in (0.5, 1.0, 1.5)
-            ]
+        tuple(
+            Severity(
+                f"{by:g} mm within 0.5 s",
+                SessionFault(Fault(patient=moved_by(by)), 3.0, 2.0),
+                2 * BEAT_S + DETECTED_S + 0.15,
+            )
+            for by in (0.5, 1.0, 1.5)
         ),
     ),
     Row(
         "breathing that nothing follows",
         Hazard.BREATHING | Hazard.POSE_CONTRADICTED,
         "the beats that are remembered (docs/theory/respiration.md), and the last one's comparison",
-        three(
-            [
-                Severity(
-                    f"{by:g} mm from end to end",
-                    SessionFault(Fault(patient=breathing_by(by)), 36.0, BREATH_GONE_S, SLOW_STEP_S),
-                    MOST_BEATS * BEAT_S + DETECTED_S + 0.15,
-                )
-                for by in (4.5, 6.0, 10.0)
-            ]
+        tuple(
+            Severity(
+                f"{by:g} mm from end to end",
+                SessionFault(Fault(patient=breathing_by(by)), 36.0, BREATH_GONE_S, SLOW_STEP_S),
+                MOST_BEATS * BEAT_S + DETECTED_S + 0.15,
+            )
+            for by in (4.5, 6.0, 10.0)
         ),
     ),
     Row(
         "duplicate or reordered: ultrasound",
         Hazard.REORDERED_STAMPS,
         "more than 10 of the last 100 frames",
-        three(
-            [
-                frames_fault(f"{share:.0%} come twice", repeated(share), 9.0, 100 * ULTRASOUND_FRAME_S + 0.05)
-                for share in (0.12, 0.3, 0.5)
-            ]
+        tuple(
+            frames_fault(f"{share:.0%} come twice", repeated(share), 9.0, 100 * ULTRASOUND_FRAME_S + 0.05)
+            for share in (0.12, 0.3, 0.5)
         ),
     ),
     Row(
         "duplicate or reordered: ECG",
         Hazard.REORDERED_STAMPS,
         "more than 10 of the last 100 packets",
-        three(
-            [
-                ecg_fault(f"{share:.0%} come twice", Fault(ecg=repeated(share)), 3.0, 100 * 0.020 + PACKET_S)
-                for share in (0.12, 0.3, 0.5)
-            ]
+        tuple(
+            ecg_fault(f"{share:.0%} come twice", Fault(ecg=repeated(share)), 3.0, 100 * 0.020 + PACKET_S)
+            for share in (0.12, 0.3, 0.5)
         ),
     ),
 )
@@ -397,19 +358,15 @@ def _drift_row(stream: str, faulty: Callable[[ArrivalsChange], Fault]) -> Row:
         f"clock drift: {stream}",
         Hazard.CLOCK_SKEW,
         "100 ppm over 60 s are 6 ms; that at the clock's rate, and three blocks of 2 s",
-        three([_drift(label, faulty(drifting(rate)), rate) for label, rate in skew]),
+        tuple(_drift(label, faulty(drifting(rate)), rate) for label, rate in skew),
     )
 
 
 def _drift(label: str, fault: Fault, rate: float) -> Severity:
     """The fault lasts until it must have been found, and a little longer."""
-    limit_s = _drift_limit_s(rate)
+    # 6 ms (100 ppm over 60 s) at this rate, and three blocks of 2 s of which the least latency is taken
+    limit_s = 0.006 / abs(rate) + 6.0
     return Severity(label, SessionFault(fault, limit_s + 2.0, 2.0, 0.01), limit_s)
-
-
-def _drift_limit_s(rate: float) -> float:
-    """6 ms (100 ppm over 60 s) at this rate, and three blocks of 2 s of which the least latency is taken."""
-    return 0.006 / abs(rate) + 6.0
 
 
 CLOCK_ROWS: tuple[Row, ...] = (
@@ -420,41 +377,33 @@ CLOCK_ROWS: tuple[Row, ...] = (
         "clock ahead: tool",
         Hazard.CLOCK_SKEW,
         "the first pose stamped more than 5 ms after its arrival: one frame, and its arrival",
-        three(
-            [
-                tool_fault(
-                    f"{1000 * by:g} ms ahead", stamped_back(-by - 0.003), 0.5, FRAME_S + TOOL_ARRIVES_S
-                )
-                for by in (0.007, 0.1, 10.0)
-            ]
+        tuple(
+            tool_fault(f"{1000 * by:g} ms ahead", stamped_back(-by - 0.003), 0.5, FRAME_S + TOOL_ARRIVES_S)
+            for by in (0.007, 0.1, 10.0)
         ),
     ),
     Row(
         "clock goes back: tool",
         Hazard.CLOCK_BACKWARDS | Hazard.STALE_TOOL,
         "its poses are refused: age beyond 2.5 frames",
-        three([tool_fault(f"{by:g} s back", stamped_back(by), 0.5, TOO_OLD_S) for by in (0.15, 1.0, 10.0)]),
+        tuple(tool_fault(f"{by:g} s back", stamped_back(by), 0.5, TOO_OLD_S) for by in (0.15, 1.0, 10.0)),
     ),
     Row(
         "clock goes back: ultrasound",
         Hazard.CLOCK_BACKWARDS,
         "the first frame stamped back: one frame, and its arrival",
-        three(
-            [
-                frames_fault(f"{by:g} s back", stamped_back(by), 0.6, ULTRASOUND_FRAME_S + FRAME_ARRIVES_S)
-                for by in (0.3, 1.0, 10.0)
-            ]
+        tuple(
+            frames_fault(f"{by:g} s back", stamped_back(by), 0.6, ULTRASOUND_FRAME_S + FRAME_ARRIVES_S)
+            for by in (0.3, 1.0, 10.0)
         ),
     ),
     Row(
         "clock goes back: ECG",
         Hazard.CLOCK_BACKWARDS,
         "the first packet stamped back: 20 ms, and its arrival",
-        three(
-            [
-                ecg_fault(f"{by:g} s back", Fault(ecg=stamped_back(by)), 0.6, 0.020 + PACKET_S)
-                for by in (0.15, 1.0, 10.0)
-            ]
+        tuple(
+            ecg_fault(f"{by:g} s back", Fault(ecg=stamped_back(by)), 0.6, 0.020 + PACKET_S)
+            for by in (0.15, 1.0, 10.0)
         ),
     ),
 )

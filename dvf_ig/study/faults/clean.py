@@ -9,8 +9,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from data_synth.seeds import child_rng
-from data_synth.signals.rhythm import RhythmSpec
+from data_synth import RhythmSpec, child_rng
 from data_synth.signals.smooth_noise import smooth_noise
 from dvf_ig.core import FloatArray, Rigid
 from dvf_ig.guidance import Fixtures, Hazard, SupervisorState

@@ -15,7 +15,7 @@ from dvf_ig.core import BoolArray, FloatArray, Rigid
 from dvf_ig.guidance import Fixtures, Hazard, SupervisorState
 from dvf_ig.guidance.servo import ServoInputs, ServoOptions, ServoRecord, SimulatedServo
 from dvf_ig.kernels.servo.foreign import device_function
-from dvf_ig.study.faults.session_trial import OUT_MM, TrialTrace
+from dvf_ig.study.faults.session_trial import OUT_MM, FaultRun, TrialTrace
 from dvf_ig.study.passivity import steady_transform, wall_model
 
 COUNT, START_NS, WRITTEN, HEADER = 0, 1, 2, 8
@@ -138,17 +138,7 @@ class ServoFault:
     restarts: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class ServoRun:
-    """A trial's trace, and when the fault began and ended and the operator re-armed."""
-
-    trace: TrialTrace
-    begin_s: float
-    end_s: float
-    rearm_s: float
-
-
-def run_servo_fault(fault: ServoFault, seed: int) -> ServoRun:
+def run_servo_fault(fault: ServoFault, seed: int) -> FaultRun:
     """Put a fault into a servo's ticks and run them."""
     rng = child_rng(seed, "servo")
     first = round(RATE_HZ * (BEGIN_S + 0.1 * float(rng.uniform())))
@@ -169,7 +159,7 @@ def run_servo_fault(fault: ServoFault, seed: int) -> ServoRun:
     if fault.by_energy:
         begin_s = _energy_passes(record, servoing.options)
     end_s, rearm_s = (float(record.t_s[min(k, len(record) - 1)]) for k in (last, rearm))
-    return ServoRun(_course(record, device), begin_s, end_s, rearm_s)
+    return FaultRun(_course(record, device), begin_s, end_s, rearm_s)
 
 
 def _places(ticks: int, last: int, rearm: int, rng: np.random.Generator) -> FloatArray:

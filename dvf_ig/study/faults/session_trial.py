@@ -242,8 +242,8 @@ class SessionFault:
 
 
 @dataclass(frozen=True, slots=True)
-class SessionRun:
-    """A trial's trace.
+class FaultRun:
+    """A trial's trace, of a session or of a servo.
 
     Attributes:
         begin_s, end_s: of the fault; rearm_s: when the operator asked for force.
@@ -255,7 +255,7 @@ class SessionRun:
     rearm_s: float
 
 
-def run_session_fault(planned: SessionFault, seed: int) -> SessionRun:
+def run_session_fault(planned: SessionFault, seed: int) -> FaultRun:
     """Put a fault into an intervention and run it."""
     begin_s = 0.0 if planned.from_start else BEGIN_S + float(child_rng(seed, "begin").uniform())
     begin_s -= BEFORE_REGISTRATION_S if planned.on_registration else 0.0
@@ -280,7 +280,7 @@ def run_session_fault(planned: SessionFault, seed: int) -> SessionRun:
         if not registered_s:
             raise InvalidInputError("no registration was asked for while the fault lasted; give it longer")
         when = replace(when, begin_s=registered_s[0])
-    return SessionRun(trace, when.begin_s, when.end_s, rearm_s)
+    return FaultRun(trace, when.begin_s, when.end_s, rearm_s)
 
 
 def _streams(

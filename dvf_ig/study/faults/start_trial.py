@@ -8,14 +8,10 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from data_synth import PhantomAnatomy, phantom_anatomy
-from data_synth.phantoms.nwire import NWireSpec, nwire_recording
-from data_synth.seeds import child_rng
-from data_synth.signals.tracker import TrackerSpec
+from data_synth import NWireSpec, PhantomAnatomy, TrackerSpec, child_rng, nwire_recording, phantom_anatomy
 from data_synth.ultrasound.probe import SectorProbe
 from dvf_ig.calibration import validate_nwire
 from dvf_ig.calibration.probe.errors import known_points_refusals
-from dvf_ig.calibration.refusal import Refusal
 from dvf_ig.core import DvfIgError, DvfModel, FloatArray, ImageMap, Landmarks, Mesh, Points, Rigid
 from dvf_ig.io import read_model, read_transform, write_model, write_transform
 from dvf_ig.registration.start import require_on_model, require_unflipped, start_from_landmarks
@@ -128,14 +124,11 @@ def calibrated_off(by_mm: float) -> Start:
         angle = float(rng.uniform(0.0, 2.0 * np.pi))
         away = by_mm * (np.cos(angle) * true.rigid.rotation[:, 0] + np.sin(angle) * true.rigid.rotation[:, 1])
         rigid = Rigid("probe", "image", true.rigid.rotation, true.rigid.translation_mm + away)
-        _require(known_points_refusals(validate_nwire(ImageMap(rigid, true.scale_mm_per_px), recording)))
+        errors = validate_nwire(ImageMap(rigid, true.scale_mm_per_px), recording)
+        for refusal in known_points_refusals(errors):
+            raise DvfIgError(refusal.detail)
 
     return start
-
-
-def _require(refusals: tuple[Refusal, ...]) -> None:
-    if refusals:
-        raise DvfIgError(refusals[0].detail)
 
 
 def pose_file_scaled(factor: float) -> Start:

@@ -15,50 +15,21 @@ from operator import itemgetter
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from data_synth.seeds import child_rng
-from data_synth.signals.ecg import EcgSpec, synthetic_ecg
+from data_synth import EcgSpec, child_rng, synthetic_ecg
 from data_synth.signals.rhythm import Beats, RhythmSpec, beat_series
 from data_synth.signals.tracker import TrackerSpec, sampling_times, tracked
 from dvf_ig.cardiac import RPeak
-from dvf_ig.core import (
-    FloatArray,
-    Grid,
-    ImageMap,
-    Points,
-    PoseStream,
-    Rigid,
-    Stop,
-    mean_displacement_mm,
-    read_only_arrays,
-)
-from dvf_ig.registration import (
-    BeatMeasurement,
-    Evidence,
-    Gated,
-    ImageStatistics,
-    ModelChannels,
-    PoseChart,
-    PoseEstimate,
-    RegistrationOptions,
-    RegistrationResult,
-)
-from dvf_ig.session import (
-    BeatEvaluation,
-    CalibrationsInUse,
-    EcgSamples,
-    EcgSource,
-    Event,
-    GatedFrames,
-    Heart,
-    RegistrationRecord,
-    RegistrationRequest,
-    SessionSetup,
-    ToolPose,
-    TrackedFrame,
-)
+from dvf_ig.core import Grid, ImageMap, Points, PoseStream, Rigid, Stop, mean_displacement_mm
+from dvf_ig.core.arrays import FloatArray, read_only_arrays
+from dvf_ig.registration import Evidence, Gated, ImageStatistics, ModelChannels, PoseChart, RegistrationResult
+from dvf_ig.registration.images import RegistrationOptions
+from dvf_ig.registration.tracking.pose_estimate import BeatMeasurement, PoseEstimate
+from dvf_ig.session import BeatEvaluation, GatedFrames, Heart, RegistrationRecord, RegistrationRequest
 from dvf_ig.session.arrived_ultrasound import FrameBuffer
 from dvf_ig.session.beat_evaluation import BEAT_COMPUTE_S, ComparedBeat, evaluation_of
+from dvf_ig.session.events import EcgSamples, Event, ToolPose, TrackedFrame
 from dvf_ig.session.gated_frames import MIN_FRAMES
+from dvf_ig.session.setup import CalibrationsInUse, EcgSource, SessionSetup
 from dvf_ig.session.work import Job, answered
 from dvf_ig.study.passivity import wall_model
 

@@ -18,23 +18,13 @@ from typing import TYPE_CHECKING, Any
 
 from dvf_ig.report.page import html_page, image_tag, section, table
 from dvf_ig.report.style import ESTIMATE, GUIDE, START
-from dvf_ig.study.driver import (
-    Driver,
-    Line,
-    Result,
-    Rows,
-    Settings,
-    Study,
-    Trials,
-    option,
-    seed_option,
-    seeds_option,
-)
+from dvf_ig.study.driver import Driver, Line, Result, Rows, Settings, Study, Trials
 from dvf_ig.study.faults.catalogue import ROWS, SEVERITIES, Row, Severity
 from dvf_ig.study.faults.clean import SECONDS, clean_trial
 from dvf_ig.study.faults.servo_trial import ServoFault, run_servo_fault
 from dvf_ig.study.faults.session_trial import SessionFault, judge, run_session_fault
 from dvf_ig.study.faults.start_trial import StartFault, refused
+from dvf_ig.study.options import option, seed_option, seeds_option
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -87,22 +77,17 @@ def fault_trial(settings: Settings, number: int) -> Line:
 
 
 def _judged(row: Row, severity: Severity, fault: SessionFault | ServoFault, seed: int) -> Line:
-    if isinstance(fault, SessionFault):
-        session = run_session_fault(fault, seed)
-        trace, begin_s, end_s, rearm_s = session.trace, session.begin_s, session.end_s, session.rearm_s
-    else:
-        servo = run_servo_fault(fault, seed)
-        trace, begin_s, end_s, rearm_s = servo.trace, servo.begin_s, servo.end_s, servo.rearm_s
+    run = run_session_fault(fault, seed) if isinstance(fault, SessionFault) else run_servo_fault(fault, seed)
     judgement = judge(
-        trace,
+        run.trace,
         row.hazards,
-        begin_s=begin_s,
-        end_s=end_s,
+        begin_s=run.begin_s,
+        end_s=run.end_s,
         limit_s=severity.limit_s,
-        rearm_s=rearm_s,
+        rearm_s=run.rearm_s,
         by_pose=isinstance(fault, SessionFault) and fault.by_pose,
     )
-    stays = isinstance(fault, ServoFault) and fault.restarts
+    stays, back_s = isinstance(fault, ServoFault) and fault.restarts, judgement.recovery_s
     return {
         "detected": judgement.detected_s <= severity.limit_s + 1e-9,
         "detected_s": judgement.detected_s if isfinite(judgement.detected_s) else None,
@@ -111,12 +96,8 @@ def _judged(row: Row, severity: Severity, fault: SessionFault | ServoFault, seed
         "error_n": judgement.error_n,
         "error_s": judgement.error_s,
         "latched": judgement.latched,
-        "recovery_s": judgement.recovery_s
-        if judgement.recovery_s is None or isfinite(judgement.recovery_s)
-        else None,
-        "recovered": judgement.recovered
-        if not stays
-        else judgement.recovery_s is not None and not judgement.recovered,
+        "recovery_s": None if back_s is None or not isfinite(back_s) else back_s,
+        "recovered": back_s is not None and not judgement.recovered if stays else judgement.recovered,
     }
 
 

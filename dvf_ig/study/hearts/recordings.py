@@ -8,77 +8,41 @@ are named here then.
 """
 
 from dataclasses import dataclass, replace
-from enum import StrEnum
 from functools import lru_cache
 from time import perf_counter
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from scipy.optimize import bisect
 
-from data_synth import (
-    PRESETS,
-    HeartSpec,
-    ImagedHeart,
-    ImagePair,
-    PairSpec,
-    Preset,
-    ScenarioSpec,
-    SecondWorldSpec,
-    child_rng,
-    image_pair,
-    imaged_heart,
-    phantom_scenario,
-    second_world_pair,
-    second_world_recording,
-)
+from data_synth import HeartSpec, SecondWorldSpec, child_rng, second_world_pair, second_world_recording
 from data_synth.heart.mismatch import UNTOUCHED, SurgicalChange
 from data_synth.heart.motion import MotionPreset
 from data_synth.mr.examination import ExamName
-from dvf_ig.core import (
-    HEART_RADIUS_MM,
-    FloatArray,
-    InvalidInputError,
-    Points,
-    Rigid,
-    Scenario,
-    nearest_phase,
-    read_only_arrays,
-)
-from dvf_ig.registration import (
-    VOLUME_SMOOTHING_MM,
-    BoundaryTarget,
-    HeartChannels,
-    ModelChannels,
-    RegistrationResult,
-    channels_from_mr,
-    images_of_volumes,
-    register,
-    target_errors_mm,
-    target_from_labels,
-)
+from data_synth.scenario.image_pair import ImagePair, PairSpec, image_pair
+from data_synth.scenario.presets import PRESETS, Preset, ScenarioSpec
+from data_synth.scenario.recording import ImagedHeart, imaged_heart, phantom_scenario
+from dvf_ig.core import HEART_RADIUS_MM, InvalidInputError, Points, Rigid, Scenario, nearest_phase
+from dvf_ig.core.arrays import FloatArray, read_only_arrays
+from dvf_ig.registration import BoundaryTarget, ModelChannels, channels_from_mr, register, target_from_labels
+from dvf_ig.registration.images import VOLUME_SMOOTHING_MM, HeartChannels, images_of_volumes
+from dvf_ig.registration.pose_chart import target_errors_mm
+from dvf_ig.registration.result import RegistrationResult
 from dvf_ig.replay.registration import PreparedRegistration, prepare_registration
-from dvf_ig.session import Heart, build_heart, register_gated_volumes
-from dvf_ig.session.heart import label_map
+from dvf_ig.session import Heart, build_heart, label_map, register_gated_volumes
 from dvf_ig.session.ultrasound_registration import images_of_frames
-from dvf_ig.study.driver import Settings, option
+from dvf_ig.study.driver import Settings
+from dvf_ig.study.options import option
 
 from .walls import WallErrors, measure_walls
 
-
-class ListName(StrEnum):
-    """Lists of hearts."""
-
-    tuning = "tuning"
-    threshold = "threshold"
-    reported = "reported"
+ListName = Literal["tuning", "threshold", "reported"]
+"""Lists of hearts."""
 
 
 def list_option() -> Any:
     """The list of hearts that a study takes."""
-    return option(
-        "Hearts that are tuned on, that limits come from, or reported.", ListName.reported, flag="--list"
-    )
+    return option("Hearts that are tuned on, that limits come from, or reported.", "reported", flag="--list")
 
 
 def hearts_option() -> Any:
@@ -332,17 +296,15 @@ def registered_heart(settings: Settings, number: int) -> RegisteredHeart:
         if condition.disturbed:
             raise InvalidInputError("the second world is for reporting; its hearts are not disturbed further")
         rng = child_rng(seed, "heart trial")
-        if settings["images"] in EXAMS:
-            raise InvalidInputError("the second world has no short-axis slices; take --world first")
         quality: Any = condition.quality
-        second = {"sweep": _second_sweep, "volumes": _second_volumes}[settings["images"]]
-        return second(SecondWorldSpec(seed, quality, _motion(seed), SWEEP_S), rng)
+        spec = SecondWorldSpec(seed, quality, _motion(seed), SWEEP_S, exam=_exam(settings["images"], seed))
+        return (_second_volumes if settings["images"] == "volumes" else _second_sweep)(spec, rng)
     drawing = seed if condition.draw == 0 else number
     rng = child_rng(drawing, "heart trial")
     images = settings["images"]
     if images == "volumes":
         return _volumes(seed, drawing, condition, rng)
-    exam = EXAMS[images][seed // 2 % len(EXAMS[images])] if images in EXAMS else None
+    exam = _exam(images, seed)
     if condition.change is not None:
         return _changed_sweep(seed, condition, CHANGES[condition.change], rng)
     return _sweep(seed, drawing, condition, rng, exam)
@@ -350,6 +312,11 @@ def registered_heart(settings: Settings, number: int) -> RegisteredHeart:
 
 def _motion(seed: int) -> Any:
     return MOTION[seed % 2]
+
+
+def _exam(images: str, seed: int) -> ExamName | None:
+    """Return the examination as which a heart's MR is acquired; None if it is whole."""
+    return EXAMS[images][seed // 2 % len(EXAMS[images])] if images in EXAMS else None
 
 
 @lru_cache(maxsize=1)
@@ -381,26 +348,26 @@ def _changed_sweep(
 ) -> RegisteredHeart:
     """Register a sweep of the patient's heart, which is not the one in the MR, and measure its walls."""
     imaged, heart = _prepared(seed, None)
-    factor = change.contraction[seed % 2]
-    resting = imaged.anatomy.resting or imaged.anatomy
-    if factor != 1.0:
-        resting = replace(resting, scale=factor * resting.scale)
-    preset = replace(PRESETS[condition.quality], mismatch_mm=change.mismatch_mm, surgery=change.surgery)
+    preset = replace(
+        PRESETS[condition.quality],
+        mismatch_mm=change.mismatch_mm,
+        surgery=change.surgery,
+        contraction=change.contraction,
+    )
     same = replace(VARIED, anatomy_seed=seed, motion_seed=seed)
     spec = ScenarioSpec(condition.quality, _motion(seed), SWEEP_S, seed, changed=preset, heart=same)
-    patient = replace(imaged, anatomy=resting)
-    scenario = phantom_scenario(spec, imaged=patient)
+    scenario = phantom_scenario(spec, imaged=imaged)
     prepared, reference, start = _prepared_sweep(scenario, heart, seed, START_MM, rng)
     result = prepared.register(seed=seed)
     boundary = images_of_frames(prepared.recording, prepared.frames, perf_counter, warm=False).boundary
     if boundary is None or scenario.truth is None:
         raise TypeError("a phantom has the boundary of blood, and its truth")
-    walls = measure_walls(heart, result, boundary, scenario.truth, (imaged.anatomy, patient.of(spec)))
+    walls = measure_walls(heart, result, boundary, scenario.truth, (imaged.anatomy, imaged.of(spec)))
     return RegisteredHeart(result, start, reference, {"sweep_s": SWEEP_S}, walls=walls)
 
 
 def _second_sweep(spec: SecondWorldSpec, rng: np.random.Generator) -> RegisteredHeart:
-    recording = second_world_recording(spec)
+    recording = second_world_recording(spec, phases=EXAM_PHASES)
     heart = build_heart(recording.scenario.preop)
     registered = _registered_sweep(
         recording.scenario, heart, spec.seed, START_MM, rng, {"sweep_s": spec.seconds}

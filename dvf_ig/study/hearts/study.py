@@ -11,43 +11,21 @@ of the list `threshold`.
 """
 
 import math
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass, fields
 from enum import StrEnum
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
-from dvf_ig.core import DvfIgError, FloatArray, InvalidInputError, Rigid
-from dvf_ig.registration import (
-    PoseChart,
-    RegistrationResult,
-    covariance_to_mm,
-    predicted_error_mm,
-    target_errors_mm,
-)
+from dvf_ig.core import DvfIgError, InvalidInputError
+from dvf_ig.registration import PoseChart, covariance_to_mm, predicted_error_mm, target_errors_mm
 from dvf_ig.registration.evidence.assessment import TABLES, features_of
-from dvf_ig.study.driver import Driver, Line, Result, Rows, Settings, Study, Trials, option, trials_of
+from dvf_ig.study.driver import Driver, Line, Result, Rows, Settings, Study, Trials, trials_of
+from dvf_ig.study.hearts import recordings
 from dvf_ig.study.hearts.fit import fit_tables
-from dvf_ig.study.hearts.recordings import (
-    ListName,
-    RegisteredHeart,
-    conditions_of,
-    heart_list,
-    hearts_option,
-    list_option,
-    of_trial,
-    registered_heart,
-    trial_numbers,
-)
 from dvf_ig.study.hearts.summary import hearts_table, summarise_hearts
-
-
-class World(StrEnum):
-    """Synthetic worlds."""
-
-    first = "first"
-    second = "second"
+from dvf_ig.study.options import option
 
 
 class Quality(StrEnum):
@@ -67,25 +45,18 @@ class ChangeName(StrEnum):
     other_motion = "other-motion"
 
 
-class Images(StrEnum):
-    """Kinds of registered images."""
-
-    sweep = "sweep"
-    sweep_of_sax = "sweep-of-sax"
-    sweep_of_sax_lax = "sweep-of-sax+lax"
-    volumes = "volumes"
-
-
 @dataclass(frozen=True, kw_only=True)
 class HeartsSettings:
     """Options of the study."""
 
-    list: ListName = list_option()
-    world: World = option("The second shares no table with the first; reported only.", World.first)
-    images: Images = option(
+    list: recordings.ListName = recordings.list_option()
+    world: Literal["first", "second"] = option(
+        "The second shares no table with the first; reported only.", "first"
+    )
+    images: Literal["sweep", "sweep-of-sax", "sweep-of-sax+lax", "volumes"] = option(
         "A tracked sweep of 14 s, the same of a heart that short-axis slices alone or with long-axis views "
         "cover in part, or gated 3-D volumes.",
-        Images.sweep,
+        "sweep",
     )
     quality: tuple[Quality, ...] = option("Image quality (repeatable; default: both).", ())
     disturbed: int = option(
@@ -100,7 +71,7 @@ class HeartsSettings:
         "errors of its walls are measured too.",
         (),
     )
-    hearts: int | None = hearts_option()
+    hearts: int | None = recordings.hearts_option()
     fit: tuple[Path, ...] = option(
         "Register nothing: fit probability and bound on the trials of this folder (repeatable).", ()
     )
@@ -110,11 +81,11 @@ def heart_trial(settings: Settings, number: int) -> Line:
     """One recording of one heart of a list.
 
     Args:
-        settings: `world` ("first", "second"), `images` (see `Images`), `qualities` (presets of scenarios),
+        settings: `world` ("first", "second"), `images`, `qualities` (presets of scenarios),
             `disturbed`, `changes` (see `conditions_of`).
         number: of the trial.
     """
-    heart, condition = of_trial(number, settings)
+    heart, condition = recordings.of_trial(number, settings)
     named = {
         "world": settings["world"],
         "images": settings["images"],
@@ -124,29 +95,30 @@ def heart_trial(settings: Settings, number: int) -> Line:
         "change": condition.change,
     }
     try:
-        registered = registered_heart(settings, number)
+        registered = recordings.registered_heart(settings, number)
     except DvfIgError as exc:
         return {**named, "refused": str(exc)}
     return {**named, **registered.drawn, **_measured(registered)}
 
 
-def _measured(registered: RegisteredHeart) -> Line:
+def _measured(registered: recordings.RegisteredHeart) -> Line:
     """Errors at the targets, and what the result states about itself."""
-    result = registered.result
-    pose, truth = result.target_from_source, registered.known.truth
-    errors = target_errors_mm(pose, truth, registered.known.targets)
+    result, known = registered.result, registered.known
+    pose, truth = result.target_from_source, known.truth
+    errors = target_errors_mm(pose, truth, known.targets)
     covered = None if registered.covered is None else target_errors_mm(pose, truth, registered.covered)
+    offset = PoseChart(pose, result.center_mm).coordinates(truth)
+    covariance = covariance_to_mm(result.covariance) if np.isfinite(result.covariance).all() else None
     return {
-        "start_mm": float(
-            target_errors_mm(registered.start, registered.known.truth, registered.known.targets).mean()
-        ),
+        "start_mm": float(target_errors_mm(registered.start, truth, known.targets).mean()),
         "floor_mm": registered.floor_mm,
         "tre_mm": float(errors.mean()),
         "tre_p95_mm": float(np.percentile(errors, 95)),
         "tre_max_mm": float(errors.max()),
         "covered_mm": None if covered is None else float(covered.mean()),
         "covered_max_mm": None if covered is None else float(covered.max()),
-        "chi2": _chi2(result, registered.known.truth),
+        # the squared error of the pose by its covariance, of 6 degrees of freedom
+        "chi2": None if covariance is None else float(offset @ np.linalg.solve(covariance, offset)),
         "covariance_scale": result.covariance_scale,
         "stop": result.stop.name,
         "usable": result.stop.usable,
@@ -159,39 +131,16 @@ def _measured(registered: RegisteredHeart) -> Line:
             None if result.coverage is None else result.coverage.share,
         ),
         "statistics": None if result.statistics is None else result.statistics.values(),
-        "offset_mm": _offset(result, registered.known.truth),
-        "covariance_mm2": _listed(result.covariance),
+        "offset_mm": offset.tolist(),  # the true pose in the coordinates of `PoseChart` about the result
+        "covariance_mm2": None if covariance is None else covariance.tolist(),
         "similarity": result.similarity,
         "moved_mm": result.moved_mm,
         "overlap": result.overlap,
-        "sigma_mm": _sigma_mm(result.covariance),
+        "sigma_mm": None if covariance is None else float(np.sqrt(np.trace(covariance) / 6.0)),
         "seconds": result.seconds,
-        "walls": None if registered.walls is None else asdict(registered.walls),
+        "walls": registered.walls,
         **_numbers_of(result.evidence),
     }
-
-
-def _chi2(result: RegistrationResult, truth: Rigid) -> float | None:
-    """Squared error of the pose by its covariance, of 6 degrees of freedom; None without a covariance."""
-    if not np.isfinite(result.covariance).all():
-        return None
-    off = PoseChart(result.target_from_source, result.center_mm).coordinates(truth)
-    return float(off @ np.linalg.solve(covariance_to_mm(result.covariance), off))
-
-
-def _offset(result: RegistrationResult, truth: Rigid) -> list[float]:
-    """The true pose in the coordinates of `PoseChart` about the result."""
-    return [float(v) for v in PoseChart(result.target_from_source, result.center_mm).coordinates(truth)]
-
-
-def _listed(covariance: FloatArray) -> list[list[float]] | None:
-    finite = bool(np.isfinite(covariance).all())
-    return [[float(v) for v in row] for row in covariance_to_mm(covariance)] if finite else None
-
-
-def _sigma_mm(covariance: FloatArray) -> float | None:
-    mean = float(np.trace(covariance_to_mm(covariance))) / 6.0
-    return float(np.sqrt(mean)) if np.isfinite(mean) else None
 
 
 def _numbers_of(evidence: Any) -> Line:
@@ -208,25 +157,25 @@ def run(settings: HeartsSettings, driver: Driver) -> Result:
     """Register every heart of the list, or fit tables on trials."""
     if settings.fit:
         return _fitted(settings.fit)
-    plain = settings.world is World.first and settings.images is Images.sweep and not settings.disturbed
+    plain = settings.world == "first" and settings.images == "sweep" and not settings.disturbed
     if settings.change and not plain:
         raise InvalidInputError("--change belongs to undisturbed sweeps of the first world")
     conditions: Settings = {
-        "world": settings.world.value,
-        "images": settings.images.value,
+        "world": settings.world,
+        "images": settings.images,
         "qualities": [chosen.value for chosen in settings.quality or Quality],
         "disturbed": settings.disturbed,
         "changes": [chosen.value for chosen in settings.change],
     }
-    chosen = heart_list(settings.list.value)
-    hearts = (chosen.changed if settings.change else chosen.of_world(settings.world.value))[: settings.hearts]
+    chosen = recordings.heart_list(settings.list)
+    hearts = (chosen.changed if settings.change else chosen.of_world(settings.world))[: settings.hearts]
     lines = driver.trials(
         Trials("hearts", conditions, heart_trial),
-        trial_numbers(hearts, conditions),
-        group_size=len(conditions_of(conditions)),
+        recordings.trial_numbers(hearts, conditions),
+        group_size=len(recordings.conditions_of(conditions)),
     )
     groups = summarise_hearts(lines)
-    summary = {"list": settings.list.value, **conditions, "groups": groups}
+    summary = {"list": settings.list, **conditions, "groups": groups}
     return Result(summary, hearts_table(groups), {"summary.json": summary})
 
 

@@ -7,6 +7,7 @@ Each pair of trials is over the same ten pellets, with and without the force, in
 import json
 import time
 from collections.abc import Callable, Sequence
+from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -63,7 +64,8 @@ NO_FORCE_N = 1e-9
 """Largest force of a trial without force at a person's device: its servo runs as ever."""
 AXES = {"force-dimension": ("toward", "right", "up"), "openhaptics": ("right", "up", "toward")}
 """Directions of a device's x, y and z, as its maker gives them, seen by who sits before it."""
-LOOK_S = 0.02
+LOOK_S = 0.001
+"""A device reads its button with every 32nd position (Force Dimension), a person presses it for 0.1 s."""
 LATE_S = {True: 0.1, False: 0.002}
 """Lateness that latches, by whether the device is simulated: a simulated hand does not feel single ticks."""
 REARM_EVERY_S = 0.5
@@ -209,22 +211,20 @@ def _play(
 ) -> tuple[dict[str, Any], Trace]:
     device = None if practice.simulated else open_device(practice.device)
     loop, task = _trial(heart, practice, condition, number, device)
-    hand, place = None, Rigid.identity("tracker", "device")
-    if device is None:
-        haptic: HeldDevice = (hand := OperatorsHand(loop))
-    else:
-        haptic, place = device, place_of_device(practice.device, loop, position_mm(device))
     force = "with force" if condition.haptic else "without force"
     show.begin(loop, task, f"{practice.task}, {force}")
+    hand, place = None, Rigid.identity("tracker", "device")
+    haptic: HeldDevice = (hand := OperatorsHand(loop)) if device is None else device
     tip = Points("tool", np.zeros((1, 3)))
     late_s = LATE_S[device is None]
-    with HapticTool(haptic, fixtures_of(loop), loop.limits, place, tip, tell, late_s) as tool:
+    with closing(haptic):
         if device is not None:
             tell(f"{force}: hold the stylus still and press its button to begin")
-            await_button(device)
-        tell(f"{practice.task}, trial {number + 1} of {practice.trials}, {force}")
-        player = LivePlayer(loop, tool, place, hand)
-        trace = run_task(loop, task, LONGEST_S, player, lambda t, _: show.observe(t, player, tool))
+            place = place_of_device(practice.device, loop, tip_at_press_mm(device))
+        with HapticTool(haptic, fixtures_of(loop), loop.limits, place, tip, tell, late_s) as tool:
+            tell(f"{practice.task}, trial {number + 1} of {practice.trials}, {force}")
+            player = LivePlayer(loop, tool, place, hand)
+            trace = run_task(loop, task, LONGEST_S, player, lambda t, _: show.observe(t, player, tool))
     measures = cutting_measures if practice.task == "cutting" else dissection_measures
     line = {
         "person": practice.person,
@@ -279,12 +279,17 @@ def view_of(loop: Loop) -> tuple[FloatArray, FloatArray]:
     return toward, perpendicular(toward, np.array([0.0, 0.0, 1.0]))
 
 
-def await_button(device: HeldDevice) -> None:
-    """Wait until the person presses the button."""
-    while device.pressed:
+def tip_at_press_mm(device: HeldDevice) -> FloatArray:
+    """Wait for a press of the button, and return the tip's place (3,) at it, frame "device".
+
+    No servo runs yet: the button comes with the positions that are read here.
+    """
+    before, pressed = True, True
+    while before or not pressed:
         time.sleep(LOOK_S)
-    while not device.pressed:
-        time.sleep(LOOK_S)
+        tip_mm = position_mm(device)
+        before, pressed = pressed, device.pressed
+    return tip_mm
 
 
 def _csv(trace: Trace) -> str:

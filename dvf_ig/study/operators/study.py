@@ -21,19 +21,7 @@ from data_synth.operator.operator_spec import (
 )
 from data_synth.operator.simulated_operator import RATE_HZ
 from dvf_ig.report.style import png_bytes
-from dvf_ig.study.driver import (
-    Driver,
-    Line,
-    Result,
-    Rows,
-    Settings,
-    Study,
-    Trials,
-    option,
-    refusals,
-    seed_option,
-    seeds_option,
-)
+from dvf_ig.study.driver import Driver, Line, Result, Rows, Settings, Study, Trials, refusals
 from dvf_ig.study.operators import lesion, pellets, tasks
 from dvf_ig.study.operators.closed_loop import (
     ABLATIONS,
@@ -71,6 +59,7 @@ from dvf_ig.study.operators.tasks import (
     tracking_law,
     tracking_measures,
 )
+from dvf_ig.study.options import option, seed_option, seeds_option
 from dvf_ig.study.statistics import estimate_text
 
 

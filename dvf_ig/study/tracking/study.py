@@ -11,17 +11,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from enum import StrEnum
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from data_synth import MotionPreset
 from dvf_ig.core import BoolArray, part_of
 from dvf_ig.guidance import DEVICES, SimulatedDevice
 from dvf_ig.guidance.blend import BLEND_CODES
 from dvf_ig.report.style import SERIES, TRUTH, open_frame, png_bytes
-from dvf_ig.study.driver import Driver, Result, Rows, Study, option, seed_option, seeds_option
-from dvf_ig.study.replay import Motion
+from dvf_ig.study.driver import Driver, Result, Rows, Study
+from dvf_ig.study.options import option, seed_option, seeds_option
 from dvf_ig.study.tracking.stylus import (
     HeldStylus,
     StylusRun,
@@ -36,24 +36,16 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-class DeviceName(StrEnum):
-    """Simulated devices."""
-
-    premium = "premium"
-    omni = "omni"
-    both = "both"
-
-
 @dataclass(frozen=True, kw_only=True)
 class TrackingSettings:
     """Options of the study."""
 
-    motion: Motion = option("How the phantom beats.", Motion.paper5mm)
+    motion: MotionPreset = option("How the phantom beats.", "paper5mm")
     cycles: int = option("How many.", 30, least=1)
     cycle_s: float = option("Length of a cycle.", 0.6, least=0.3, most=3.0)
     phases: int = option("Volumes of the model in a cycle.", 20, least=2)
     places: int = option("Places on the surface.", 6, least=1)
-    device: DeviceName = option("What is simulated.", DeviceName.both)
+    device: Literal["premium", "omni", "both"] = option("What is simulated.", "both")
     seeds: int = seeds_option(1)
     seed: int = seed_option(1)
 
@@ -166,13 +158,13 @@ def _draw_spread(axis: Axes, tracks: Sequence[StylusRun]) -> None:
 
 def run(settings: TrackingSettings, driver: Driver) -> Result:
     """Hold every stylus to every heart."""
-    both = settings.device is DeviceName.both
-    devices = list(DEVICES.values()) if both else [DEVICES[settings.device.value]]
+    both = settings.device == "both"
+    devices = list(DEVICES.values()) if both else [DEVICES[settings.device]]
     styli = held_styli(devices, list(BLEND_CODES))
     with driver.progress("tracking") as report:
         hearts = [
             beating_surface(
-                settings.motion.value,
+                settings.motion,
                 phases=settings.phases,
                 cycle_s=settings.cycle_s,
                 places=settings.places,
@@ -186,7 +178,7 @@ def run(settings: TrackingSettings, driver: Driver) -> Result:
             runs.append(pool_hearts([hold_stylus(heart, stylus, cycles=settings.cycles) for heart in hearts]))
             report(0.3 + 0.7 * len(runs) / len(styli))
     fields = {
-        "motion": settings.motion.value,
+        "motion": settings.motion,
         "cycles": settings.cycles,
         "cycle_s": settings.cycle_s,
         "phases": settings.phases,
@@ -195,7 +187,7 @@ def run(settings: TrackingSettings, driver: Driver) -> Result:
         "excursion_mm": [mm for heart in hearts for mm in heart.excursion_mm.tolist()],
         "rows": [_entry(one) for one in runs],
     }
-    picture = tracking_figure(runs, motion=settings.motion.value, cycle_s=settings.cycle_s)
+    picture = tracking_figure(runs, motion=settings.motion, cycle_s=settings.cycle_s)
     return Result(
         fields,
         _table(runs),

@@ -12,19 +12,9 @@ from functools import partial
 
 import numpy as np
 
-from data_synth.heart.anatomy import phantom_anatomy
-from data_synth.heart.motion import MotionPreset
-from data_synth.operator.contact import MovingSurface
-from dvf_ig.core import (
-    CycleTiming,
-    DvfModel,
-    FloatArray,
-    IntArray,
-    InvalidInputError,
-    Rigid,
-    SurfaceSeries,
-    read_only_arrays,
-)
+from data_synth import MotionPreset, MovingSurface, phantom_anatomy
+from dvf_ig.core import CycleTiming, DvfModel, InvalidInputError, Rigid, SurfaceSeries
+from dvf_ig.core.arrays import FloatArray, IntArray, read_only_arrays
 from dvf_ig.guidance import Evaluator, FeedForward, Gaussian, SimulatedDevice, Status, tightest_gaussian
 from dvf_ig.guidance.blend import Blend
 from dvf_ig.kernels.device import MM_PER_M, advance

@@ -17,21 +17,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from data_synth.heart.anatomy import phantom_anatomy
-from dvf_ig.core import FloatArray, InvalidInputError, Mesh, read_only_arrays
+from dvf_ig.core import FloatArray, IntArray, InvalidInputError, Mesh, read_only_arrays
+from dvf_ig.io import plain
 from dvf_ig.preop import signed_distance_mm
 from dvf_ig.preop.spline.fit import sample_grid
 from dvf_ig.report.style import GUIDE, SERIES, png_bytes
-from dvf_ig.study.driver import (
-    Driver,
-    Result,
-    Rows,
-    Study,
-    Trials,
-    option,
-    refusals,
-    seed_option,
-    seeds_option,
-)
+from dvf_ig.study.driver import Driver, Result, Rows, Study, Trials, refusals
+from dvf_ig.study.options import option, seed_option, seeds_option
 from dvf_ig.study.statistics import number_text
 from dvf_ig.study.training.trainers import (
     DEGREES,
@@ -82,18 +74,14 @@ FLOOR = 1e-9
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class TrainingCurve:
-    """Convergence of one method on the network of one degree.
+    """Convergence of one method on one network.
 
     Attributes:
-        method: "gradient descent", "conjugate gradients" or "exact".
-        degree: of the B-splines.
         iteration, seconds: (n,) increasing; one entry for the exact solution.
         excess: (n,) (cost − minimal cost) / minimal cost.
     """
 
-    method: str
-    degree: int
-    iteration: FloatArray
+    iteration: IntArray
     seconds: FloatArray
     excess: FloatArray
 
@@ -239,17 +227,17 @@ def _compare(samples: Samples, degree: int, max_iterations: int, clock: Clock) -
         timed(EXACT, lambda _: train_separable(network, positions, values)),
     )
     minimum = runs[-1][1].rms
-    trainings = tuple(_training(degree, minimum, *run) for run in runs)
+    trainings = tuple(_training(minimum, *run) for run in runs)
     _, condition = safe_step(network, positions)
     return Comparison(degree, int(np.prod(network.shape)), condition, trainings)
 
 
 def _training(
-    degree: int, minimum_mm: float, method: str, trained: Trained, recorder: _Recorder, seconds: float
+    minimum_mm: float, method: str, trained: Trained, recorder: _Recorder, seconds: float
 ) -> Training:
     rows = np.array([*recorder.rows, (trained.iterations, seconds, trained.rms)], dtype=np.float64)
     excess = np.maximum((rows[:, 2] / minimum_mm) ** 2 - 1.0, 0.0)
-    curve = TrainingCurve(method, degree, rows[:, 0], rows[:, 1], excess)
+    curve = TrainingCurve(rows[:, 0].astype(np.int64), rows[:, 1], excess)
     return Training(
         method, trained.stop.name, trained.iterations, seconds, trained.rms, float(excess[-1]), curve
     )
@@ -265,50 +253,7 @@ def training_trial(settings: dict[str, Any], seed: int) -> dict[str, Any]:
     mesh = Mesh("mr", phantom.ed_vertices_mm, phantom.triangles)
     samples = Samples.of_surface(mesh, settings["pitch_mm"])
     comparisons = compare_training(samples, settings["degrees"], max_iterations=settings["max_iterations"])
-    return {
-        "samples": samples.values_mm.size,
-        "networks": [
-            {
-                "degree": comparison.degree,
-                "functions": comparison.functions,
-                "condition": comparison.condition,
-                "trainings": [_line(training) for training in comparison.trainings],
-            }
-            for comparison in comparisons
-        ],
-    }
-
-
-def _line(training: Training) -> dict[str, Any]:
-    curve = training.curve
-    return {
-        "method": training.method,
-        "stop": training.stop,
-        "iterations": training.iterations,
-        "seconds": training.seconds,
-        "rms_mm": training.rms_mm,
-        "excess": training.excess,
-        "curve": {
-            "iteration": curve.iteration.astype(int).tolist(),
-            "seconds": curve.seconds.tolist(),
-            "excess": curve.excess.tolist(),
-        },
-    }
-
-
-def curves_of(line: dict[str, Any]) -> list[TrainingCurve]:
-    """The curves of one trial, for the picture."""
-    return [
-        TrainingCurve(
-            training["method"],
-            network["degree"],
-            np.array(training["curve"]["iteration"], dtype=np.float64),
-            np.array(training["curve"]["seconds"]),
-            np.array(training["curve"]["excess"]),
-        )
-        for network in line["networks"]
-        for training in network["trainings"]
-    ]
+    return {"samples": samples.values_mm.size, "networks": plain(comparisons)}
 
 
 def summarise_training(lines: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
@@ -357,20 +302,27 @@ def _median(values: Sequence[float | None]) -> float | None:
     return float(np.median(numbers)) if numbers and len(numbers) == len(values) else None
 
 
-def training_figure(curves: Sequence[TrainingCurve], title: str) -> Figure:
-    """Excess cost against iterations and against time; the exact solution is a vertical line at its time."""
+def training_figure(networks: Sequence[dict[str, Any]], title: str) -> Figure:
+    """Excess cost against iterations and against time; the exact solution is a vertical line at its time.
+
+    Args:
+        networks: of one trial's line.
+    """
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(14.0, 4.8), layout="constrained")
     by_iteration, by_time = figure.subplots(1, 2, sharey=True)
-    for curve in curves:
-        color = SERIES[curve.degree - 1]
-        label = f"degree {curve.degree}, {curve.method}"
-        if curve.method == EXACT:
-            by_time.axvline(curve.seconds[-1], color=color, ls=STYLES[EXACT], label=label)
-            continue
-        for axes, along in ((by_iteration, curve.iteration), (by_time, curve.seconds)):
-            axes.plot(along, curve.excess.clip(FLOOR), STYLES[curve.method], color=color, label=label)
+    for network in networks:
+        color = SERIES[network["degree"] - 1]
+        for training in network["trainings"]:
+            method, curve = training["method"], training["curve"]
+            label = f"degree {network['degree']}, {method}"
+            if method == EXACT:
+                by_time.axvline(curve["seconds"][-1], color=color, ls=STYLES[EXACT], label=label)
+                continue
+            for axes, along in ((by_iteration, "iteration"), (by_time, "seconds")):
+                drawn = np.maximum(curve["excess"], FLOOR)
+                axes.plot(curve[along], drawn, STYLES[method], color=color, label=label)
     by_iteration.set(xlabel="iterations", ylabel="(cost − minimum) / minimum (dotted: 1 %)")
     by_time.set(xlabel="time, s")
     for axes in (by_iteration, by_time):
@@ -404,7 +356,7 @@ def run(settings: TrainingSettings, driver: Driver) -> Result:
     files: dict[str, Any] = {"summary.json": summary}
     if completed:
         title = f"Training on the distances of phantom {completed[0]['seed']}, knots every {PITCH_MM:g} mm"
-        files["training.png"] = png_bytes(training_figure(curves_of(completed[0]), title), dpi=100)
+        files["training.png"] = png_bytes(training_figure(completed[0]["networks"], title), dpi=100)
     return Result(summary, _table(rows), files, refusals(lines))
 
 

@@ -7,7 +7,7 @@ are for comparison, and for networks of other degrees and pitches.
 
 The minimum is unique only if the samples determine every direction of the network: each basis function
 needs samples in its support, and no combination of basis functions may vanish at every sample. All trainers
-refuse samples for which this does not hold, unless a ridge makes the quadratic strictly convex.
+refuse samples for which this does not hold.
 """
 
 from collections.abc import Callable
@@ -66,22 +66,8 @@ class SplineAxis:
         Raises:
             InvalidInputError: a position outside the cells.
         """
-        return self._design(x_mm, self.degree)
-
-    def derivatives(self, x_mm: FloatArray) -> csr_array:
-        """(n, functions) derivative of every basis function, 1/mm: (B_(i−1) − B_i)/pitch, a degree lower."""
-        lower = self._design(x_mm, self.degree - 1)
-        n = lower.shape[0]
-        values = np.pad(lower.data.reshape(n, self.degree), [(0, 0), (1, 1)])
-        columns = lower.indices.reshape(n, self.degree)[:, :1] + np.arange(self.degree + 1)
-        rows = np.repeat(np.arange(n), self.degree + 1)
-        derivatives = (values[:, :-1] - values[:, 1:]) / self.spacing_mm
-        return csr_array((derivatives.ravel(), (rows, columns.ravel())), shape=(n, self.functions))
-
-    def _design(self, x_mm: FloatArray, degree: int) -> csr_array:
-        u = self._knot_coordinates(x_mm)
-        knots = np.arange(-degree, self.cells + degree + 1, dtype=np.float64)
-        return csr_array(BSpline.design_matrix(u, knots, degree))
+        knots = np.arange(-self.degree, self.cells + self.degree + 1, dtype=np.float64)
+        return csr_array(BSpline.design_matrix(self._knot_coordinates(x_mm), knots, self.degree))
 
     def _knot_coordinates(self, x_mm: FloatArray) -> FloatArray:
         """(n,) positions in knots from the origin; rounding errors at either end are tolerated."""
@@ -114,30 +100,10 @@ class SplineNetwork:
     def design(self, xyz_mm: FloatArray) -> csr_array:
         """(n, functions) value of every product of basis functions at (n, 3) points, in `ravel` order."""
         check_shape(np.asarray(xyz_mm), "points", (None, 3))
-        return self._products(*(axis.values(xyz_mm[:, a]) for a, axis in enumerate(self.axes)))
-
-    def value_and_gradient(
-        self, coefficients: FloatArray, xyz_mm: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """(n,) values and (n, 3) gradients per mm at (n, 3) points.
-
-        Raises:
-            InvalidInputError: coefficients of another shape, or a point outside.
-        """
-        check_shape(coefficients, "spline coefficients", self.shape)
-        flat = coefficients.ravel()
-        values = [axis.values(xyz_mm[:, a]) for a, axis in enumerate(self.axes)]
-        gradient = np.empty((len(xyz_mm), 3))
-        for a, axis in enumerate(self.axes):
-            along = [*values[:a], axis.derivatives(xyz_mm[:, a]), *values[a + 1 :]]
-            gradient[:, a] = self._products(*along) @ flat
-        return np.asarray(self._products(*values) @ flat), gradient
-
-    def _products(self, x: csr_array, y: csr_array, z: csr_array) -> csr_array:
-        """Row-wise Kronecker product of three sparse matrices with a fixed number of entries a row."""
-        n = x.shape[0]
+        n = len(xyz_mm)
         columns, values = np.zeros((n, 1), dtype=np.int64), np.ones((n, 1))
-        for matrix, axis in zip((x, y, z), self.axes, strict=True):
+        for a, axis in enumerate(self.axes):
+            matrix = axis.values(xyz_mm[:, a])
             index = matrix.indices.reshape(n, -1).astype(np.int64)
             columns = (columns[:, :, None] * axis.functions + index[:, None]).reshape(n, -1)
             values = (values[:, :, None] * matrix.data.reshape(n, -1)[:, None]).reshape(n, -1)
@@ -233,7 +199,7 @@ def train_gradient(
     bases = _bases(network, positions_mm, samples)
     step, _ = safe_step(network, positions_mm)
     coefficients = np.zeros(network.shape)
-    right = _project(bases, samples)
+    right = _apply([basis.T for basis in bases], samples)
     grams = _grams(network, bases)
     limit = tolerance * float(np.linalg.norm(right))
     stop, count = Stop.MAX_ITERATIONS, max_iterations
@@ -252,37 +218,25 @@ def train_scattered(
     xyz_mm: FloatArray,
     samples: FloatArray,
     *,
-    weights: FloatArray | None = None,
-    ridge: float = 0.0,
     tolerance: float = 1e-10,
     max_iterations: int = 5_000,
     on_iteration: OnIteration | None = None,
 ) -> Trained:
-    """Conjugate gradients on (AᵀWA + ridge·I) p = AᵀW d for samples anywhere, Jacobi preconditioned.
+    """Conjugate gradients on AᵀA p = Aᵀd for samples anywhere, Jacobi preconditioned.
 
     Args:
         xyz_mm: (n, 3) positions; samples: (n,) values there.
-        weights: (n,) positive; None: all 1.
-        ridge: weight of Σ p²; a positive one makes the minimum unique.
         tolerance: ends when the preconditioned residual has fallen to this share of the first one.
         on_iteration: called with the coefficients, (functions,) in `ravel` order, after every step.
     Raises:
-        InvalidInputError: shapes that do not fit, or, without a ridge, samples that leave the network
-            undetermined.
+        InvalidInputError: shapes that do not fit, or samples that leave the network undetermined.
     """
     check_shape(np.asarray(xyz_mm), "sample positions", (None, 3))
     check_shape(np.asarray(samples), "samples", (len(xyz_mm),))
-    w = np.ones(len(xyz_mm)) if weights is None else np.asarray(weights, dtype=np.float64)
-    check_shape(w, "sample weights", (len(xyz_mm),))
-    if not (w > 0.0).all() or not ridge >= 0.0:
-        raise InvalidInputError("sample weights must be positive, and a ridge must not be negative")
     design = network.design(xyz_mm)
-    gram = csr_array(design.T @ (design * w[:, None]))
-    if ridge == 0.0:
-        _require_determined(gram, tolerance, max_iterations)
-    else:
-        gram = gram + ridge * csr_array((np.ones(gram.shape[0]), (np.arange(gram.shape[0]),) * 2))
-    solved = _solved(gram, design.T @ (w * samples), tolerance, max_iterations, on_iteration)
+    gram = csr_array(design.T @ design)
+    _require_determined(gram, tolerance, max_iterations)
+    solved = _solved(gram, design.T @ samples, tolerance, max_iterations, on_iteration)
     residual = samples - design @ solved.x
     return Trained(solved.x.reshape(network.shape), solved.stop, solved.iterations, _rms(residual))
 
@@ -319,7 +273,7 @@ def _require_determined(gram: csr_array, tolerance: float, max_iterations: int) 
     if unsupported:
         raise InvalidInputError(
             f"{unsupported} of {len(energy)} basis functions have no samples in their support: the "
-            "minimum is not unique; add samples there, widen the knots, or give a ridge"
+            "minimum is not unique; add samples there, or widen the knots"
         )
     reference = np.cos(np.arange(len(energy), dtype=np.float64) ** 2)
     recovered = _solved(gram, gram @ reference, tolerance, max_iterations).x
@@ -327,7 +281,7 @@ def _require_determined(gram: csr_array, tolerance: float, max_iterations: int) 
     if missing > PROBE_TOLERANCE:
         raise InvalidInputError(
             f"the samples do not determine the network: a known one is recovered with an error of "
-            f"{missing:.1%}; add samples, widen the knots, or give a ridge"
+            f"{missing:.1%}; add samples or widen the knots"
         )
 
 
@@ -365,11 +319,6 @@ def _apply(matrices: list[FloatArray], array: FloatArray) -> FloatArray:
         along = (matrix @ array.reshape(len(array), -1)).reshape(-1, *array.shape[1:])
         array = np.moveaxis(along, 0, -1)
     return array
-
-
-def _project(bases: list[FloatArray], samples: FloatArray) -> FloatArray:
-    """Aᵀ of samples on a grid."""
-    return _apply([basis.T for basis in bases], samples)
 
 
 def _rms(residual: FloatArray) -> float:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from data_synth.heart.anatomy import PhantomAnatomy, phantom_anatomy
-from data_synth.heart.motion import ES_FRACTION, activation, preset_scale
+from data_synth.heart.motion import ES_FRACTION, MotionChange, activation, preset_scale
 from data_synth.heart.motion_report import MotionReport, inverse_error, jacobian_determinant, motion_report
 from data_synth.heart.phantom_motion import read_only_views
 from data_synth.kernels import heart_motion, lv
@@ -66,8 +66,8 @@ def test_left_ventricle_alone_is_invertible(level: float) -> None:
     points = rng.uniform([-110, -110, -60], [110, 110, 190], (40_000, 3))
     assert determinant(points, level).min() > 0.2
     found = np.empty_like(points)
-    given, *heart = read_only_views(points, *HEART, np.zeros((0, 0, 0, 3)), np.zeros(3))
-    heart_motion.inverse(given, np.full(len(points), level), *heart, 1.0, found)
+    given, *heart, still = read_only_views(points, *HEART, np.zeros((0, 0, 0, 3)), np.zeros(3), np.zeros(4))
+    heart_motion.inverse(given, np.full(len(points), level), *heart, 1.0, still, found)
     assert np.linalg.norm(forward(found, level) - points, axis=1).max() < 0.006
 
 
@@ -89,6 +89,40 @@ def test_inverse_holds_on_both_sides_of_every_crease(anatomy: PhantomAnatomy) ->
     assert np.linalg.norm(anatomy.material(moved, ES_FRACTION) - there, axis=1).max() < 0.05
     box = rng.uniform(anatomy.box_mm[0] - 20, anatomy.box_mm[1] + 20, (20_000, 3))
     assert jacobian_determinant(anatomy, box, ES_FRACTION).min() > 0.2
+
+
+def test_a_still_wall_stands_and_its_motion_is_invertible(anatomy: PhantomAnatomy) -> None:
+    sick = anatomy.changed(1.2, 1, motion_change=MotionChange(still_mm=50.0))
+    assert sick.still is not None
+    rng = np.random.default_rng(8)
+    box = rng.uniform(anatomy.box_mm[0] - 20, anatomy.box_mm[1] + 20, (20_000, 3))
+    motion = sick.present_motion
+    apart = np.linalg.norm(box - sick.still.center_mm, axis=1)
+    moved, healthy = motion.push_forward(box, ES_FRACTION), anatomy.deformed(box, ES_FRACTION)
+    assert np.linalg.norm(moved - box, axis=1)[apart < 5].max() < 0.4
+    np.testing.assert_array_equal(moved[apart > 50], healthy[apart > 50])
+    step = 1e-3 * np.eye(3)
+    columns = [
+        (motion.push_forward(box + h, ES_FRACTION) - motion.push_forward(box - h, ES_FRACTION)) / 2e-3
+        for h in step
+    ]
+    assert np.linalg.det(np.stack(columns, axis=-1)).min() > 0.15
+    back = sick.mismatch.forward(motion.push_forward(sick.material(box, ES_FRACTION), ES_FRACTION))
+    assert np.linalg.norm(back - box, axis=1).max() < 0.05
+
+
+def test_the_mr_of_a_heart_that_moves_otherwise_shows_its_motion_before(anatomy: PhantomAnatomy) -> None:
+    weak = anatomy.changed(0.0, 1, motion_change=MotionChange(contraction=0.6))
+    before, now = anatomy.resting_motion, weak.inverse_motion
+    np.testing.assert_allclose(now.levels(ES_FRACTION, 1), 0.6 * before.levels(ES_FRACTION, 1))
+    vertices = anatomy.ed_vertices_mm
+    np.testing.assert_array_equal(
+        weak.deformed(vertices, ES_FRACTION), anatomy.deformed(vertices, ES_FRACTION)
+    )
+    there = weak.surface_vertices(ES_FRACTION)
+    assert np.linalg.norm(weak.material(there, ES_FRACTION) - vertices, axis=1).max() < 0.05
+    with pytest.raises(InvalidInputError, match="fold space"):
+        MotionChange(still_mm=20.0)
 
 
 def test_phases_may_differ_from_point_to_point(anatomy: PhantomAnatomy) -> None:

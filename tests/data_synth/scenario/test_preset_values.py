@@ -62,6 +62,8 @@ def test_faults_are_told_without_their_size() -> None:
         (Preset, {"video_drift_ppm": 1e5}),
         (BreathSpec, {"excursion_mm": 99.0}),
         (Preset, {"mismatch_mm": 9.0}),
+        (Preset, {"contraction": (1.0, 2.0)}),
+        (Preset, {"still_mm": 10.0}),
         (Preset, {"start_mm": -1.0}),
     ],
 )

@@ -76,6 +76,8 @@ CHANGED = {
     "tool-elsewhere": {"probe", "images", "nwire", "latency"},
     "tool-unseen": {"probe"},
     "deformed": set(),
+    "other-motion": set(),
+    "still-wall": set(),
     "ventilated": {"ecg", "contact", "tool"},
     "breathing": {"ecg", "contact", "tool"},
     "unrecorded-breathing": {"ecg", "contact", "tool"},

@@ -162,6 +162,13 @@ def test_an_ecg_that_is_too_short_is_refused() -> None:
         surface_scenario(ScenarioSpec(), {}, real_ecg(30.0), np.arange(30.0), replayed_path(hand_path()))
 
 
+@pytest.mark.usefixtures("on_a_ball")
+def test_hearts_with_a_motion_of_their_own_take_no_preset_of_another() -> None:
+    spec = ScenarioSpec("still-wall")
+    with pytest.raises(InvalidInputError, match="changes how the heart moves, which only the phantom can"):
+        surface_scenario(spec, {}, real_ecg(70.0), np.arange(60.0), replayed_path(hand_path()))
+
+
 @pytest.mark.parametrize(
     ("changes", "words"),
     [

@@ -14,6 +14,7 @@ from data_synth.heart.outline import outline
 from data_synth.heart.tissue import Tissue
 from data_synth.second_world import tissue_fields
 from data_synth.second_world.changed_heart import vertex_areas
+from data_synth.second_world.cine import examine, segmented
 from data_synth.second_world.drawn import Drawn
 from data_synth.second_world.echo_images import drawn_display, echo_images
 from data_synth.second_world.floor import matched_points, rigid_floor
@@ -283,3 +284,16 @@ def test_gated_volumes_show_the_heart_where_their_poses_say(room: OperatingRoom)
         assert 5.0 < shown.mean() < 230.0
         assert shown.std() > 10.0
     assert 0.0 < pair.floor.pose_mm < 4.0
+
+
+def test_an_observer_draws_the_heart_of_an_examination_with_errors(room: OperatingRoom) -> None:
+    examined = examine(room.heart, room.fields, "sax7", room.drawn, 2)
+    preop = segmented(examined, room.heart, room.fields, room.drawn)
+    assert (preop.labels, preop.views) == (None, ())
+    assert preop.ed_labels is not None
+    drawn, true = preop.ed_labels.values > 0, examined.sax.labels.values[0] > 0
+    assert drawn.shape[2] == 7
+    assert set(np.unique(preop.ed_labels.values)) == {0, *preop.organ_labels}
+    assert 0.9 < 2.0 * (drawn & true).sum() / (drawn.sum() + true.sum()) < 0.995
+    grey = examined.sax.image.values[0]
+    assert grey[true].mean() > 1.2 * grey[~true].mean()

@@ -9,7 +9,9 @@ from dvf_ig.kernels.servo import loop
 from dvf_ig.kernels.servo.layout import ROW_WORDS
 from dvf_ig.kernels.servo.shared import load_ordered, new_counter, publish, read_shared, store_number
 
-READS = 40
+READS = 400
+PAUSE = 10_000
+"""Steps of the writer between two values: longer than a write takes, so that most reads find it outside."""
 
 
 @kernel
@@ -19,6 +21,9 @@ def write_until_stopped(counter, shared, values, stop):
         k += 1.0
         values[:] = k
         publish(counter, shared, values)
+        for _ in range(PAUSE):
+            if load_ordered(stop, 0) != 0:
+                break
 
 
 @kernel

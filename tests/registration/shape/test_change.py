@@ -95,6 +95,20 @@ def _change(seed: int, *, pressed: float) -> ShapeChange | None:
     return change_of_shape(_boundary(seed, pressed=pressed), 0.0, POSE, CENTER)
 
 
+class _Images:
+    """Blocks of images that show where tissue has gone, also behind the seen walls, to 0.8 mm."""
+
+    def places_mm(self, pose: Rigid) -> FloatArray:
+        edge = 30.0 * np.arange(-2, 3)
+        return CENTER + np.stack(np.meshgrid(edge, edge, edge), axis=-1).reshape(-1, 3)
+
+    def similarity_expansion(self, pose: Rigid, shift_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
+        assert pose is POSE
+        information = np.eye(3) / 0.8**2
+        gradient = (shift_mm + _pressed_mm(self.places_mm(pose))) @ information
+        return gradient, np.repeat(information[None], len(shift_mm), axis=0)
+
+
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_an_unchanged_heart_stays_rigid(seed: int) -> None:
     assert _change(seed, pressed=0.0) is None
@@ -126,6 +140,21 @@ def test_the_error_of_the_guarded_walls_is_stated() -> None:
     left = np.einsum("ni,ni->n", normal, now - pulled - wall)[variance <= LARGEST_MM2]
     assert np.mean(left**2) < change.guarded.variance_mm2 < LARGEST_MM2
     assert 1.0 < change.guarded.variance_mm2**2 / change.guarded.square_mm4 < len(left)
+
+
+def test_images_show_walls_beside_the_boundary_that_is_seen() -> None:
+    match: Any = _Images()
+    boundary = _boundary(1, pressed=1.0)
+    alone = change_of_shape(boundary, 0.0, POSE, CENTER)
+    beside = change_of_shape(boundary, 0.0, POSE, CENTER, match=match)
+    assert alone is not None
+    assert beside is not None
+    assert beside.evidence == pytest.approx(alone.evidence, rel=0.1), "of the boundary alone"
+    back = CHAMBERS[1][0] + CHAMBERS[1][1] * np.array([[-0.5, 0.8, 0.3], [0.0, 0.9, -0.4], [0.4, 0.9, 0.1]])
+    now = back + _pressed_mm(back)
+    (pulled, variance), (known, known_mm2) = alone.warp.at(now), beside.warp.at(now)
+    assert np.linalg.norm(now - known - back) < 0.6 * np.linalg.norm(now - pulled - back)
+    assert (known_mm2 < variance).all()
 
 
 def test_a_change_is_said_in_words() -> None:

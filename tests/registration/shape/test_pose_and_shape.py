@@ -68,3 +68,13 @@ def test_descents_from_two_millimetres_around_meet() -> None:
     )
     assert spread < 0.5 * before
     assert max(mean_displacement_mm(pose, toy_pose(), CENTER_MM) for pose in ends) < 1.0
+
+
+def test_images_pull_displaced_blocks_back_to_where_they_belong() -> None:
+    chart = PoseChart(toy_pose(), CENTER_MM)
+    match = BlockedMatch(BlockedLc2(metric(), block_mm=BLOCK_MM), metric().information, None, chart)
+    shift = np.repeat(np.array([[1.5, -1.0, 0.5]]), len(match), axis=0)
+    gradient, curvature = match.similarity_expansion(toy_pose(), shift)
+    step = -np.linalg.solve(curvature.sum(axis=0), gradient.sum(axis=0))
+    assert np.linalg.norm(shift[0] + step) < 0.4 * np.linalg.norm(shift[0])
+    assert np.linalg.eigvalsh(curvature).min() > -1e-9

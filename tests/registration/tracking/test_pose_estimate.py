@@ -71,6 +71,7 @@ def test_a_beat_of_a_followed_heart_is_measured_where_the_change_of_shape_in_its
     assert variance_mm2 == pytest.approx(0.81 - RIGID_SIGMA_MM**2, abs=1e-5)
     there = measure_beat(beat(TRUTH, 3), pose, CENTER_MM)
     sure, unsure = there.of(followed, 0.0), there.of(followed, variance_mm2)
+    assert followed.update(unsure.offset_information_mm, unsure.information) is followed
     assert sure.pose is followed.pose
     np.testing.assert_allclose(
         np.linalg.inv(unsure.information),

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from drawn_lines import x_of, y_of
+from matplotlib.figure import Figure
 
 from dvf_ig.report.plane_overlay import AnatomyPlane, PlaneOverlay
 from dvf_ig.report.replay import (
@@ -127,6 +128,16 @@ def breath() -> BreathLoop:
     )
 
 
+DRAWN = ("breathing", "ecg", "force", "overlay", "phase_error", "pose", "supervisor")
+
+
+@pytest.fixture
+def undrawn(blank_pictures: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    """For a test of the page's words: other tests draw the same figures."""
+    for name in ("distance_histogram", *(f"{one}_figure" for one in DRAWN)):
+        monkeypatch.setattr(f"dvf_ig.report.replay.figures.{name}", lambda *_: Figure())
+
+
 @pytest.mark.usefixtures("blank_pictures")
 def test_a_breath_is_a_closed_loop_with_its_beats_and_what_they_miss() -> None:
     upper, lower = breathing_figure(breath()).axes
@@ -144,7 +155,7 @@ def test_a_breath_is_a_closed_loop_with_its_beats_and_what_they_miss() -> None:
     assert "Breathing: the heart" in replay_html(replace(page(), breath=breath()))
 
 
-@pytest.mark.usefixtures("blank_pictures")
+@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize("error", ["", "0.1 mm"])
 def test_errors_have_a_column_only_where_the_truth_is_known(error: str) -> None:
     text = replay_html(replace(page(), estimates=[("tool tip", "(0, 0, 0) mm", error)]))
@@ -190,7 +201,7 @@ LOST = "from 17.3 s on 3 heart beats in a row did not confirm the pose"
         ((False, False), None, "bad'>Not registered, no force was given: &lt;why&gt;"),
     ],
 )
-@pytest.mark.usefixtures("blank_pictures")
+@pytest.mark.usefixtures("undrawn")
 def test_the_banner_is_amber_where_the_pose_was_lost(
     usable: tuple[bool, bool], lost: str | None, verdict: str
 ) -> None:

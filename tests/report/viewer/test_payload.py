@@ -20,7 +20,19 @@ from toy_session import TIP, compare_known, register_known, run, ticks, toy_setu
 from toy_sphere import sphere
 
 import dvf_ig
-from dvf_ig.core import Chamber, DvfModel, InvalidInputError, Landmarks, Mesh, PhaseState, Points, Warp
+from dvf_ig.core import (
+    Chamber,
+    DvfModel,
+    Grid,
+    InvalidInputError,
+    Landmarks,
+    Mesh,
+    PhaseState,
+    Points,
+    Tissue,
+    Volume,
+    Warp,
+)
 from dvf_ig.core.space.warp import knots
 from dvf_ig.guidance import (
     Confinement,
@@ -134,14 +146,45 @@ def scene(round_ball: DvfModel) -> dict[str, Any]:
     targets = Landmarks(("apex",), Points("mr", np.array([[1.0, 2.0, 3.0]])))
     shape = image_shape(300, 400, (0.5, 0.4), None, 200)
     fixtures = FixtureSet((FixtureOptions(), FixtureOptions(Gaussian(), name="aim")))
-    return scene_payload(
-        SceneInput("live", "toy", round_ball, fixtures, shape, ("II", "mV"), targets=targets)
+    model = replace(round_ball, tissue=tissue(round_ball.phases))
+    return scene_payload(SceneInput("live", "toy", model, fixtures, shape, ("II", "mV"), targets=targets))
+
+
+def tissue(phases: int) -> Tissue:
+    """Myocardium and blood, carried 2 mm further to the left in each phase."""
+    values = np.zeros((4, 5, 6), dtype=np.uint8)
+    values[1], values[2] = 1, 200
+    places = knots(CENTERS[0] - 60.0, 10.0)
+    motion = tuple(
+        Warp.through(
+            "mr", CENTERS[0] - 60.0, 10.0, np.tile([2.0 * k, 0, 0], (len(places), 1)), np.zeros(len(places))
+        )
+        for k in range(phases)
     )
+    labels = Volume(Grid.axis_aligned("mr", values.shape, CENTERS[0], 1.5), values)
+    return Tissue(labels, ((1, "lv_myocardium"), (200, "lv_blood")), motion)
+
+
+def test_labels_come_with_their_motion_and_what_is_assumed_of_them(scene: dict[str, Any]) -> None:
+    labels, given_tissue = scene["labels"], tissue(4)
+    np.testing.assert_array_equal(unpacked(labels["values"]), given_tissue.labels.values)
+    shifts_mm = unpacked(labels["motion"]["coefficients_mm"])
+    for shift_mm, warp in zip(shifts_mm, given_tissue.motion, strict=True):
+        np.testing.assert_allclose(shift_mm, warp.coefficients[..., :3], atol=0.051)
+    wall, blood = labels["kinds"]
+    assert (wall["name"], wall["tissue"]) == ("lv_myocardium", "myocardium")
+    stiffness, damping = wall["properties"][:2]
+    assert stiffness[:2] == ["stiffness", "0.075 N/mm"]
+    assert stiffness[2].startswith("Villemain 2019")
+    assert damping == ["damping", "0.15 N·s/m", "assumed"]
+    assert (blood["tissue"], blood["properties"]) == (None, [])
+    assert labels["change"] is None
 
 
 def test_every_field_stands_in_the_description(scene: dict[str, Any]) -> None:
     text = (WEB / "README.md").read_text()
     names = {*scene, *scene["heart"], *scene["distance"], *scene["image"], *scene["words"], *STEPS}
+    names |= {*scene["labels"], *scene["labels"]["kinds"][0], *scene["labels"]["motion"]}
     names |= {*scene["heart"]["surfaces"][0], *scene["heart"]["surfaces"][-1], *scene["fixtures"][0]}
     names -= {name for name in STEPS if "_y_" in name or "_z_" in name or name.endswith(("_y", "_z"))}
     assert not [name for name in names if name not in text]

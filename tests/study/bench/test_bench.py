@@ -14,7 +14,7 @@ from dvf_ig.core import DvfModel, InvalidInputError, Mesh
 from dvf_ig.io import write_model
 from dvf_ig.preop import build_triangle_tree
 from dvf_ig.study.bench.calls import BenchOptions
-from dvf_ig.study.bench.peers import CovarianceTreeSearch, build_covariance_tree, signs
+from dvf_ig.study.bench.peers import CovarianceTree, signs
 from dvf_ig.study.bench.timing import (
     REACH_MM,
     bench_model,
@@ -33,7 +33,7 @@ def model() -> DvfModel:
 def test_covariance_tree_finds_the_exact_distance(model: DvfModel) -> None:
     mesh = model.reference[0]
     points = random_points(mesh, 400, np.random.default_rng(1))
-    search = CovarianceTreeSearch(build_covariance_tree(mesh))
+    search = CovarianceTree(mesh)
     exact = build_triangle_tree(mesh.vertices_mm, mesh.triangles).distance_mm(points)
     np.testing.assert_allclose(search.distances_mm(points), exact, atol=1e-9)
     singly = [search.distance_mm(point) for point in points[::-1]]

@@ -43,7 +43,7 @@ def test_the_c_plus_plus_floor_gives_the_same_force(model: DvfModel) -> None:
     rng = np.random.default_rng(3)
     tip = np.ascontiguousarray(pose.inverse().apply_array(random_points(model.reference[0], 500, rng)))
     phase, out = rng.uniform(size=500), np.empty((500, 4))
-    floor.forces(tip, phase)(0, 500, out)
+    floor.forces(tip, phase, out)(0, 500)
     exact = Evaluator(model, law).force_through(pose, tip, phase)
     ok = np.linalg.norm(exact.gradient, axis=1) > 0.6
     np.testing.assert_allclose(out[ok, :3], exact.force_n[ok], atol=1e-4)

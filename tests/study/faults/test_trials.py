@@ -48,6 +48,7 @@ def line_of(name: str, severity: int, seed: int = SEED) -> Line:
 
 def test_numbers_of_trials_name_seed_row_and_severity() -> None:
     numbers = trial_numbers(5, 2)
+    assert {len(row.severities) for row in ROWS} == {SEVERITIES}
     assert len(numbers) == 2 * SEVERITIES * len(ROWS)
     assert case_of(numbers[0])[0] == 5
     assert case_of(numbers[-1]) == (6, ROWS[-1], ROWS[-1].severities[2])

@@ -10,6 +10,7 @@ import pytest
 from toy_heart import CENTER_MM, toy_mr, toy_pose
 from toy_volume import toy_volume
 
+from data_synth import SecondWorldSpec
 from dvf_ig.core import InvalidInputError, Landmarks, Points, Preop, TrackedVolume, VolumeSeries
 from dvf_ig.registration import pose_difference, target_errors_mm
 from dvf_ig.study.hearts import recordings
@@ -96,12 +97,17 @@ def test_a_trial_measures_the_registration_of_gated_volumes(monkeypatch: pytest.
     json.dumps(line, allow_nan=False)
 
 
-def test_hearts_of_the_second_world_are_not_covered_in_part() -> None:
-    settings = {
-        "world": "second",
-        "images": "sweep-of-sax",
-        "qualities": ["calm"],
-        "disturbed": 0,
-        "changes": [],
-    }
-    assert "no short-axis slices" in heart_trial(settings, 408100)["refused"]
+def test_hearts_of_the_second_world_are_examined_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    examined = []
+
+    def recording(spec: SecondWorldSpec, phases: int) -> None:
+        examined.append((spec.exam, phases))
+        raise InvalidInputError("enough")
+
+    monkeypatch.setattr(recordings, "second_world_recording", recording)
+    for images in ("sweep-of-sax+lax", "sweep"):
+        settings = {
+            "world": "second", "images": images, "qualities": ["calm"], "disturbed": 0, "changes": []
+        }  # fmt: skip
+        assert "enough" in heart_trial(settings, 408100)["refused"]
+    assert examined == [("sax+lax", recordings.EXAM_PHASES), (None, recordings.EXAM_PHASES)]

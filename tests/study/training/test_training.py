@@ -18,9 +18,7 @@ from dvf_ig.study.training.study import (
     FLOOR,
     GRADIENT,
     Samples,
-    TrainingCurve,
     compare_training,
-    curves_of,
     summarise_training,
     training_figure,
     training_trial,
@@ -91,7 +89,7 @@ def test_a_trial_its_summary_and_its_picture(line):
     assert slow["excess"] > 0.01
     assert slow["iterations_to_1_percent"] is None
     assert rows[3]["rms_mm"] > rows[4]["rms_mm"]
-    drawn = training_figure(curves_of(json.loads(json.dumps(line))), "toy")
+    drawn = training_figure(json.loads(json.dumps(line))["networks"], "toy")
     assert len(drawn.axes[1].lines) == 1 + 2 * 3
 
 
@@ -118,10 +116,10 @@ def test_the_command_writes_its_files(tmp_path, monkeypatch):
 
 
 def test_curves_are_the_excess_cost() -> None:
-    steps, seconds = np.array([1.0, 2.0, 4.0]), np.array([0.1, 0.2, 0.4])
-    descent = TrainingCurve("gradient descent", 3, steps, seconds, np.array([1.0, 0.1, 0.0]))
-    exact = TrainingCurve(EXACT, 3, np.ones(1), np.array([0.05]), np.zeros(1))
-    by_iteration, by_time = training_figure([descent, exact], "toy").axes
+    descent = {"iteration": [1, 2, 4], "seconds": [0.1, 0.2, 0.4], "excess": [1.0, 0.1, 0.0]}
+    exact = {"iteration": [1], "seconds": [0.05], "excess": [0.0]}
+    trainings = [{"method": GRADIENT, "curve": descent}, {"method": EXACT, "curve": exact}]
+    by_iteration, by_time = training_figure([{"degree": 3, "trainings": trainings}], "toy").axes
     assert x_of(by_iteration.lines[0]).tolist() == [1.0, 2.0, 4.0]
     assert x_of(by_time.lines[0]).tolist() == [0.1, 0.2, 0.4]
     assert y_of(by_time.lines[0]) == pytest.approx([1.0, 0.1, FLOOR])

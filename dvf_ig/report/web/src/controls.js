@@ -6,11 +6,13 @@ import { legendRows, SPEEDS, VIEWS } from "./layout.js";
 export function legend(viewer) {
   const box = viewer.$("legend");
   box.replaceChildren();
+  viewer.space.shown.labels ??= false;
   for (const [role, color, text] of legendRows(viewer.scene, viewer.series, viewer.space.heart, viewer.bySigma)) {
     const button = document.createElement("button");
     button.innerHTML = `<i style="background:${color}"></i>`;
     button.append(text);
     viewer.space.shown[role] ??= true;
+    button.dataset.role = role;
     const on = () => viewer.space.shown[role];
     button.setAttribute("aria-pressed", on());
     button.onclick = () => {
@@ -83,6 +85,7 @@ export function connectKeys(viewer) {
     "+": () => viewer.faster(1),
     c: () => viewer.cut(!viewer.space.open),
     u: () => viewer.space.changed && viewer.$("sigma").click(),
+    l: () => viewer.$("legend").querySelector('[data-role="labels"]')?.click(),
     t: () => viewer.$("theme").click(),
     h: () => viewer.$("keys").showModal(),
     "?": () => viewer.$("keys").showModal(),

@@ -1,5 +1,6 @@
 // Surfaces and signed distance through the cycle: vertices and values between phases, cuts by a plane.
 
+import { Labels } from "./labels.js";
 import { unpacked, unpackedRaw } from "./payload.js";
 
 /** Neighbouring phases of `phi` (cyclic) and the weight of the second. */
@@ -68,6 +69,7 @@ export class Heart {
         return surface;
       }),
     );
+    heart.labels = scene.labels && (await Labels.of(scene.labels, fractions));
     heart.distance = scene.distance && (await DistanceField.of(scene.distance, fractions));
     return heart;
   }

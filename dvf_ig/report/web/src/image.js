@@ -20,7 +20,7 @@ export class ImagePanel {
     (this.shape?.fan_px ?? []).forEach(([c, r], i) => (i ? path.lineTo(c, r) : path.moveTo(c, r)));
     path.closePath();
     this.fan = this.shape?.fan_px ? path : null;
-    this.shown = { organ: true, patient: true, blood: true, field: true };
+    this.shown = { organ: true, patient: true, blood: true, field: true, labels: false };
   }
 
   resize() {
@@ -63,6 +63,7 @@ export class ImagePanel {
     this.contours = [];
     if (plane && phase !== null) {
       if (this.shown.field && this.heart.distance && this.scene.fixtures.length) this.field(plane, phase, margin);
+      if (this.heart.labels && this.shown.labels) this.labels(plane, phase);
       for (const role of ["fixture", "structure", "blood", "unseen", "organ", "patient"]) this.outlines(role, plane, phase);
     }
     if (plane) {
@@ -127,31 +128,44 @@ export class ImagePanel {
     }
   }
 
+  /** Contours of the model's labels. */
+  labels(plane, phase) {
+    for (const { kind, segments } of this.heart.labels.cut(plane, phase, this.shape)) {
+      this.contours.push({ name: kind.name, role: "label", segments });
+      this.lines(segments, [[CASING, 2.6], [kind.color, 1.4]]);
+    }
+  }
+
   outlines(role, plane, phase) {
-    const draw = this.context;
     for (const surface of this.heart.surfaces) {
       if (surface.role !== role || this.shown[surface.key] === false) continue;
       const segments = cut(surface.at(phase), surface.triangles, plane);
       this.contours.push({ name: surface.name, role, segments });
-      const path = new Path2D();
-      for (let i = 0; i < segments.length; i += 4) {
-        path.moveTo(...this.at(segments[i], segments[i + 1]));
-        path.lineTo(...this.at(segments[i + 2], segments[i + 3]));
-      }
-      draw.save();
-      this.clip();
-      draw.lineCap = "round";
-      draw.setLineDash({ fixture: [1, 4], unseen: [5, 4] }[role] ?? []);
-      if (role !== "fixture") this.stroke(path, CASING, role === "organ" ? 4 : 3.2);
-      this.stroke(path, COLORS[role], role === "organ" ? 2 : 1.5);
-      draw.restore();
+      if (role === "blood" && this.shown.labels) continue; // the labels have their own line there
+      const casing = [CASING, role === "organ" ? 4 : 3.2];
+      const line = [COLORS[role], role === "organ" ? 2 : 1.5];
+      this.lines(segments, role === "fixture" ? [line] : [casing, line], { fixture: [1, 4], unseen: [5, 4] }[role]);
     }
   }
 
-  stroke(path, color, width) {
-    this.context.strokeStyle = color;
-    this.context.lineWidth = width;
-    this.context.stroke(path);
+  /** Draws segments once in each colour and width. */
+  lines(segments, strokes, dash = []) {
+    const draw = this.context;
+    const path = new Path2D();
+    for (let i = 0; i < segments.length; i += 4) {
+      path.moveTo(...this.at(segments[i], segments[i + 1]));
+      path.lineTo(...this.at(segments[i + 2], segments[i + 3]));
+    }
+    draw.save();
+    this.clip();
+    draw.lineCap = "round";
+    draw.setLineDash(dash);
+    for (const [color, width] of strokes) {
+      draw.strokeStyle = color;
+      draw.lineWidth = width;
+      draw.stroke(path);
+    }
+    draw.restore();
   }
 
   clip() {

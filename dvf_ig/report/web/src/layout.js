@@ -18,6 +18,7 @@ const KEYS = [
   ["1 … 6", "views"],
   ["C", "heart cut open at the ultrasound plane, or whole"],
   ["U", "a heart that has changed its shape: coloured by its shift, or by how well that is known"],
+  ["L", "labels of tissue in the ultrasound image"],
   ["T", "dark, light"],
   ["? H", "this help"],
 ];
@@ -39,7 +40,7 @@ const PAGE = `
   </section>
   <div id="legend"></div>
   <aside>
-    <section id="image"><canvas aria-label="Ultrasound with the model's contour"></canvas><p id="frame"></p></section>
+    <section id="image"><canvas aria-label="Ultrasound with the model's contour"></canvas><ul id="tissue" aria-label="Labels in the image" hidden></ul><p id="frame"></p></section>
     <section id="numbers" aria-live="off"></section>
   </aside>
 </main>
@@ -94,8 +95,23 @@ export function legendRows(scene, series, { surfaces }, bySigma) {
     ...all("fixture").map((one) => [one.key, COLORS.fixture, `${one.name}, ${one.label}${widened ? " without margin" : ""}`]),
     ...paths.map((one) => ["path", COLORS.fixture, `${one.name || "path"}, line to follow`]),
     !scene.planes && scene.kind !== "model" && ["field", COLORS.force, `force (field: longest ${cap} N)`],
+    scene.image && scene.labels && ["labels", `linear-gradient(135deg, ${scene.labels.kinds.slice(0, 3).map((one) => one.color).join(", ")})`, "labels of tissue, in the image (L)"],
     scene.targets.length > 0 && ["targets", COLORS.force, scene.bound_mm ? `targets, error < ${scene.bound_mm.toFixed(1)} mm` : "targets"],
   ].filter(Boolean);
+}
+
+/** Labels, pale those that do not lie in the image, with the stiffness that their tissue is given; all properties as a tip. */
+export function tissueRows(kinds, contours) {
+  return kinds
+    .map((kind) => {
+      const away = contours.every((one) => one.role !== "label" || one.name !== kind.name);
+      const all = kind.properties.map(([what, value, source]) => `${what} ${value} (${source})`);
+      const [, stiffness, source] = kind.properties[0] ?? [];
+      const said = stiffness ? `${stiffness}, ${source.split(":")[0]}` : "";
+      const tip = escaped([kind.tissue, ...all].filter(Boolean).join("\n")).replaceAll('"', "&quot;");
+      return `<li class="${away ? "away" : ""}" title="${tip}"><i style="background:${kind.color}"></i>${escaped(words(kind.name))}<span>${escaped(said)}</span></li>`;
+    })
+    .join("");
 }
 
 const patientWords = (surface, bySigma) =>

@@ -12,7 +12,7 @@ import { anatomyPictures, mixControls, outcomeRows, planesAsSeries } from "./reg
 import { Strips } from "./strips.js";
 import { Overview } from "./overview.js";
 import { connectControls, connectKeys, legend } from "./controls.js";
-import { layOut, namedRows, numberRows, SPEEDS } from "./layout.js";
+import { layOut, namedRows, numberRows, SPEEDS, tissueRows } from "./layout.js";
 import { listen } from "./live.js";
 import { localTheme, rememberTheme } from "./theme.js";
 
@@ -151,6 +151,9 @@ class Viewer {
     const other = frame < 0 ? null : (this.anatomy?.ready(frame) ?? null);
     if (this.anatomy && frame >= 0 && !other) this.anatomy.get(frame).then(() => (this.changed = true));
     this.image.draw({ ...moment, other, bitmap });
+    const { kinds } = this.heart.labels ?? {};
+    this.$("tissue").hidden = !kinds || !this.image.shown.labels;
+    if (!this.$("tissue").hidden) this.$("tissue").innerHTML = tissueRows(kinds, this.image.contours);
     if (moment.plane) this.space.contours(this.image.contours, moment.plane);
     if (bitmap && this.lastBitmap !== bitmap) this.space.picture(bitmap);
     this.lastBitmap = bitmap;

@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 from scipy.stats import rayleigh
 
 from dvf_ig.core.arrays import FloatArray, read_only_arrays
-
-from .page import html_page, png_tag, section, table
-from .style import ESTIMATE, FAINT, TRUTH
+from dvf_ig.report.page import html_page, png_tag, section, table
+from dvf_ig.report.style import ESTIMATE, FAINT, TRUTH
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

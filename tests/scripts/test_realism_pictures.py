@@ -5,7 +5,7 @@ import io
 import numpy as np
 
 from data_synth.realism.gates import Gate
-from dvf_ig.report.realism import RealismPictures, bounds_text, realism_figure, realism_html
+from scripts.realism_pictures import RealismPictures, bounds_text, realism_figure, realism_html
 
 FIGURES = [
     Gate("smallest Jacobian", 0.3, 0.2, float("inf")),

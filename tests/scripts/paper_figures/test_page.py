@@ -4,8 +4,8 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from dvf_ig.report.paper import PaperFigure, PaperTable, exponent_figure, paper_html, steepness_figure
-from dvf_ig.report.paper import write_paper_figures as write
+from scripts.paper_figures import PaperFigure, PaperTable, exponent_figure, paper_html, steepness_figure
+from scripts.paper_figures import write_paper_figures as write
 
 
 def test_figures_and_page(tmp_path: Path) -> None:

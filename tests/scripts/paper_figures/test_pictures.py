@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dvf_ig.report.paper import (
+from scripts.paper_figures import (
     HeartView,
     Section,
     Slice,

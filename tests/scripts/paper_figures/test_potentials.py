@@ -4,8 +4,15 @@ import numpy as np
 import pytest
 
 from dvf_ig.core import FloatArray
-from dvf_ig.report.paper import exponent_figure, steepness_figure, width_figure
-from dvf_ig.report.paper.potentials import AT_WIDTH_N, CAP_N, EXPONENTS, STEEPNESS_PER_MM, WIDTH_MM, WIDTHS_MM
+from scripts.paper_figures import exponent_figure, steepness_figure, width_figure
+from scripts.paper_figures.potentials import (
+    AT_WIDTH_N,
+    CAP_N,
+    EXPONENTS,
+    STEEPNESS_PER_MM,
+    WIDTH_MM,
+    WIDTHS_MM,
+)
 
 
 def curves(figure) -> dict[str, tuple[FloatArray, FloatArray]]:

@@ -5,8 +5,8 @@ import pytest
 
 from dvf_ig.core import DvfModel
 from dvf_ig.guidance import Sigmoid
-from dvf_ig.report.paper import force_over_time, over_time_figure
-from dvf_ig.report.paper.over_time import ForceOverTime
+from scripts.paper_figures import force_over_time, over_time_figure
+from scripts.paper_figures.over_time import ForceOverTime
 
 POINT_MM = np.array([19.0, 0.0, 0.0])
 STEPS = 2000
