@@ -117,7 +117,8 @@ def cell_value(c: NDArray[np.float32], p: Index, cell: Cell) -> float:
     total = fma(total, w[2], _value_y(c, p, i + 2, j, k, by_y))
     total = fma(total, w[3], _value_y(c, p, i + 3, j, k, by_y))
     a, b, d, e = unpack(multiply(z, total))
-    return (a + b) + (d + e)
+    value: float = (a + b) + (d + e)
+    return value
 
 
 @inlined

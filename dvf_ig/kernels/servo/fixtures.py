@@ -310,7 +310,7 @@ def _met_place(scratch: Any, xyz: FloatArray, met_mm: float) -> FloatArray:
     """Place (3,) of the tool that meets the first fixture, tracker frame."""
     if met_mm == 0.0:
         return xyz
-    place = scratch.vectors[7]
+    place: FloatArray = scratch.vectors[7]
     for k in range(3):
         place[k] = xyz[k] + met_mm * scratch.shaft[k]
     return place
