@@ -1,6 +1,6 @@
 """Cardiac MR as a hospital acquires it: a short-axis stack and long-axis cines, a breath-hold a slice."""
 
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Literal, Protocol, get_args
 
 import numpy as np
@@ -33,6 +33,18 @@ LAX_VIEWS = (("lax_4ch", 0.0), ("lax_2ch", 60.0), ("lax_3ch", 120.0))
 THICKNESS_MM: dict[ExamName, float] = {"sax7": 8.0, "sax8": 8.0, "sax10": 10.0, "sax+lax": 8.0}
 PIXEL_MM, PITCH_MM = 1.4, 10.0
 """Pixels, and distance from slice to slice: slices of 8 mm have gaps of 2 mm."""
+
+
+@dataclass(frozen=True, slots=True)
+class Scanner:
+    """How slices are acquired; each attribute as in `StackProtocol`."""
+
+    in_plane_mm: float
+    psf_fwhm_mm: float
+    bias: float
+    snr: float
+    breath_hold_mm: float
+    rr_jitter: float
 
 
 class ExaminedHeart(Protocol):
@@ -130,7 +142,7 @@ def examination(
     name: ExamName,
     rng: np.random.Generator,
     phases: int | None = None,
-    scanner: StackProtocol | None = None,
+    scanner: Scanner | None = None,
 ) -> Examination:
     """Examine a heart.
 
@@ -149,7 +161,8 @@ def examination(
     drawn = int(drawn_rng.integers(PHASES[0], PHASES[1] + 1))
     phases = drawn if phases is None else phases
     usual = StackProtocol(in_plane_mm=PIXEL_MM, breath_hold_mm=SHIFT_MM, rr_jitter=RR_JITTER)
-    protocol = replace(scanner or usual, phases=phases, pitch_mm=PITCH_MM, thickness_mm=THICKNESS_MM[name])
+    own = {} if scanner is None else asdict(scanner)
+    protocol = replace(usual, phases=phases, pitch_mm=PITCH_MM, thickness_mm=THICKNESS_MM[name], **own)
     heart = _long_axis_frame(anatomy)
     sax = _stack(anatomy, heart, protocol, name, stack_rng)
     views = LAX_VIEWS if name == "sax+lax" else ()

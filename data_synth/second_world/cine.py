@@ -10,8 +10,7 @@ from scipy.spatial.transform import Rotation
 from data_synth.heart.reference import ReferenceMap
 from data_synth.heart.tissue import FIRST_OUTSIDE, LABEL_NAMES, Tissue
 from data_synth.kernels import tissue_map
-from data_synth.mr.examination import RR_JITTER, SHIFT_MM, Examination, ExamName, examination
-from data_synth.mr.stack import StackProtocol
+from data_synth.mr.examination import Examination, ExamName, Scanner, examination
 from data_synth.seeds import child_rng
 from data_synth.threads import for_each
 from dvf_ig.core import CycleTiming, FloatArray, Grid, Preop, Rigid, VolumeSeries, read_only_arrays
@@ -119,13 +118,13 @@ def examine(
     Args:
         phases: number of them instead of the drawn one, to save time.
     """
-    scanner = StackProtocol(
+    scanner = Scanner(
         in_plane_mm=drawn["mr.in_plane_mm"],
         psf_fwhm_mm=drawn["mr.psf_mm"],
         bias=drawn["mr.bias"],
         snr=drawn["mr.snr"],
-        breath_hold_mm=SHIFT_MM,
-        rr_jitter=RR_JITTER,
+        breath_hold_mm=np.sqrt(3.0) * drawn["mr.slice_shift_mm"],  # even up to there: of that RMS
+        rr_jitter=drawn["mr.rr_jitter"],
     )
     rng = child_rng(drawn.seed, "second world examination")
     return examination(_Examined(heart, fields), exam, rng, phases, scanner)

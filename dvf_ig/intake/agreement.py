@@ -166,7 +166,8 @@ def name_findings(files: SessionFiles) -> Iterator[Finding]:
         yield finding(Disagreement.MR_IS_LABELS, "preop.mr")
     if heart is not None and (absent := _absent_labels(heart.preop)):
         yield finding(Disagreement.LABELS_ABSENT, "preop.labels", values=", ".join(map(str, absent)))
-    order = None if heart is None else mr_order_finding(heart)
+    beats = heart is not None and still_heart_key(heart) is None
+    order = mr_order_finding(heart) if heart is not None and beats else None
     if order is not None:
         yield order
     marked, touched = start.landmarks_mr, start.landmarks_tracker

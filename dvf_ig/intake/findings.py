@@ -37,7 +37,7 @@ class Disagreement(Enum):
         "labels or surfaces are those of the heart",
     )
     HEART_DOES_NOT_BEAT = Rule(
-        False,
+        True,
         "the heart is the same in every phase: it does not beat, so that fixtures stand still while the "
         "patient's heart moves; build the model from every phase (model build --surfaces DIR, --labels "
         "SERIES, or --image CINE with the labels of one phase)",

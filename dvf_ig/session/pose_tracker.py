@@ -61,7 +61,7 @@ class PoseTracker:
         lag_s: float = 0.0,
         breathing: BreathingTracker | None = None,
     ) -> None:
-        self.pose: Pose = NoPose()
+        self._use(NoPose())
         self.history = history
         self._plan = RegistrationPlan(start)
         self._work = WorkQueue(source, lag_s)
@@ -74,15 +74,20 @@ class PoseTracker:
         """The pose that forces depend on."""
         return self.pose.estimate if isinstance(self.pose, InUse) else None
 
-    @property
-    def motion(self) -> PoseMotion | None:
+    def _use(self, pose: Pose) -> None:
+        """Enter a state; what each tick asks of it is found once."""
+        last, before = last_used(pose), suspended(pose)
+        self.pose: Pose = pose
+        self.motion: PoseMotion | None = pose.motion if isinstance(pose, InUse) else None
         """The pose in use over time; None while no pose may be used."""
-        return self.pose.motion if isinstance(self.pose, InUse) else None
-
-    @property
-    def warp(self) -> WarpMotion | None:
+        self.warp: WarpMotion | None = pose.warp if isinstance(pose, InUse) else None
         """Change of the heart's shape over time, at that pose; None of a heart that has kept its shape."""
-        return self.pose.warp if isinstance(self.pose, InUse) else None
+        self.estimate: PoseEstimate | None = None if last is None else last.estimate
+        """The pose in use, or the last one while none is; None before the first."""
+        self.confirmation: Confirmation | None = None if last is None else last.confirmation
+        """The last beat that confirmed that pose."""
+        self.doubt: Doubt | None = None if before is None else before.doubt
+        """Evidence that suspended the pose; None while one is in use, or before the first."""
 
     def covariance_mm2(self, now_s: float) -> FloatArray | None:
         """(6, 6) of the pose in use or the last one, as σ_d takes it; None before the first."""
@@ -90,24 +95,6 @@ class PoseTracker:
         if isinstance(last, InUse):
             return last.covariance_mm2(now_s)
         return None if last is None else last.estimate.total_mm2
-
-    @property
-    def estimate(self) -> PoseEstimate | None:
-        """The pose in use, or the last one while none is; None before the first."""
-        last = last_used(self.pose)
-        return None if last is None else last.estimate
-
-    @property
-    def confirmation(self) -> Confirmation | None:
-        """The last beat that confirmed that pose."""
-        last = last_used(self.pose)
-        return None if last is None else last.confirmation
-
-    @property
-    def doubt(self) -> Doubt | None:
-        """Evidence that suspended the pose; None while one is in use, or before the first."""
-        last = suspended(self.pose)
-        return None if last is None else last.doubt
 
     @property
     def next_s(self) -> float:
@@ -159,7 +146,8 @@ class PoseTracker:
     def _apply(self, event: PoseEvent) -> None:
         """Change the state, and carry out the actions that follow."""
         before = self.pose
-        self.pose, actions = next_pose(self.pose, event)
+        pose, actions = next_pose(before, event)
+        self._use(pose)
         if isinstance(before, InUse) and not isinstance(self.pose, InUse) and self._breathing is not None:
             since_s = 0.0 if self.doubt is None else self.doubt.since_s
             self._breathing.shifted(since_s if since_s > 0.0 else inf)

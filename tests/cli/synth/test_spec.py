@@ -167,7 +167,7 @@ def test_without_a_folder_or_with_two_presets_it_is_a_usage_error(tmp_path: Path
 def test_the_folder_tells_what_is_in_it_but_no_true_value(
     tmp_path: Path, scenario: Scenario, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(first_world, "_made", lambda file, spec: (scenario, None))
+    monkeypatch.setattr("data_synth.phantom_scenario", lambda spec, report: scenario)
     out = tmp_path / "made"
     for _ in range(2):  # a folder of ours is replaced
         done = CliRunner().invoke(app, ["scenario", "--preset", "probe slip", "-o", str(out)])
