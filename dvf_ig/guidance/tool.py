@@ -96,7 +96,7 @@ class Tool:
         return 0.5 * self.diameter_mm
 
     def axis_in_tracker(self, tracker_from_tool: FloatArray) -> FloatArray | None:
-        """Return the axis (3,) by a rotation (3, 3); None where none is needed."""
+        """Return the axis (3,) by a rotation (3, 3); None if none is needed."""
         if self.axis is None or self.shaft_mm == 0.0 or self.fulcrum is not None:
             return None
         return np.asarray(tracker_from_tool @ self.axis)

@@ -114,11 +114,11 @@ def _structure_output(bound: Any, i: int, place: Vector, phi: float, slope: Slop
 
 @inlined
 def _note_field(fields: FloatArray, i: int, gradient: Vector, rate: float) -> None:
-    """Keep gradient and rate of fixture `i`, whose surface moves by itself; 0 where it is out of reach."""
-    known = math.isfinite(gradient[0] + gradient[1] + gradient[2] + rate)
+    """Keep gradient and rate of fixture `i`, whose surface moves by itself; 0 if it is out of reach."""
+    finite = math.isfinite(gradient[0] + gradient[1] + gradient[2] + rate)
     for k in range(3):
-        fields[i, k] = gradient[k] if known else 0.0
-    fields[i, 3] = rate if known else 0.0
+        fields[i, k] = gradient[k] if finite else 0.0
+    fields[i, 3] = rate if finite else 0.0
 
 
 @inlined
@@ -327,7 +327,7 @@ def _compose(bound: Any, scratch: Any, out: Any) -> None:
 def _note_parts(bound: Any, scratch: Any, pose: Columns, phase: Phase, xyz: FloatArray) -> int:
     """Write each fixture's share of the composed force and its surface's velocity, tracker frame; count.
 
-    Forbidden regions were shortened alike; what composition left of the guidance is shared out by size.
+    Forbidden regions were shortened equally; what composition left of the guidance is shared out by size.
     """
     of, composed, forces, count = (
         bound.settings[0].fixtures,
@@ -471,10 +471,10 @@ def cross_to_walls(
     _widen(bound.packed, of, inputs.margin_mm)
     of_warp, tool = pose_phase.warped != 0.0, bound.settings[0].tool
     if tool.shaft_mm > 0.0:
-        known = _find_shaft(tool, inputs, xyz, scratch.shaft)
-        if known != code.OK:
+        shaft_status = _find_shaft(tool, inputs, xyz, scratch.shaft)
+        if shaft_status != code.OK:
             _forget_force(m, sample, composed)
-            return known
+            return shaft_status
     if status == code.NO_PHASE and share < 1.0:
         if of_warp:
             last = _warped_forces(

@@ -80,7 +80,7 @@ def _wall_at(coefficients: NDArray[np.float32], f: FloatArray, q: Vector, phi: f
 
 @inlined
 def _depth_at(coefficients: NDArray[np.float32], f: FloatArray, q: Vector, phi: float, through: Any) -> float:
-    """Distance at one place; −∞ where there is none."""
+    """Distance at one place; −∞ if there is none."""
     if through[1].warped == 0.0 and not math.isnan(phi):
         return distance_at(coefficients, f, q, phi)
     d = _wall_at(coefficients, f, q, phi, through)[2]
@@ -138,8 +138,8 @@ def wall_on_shaft(
         tool: TOOL of `layout`.
         tip, axis: in the model's frame; the axis is the unit vector from the tip to the handle.
         inside_mm: from the tip to the trocar; infinite without one.
-        phi: model phase; NaN: the wall at its worst one. No flag says so: numba compiles a kernel anew for
-            each literal one, and leaves out of the code what only its dead branch calls.
+        phi: model phase; NaN: the wall at its worst one. No flag states it, since numba compiles a kernel
+            again for each literal one.
         through: as of `_wall_at`.
         depths: (MOST_SAMPLES,) working space.
     Returns:

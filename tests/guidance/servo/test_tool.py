@@ -222,7 +222,7 @@ def test_the_servo_keeps_the_whole_shaft_out(ball):
     tips = np.tile(tip, (600, 1))
     tool = Tool(shaft_mm=30.0, axis=axis)
     _, record = servo_on(tips, tool, axis=axis)
-    expected = Evaluator(wall_model(5.0), Sigmoid(1.0)).force(tip + 30.0 * axis, (0.5995 / 0.6) % 1.0)
+    expected = Evaluator(wall_model(5.0), Sigmoid(1.0)).force(tip[None] + 30.0 * axis, (0.5995 / 0.6) % 1.0)
     np.testing.assert_allclose(record.field_n[-1], expected.force_n[0], atol=1e-3)
     assert record.distance_mm[-1] == pytest.approx(expected.distance_mm[0], abs=0.05)
     _, unknown = servo_on(tips, tool)
