@@ -180,7 +180,7 @@ _Call = tuple[str, tuple[Any, ...]]
 """A separate kernel's name, and the types of the arguments."""
 _SEPARATE: dict[str, _SeparateKernel] = {}
 _CALLED: dict[str, _Call] = {}
-"""By variable, what it holds the address of."""
+"""Kernel and types behind the address that a variable holds."""
 
 
 def _call_through(variable: str) -> Callable[..., Any]:

@@ -35,7 +35,7 @@ def _tuple_without_owners(context: Any, builder: Any, kind: Any, value: Any) -> 
 
 
 def _loaded(builder: Any, place: Any) -> Any:
-    """What is at a place that does not change, number by number: those that nothing uses are not read."""
+    """Load the value at a place that does not change, number by number: unused ones are then left out."""
     kind = place.type.pointee
     if not isinstance(kind, ir.Aggregate):
         number = builder.load(place)
