@@ -17,7 +17,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, Discriminator, Field, Tag, field_validator, model_validator
 
@@ -288,17 +288,21 @@ class EcgConfig(FileSection):
     delay_s: Number | None = None
 
 
-class ToolConfig(FileSection, ToolShapeConfig):
-    """Shape of the tool, and its poses (mm) on the clock of the tracker (s), which a replay needs."""
+class _ToolPoses(FileSection):
+    """Poses of the tool (mm) on the clock of the tracker (s)."""
 
     file: FileName | None = None
     name: Text | None = None
 
     @model_validator(mode="after")
-    def _named_in_a_file(self) -> "ToolConfig":
+    def _named_in_a_file(self) -> Self:
         if self.name is not None and self.file is None:
             raise ValueError("a name needs the file in which it is recorded")
         return self
+
+
+class ToolConfig(ToolShapeConfig, _ToolPoses):
+    """Shape of the tool, and its poses, which a replay needs."""
 
 
 class RespirationConfig(FileSection):
