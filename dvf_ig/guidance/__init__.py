@@ -37,3 +37,5 @@ from .supervision.supervisor import SupervisorState as SupervisorState
 from .supervision.supervisor import summarise_supervision as summarise_supervision
 from .targets import PathFixture as PathFixture
 from .targets import PathTarget as PathTarget
+from .tool import Fulcrum as Fulcrum
+from .tool import Tool as Tool

@@ -17,6 +17,7 @@ from .laws import Confinement, Gaussian, Law, Sigmoid, require_force, require_re
 from .margins import NO_MARGIN, MarginOptions
 from .places import Status
 from .targets import PathFixture, PathTarget
+from .tool import POINT, Tool
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,6 +85,7 @@ class FixtureSet:
         cap_n: largest force of all together, N; None: the largest cap among them.
         margin: by which a session widens them; a path keeps its law.
         device: what renders them.
+        tool: what they act on.
     Raises:
         InvalidInputError: no fixture, a cap that is not positive or beyond the device's continuous force, or
             a forbidden region that is felt too far outside.
@@ -93,6 +95,7 @@ class FixtureSet:
     cap_n: float | None = None
     margin: MarginOptions = NO_MARGIN
     device: DeviceLimits = COMMON_DEVICE
+    tool: Tool = POINT
 
     def __post_init__(self) -> None:
         if not self.fixtures:
@@ -111,6 +114,12 @@ class FixtureSet:
     def joint_cap_n(self) -> float:
         """Largest force of all together, N."""
         return max(f.law.cap_n for f in self.fixtures) if self.cap_n is None else self.cap_n
+
+    def law(self, one: FixtureOptions) -> Law:
+        """The law of a fixture for the centre of the tip: surfaces act on the tool's surface."""
+        if one.path is not None:
+            return one.law
+        return dataclasses.replace(one.law, depth_mm=one.law.depth_mm - self.tool.radius_mm)
 
     @property
     def on_model_alone(self) -> bool:
@@ -150,11 +159,11 @@ def force_at_distance(options: FixtureSet, distance_mm: FloatArray, normal: Floa
         normal: (n, 3) its unit gradient.
     Returns:
         the force in the frame of `normal`; None for a set with a path or a structure, whose distance this is
-        not.
+        not, or a shaft.
     """
-    if not options.on_model_alone:
+    if not options.on_model_alone or options.tool.shaft_mm > 0.0:
         return None
-    each = np.stack([static_force(one.law, distance_mm, normal) for one in options.fixtures], axis=1)
+    each = np.stack([static_force(options.law(one), distance_mm, normal) for one in options.fixtures], axis=1)
     if not options.composed:
         return np.asarray(each[:, 0])
     return np.array([composed_force(options, forces).force_n for forces in each]).reshape(-1, 3)
@@ -320,9 +329,12 @@ def _bound(model: DvfModel, one: FixtureOptions, options: FixtureSet) -> Evaluat
         surface = model
         if one.structure is not None:
             surface = one.structure
-            _require_fit(surface, model, one, options.margin.wanted_mm(math.nan))
+            room_mm = options.margin.wanted_mm(math.nan) + options.tool.radius_mm
+            _require_fit(surface, model, one, room_mm)
         if one.path is None:
-            return Evaluator(surface, one.law, blend=one.blend, device=device, withhold_unseen=withhold)
+            return Evaluator(
+                surface, options.law(one), blend=one.blend, device=device, withhold_unseen=withhold
+            )
         require_same_frame(model.frame, one.path.frame, "path of a fixture")
         return PathFixture(one.path, one.law, device=device)
     except InvalidInputError as exc:

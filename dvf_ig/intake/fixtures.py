@@ -4,6 +4,7 @@ cap_n: 0.6                  # of all together, N; default: the largest of them
 retiming: two-segment       # or uniform
 margin: adaptive            # or off, fixed (2 mm), or a number of mm
 device: {name: omega.3, continuous_force_n: 12, stiffness_n_per_m: 2000}   # needed above 4 N or 400 N/m
+tool: {diameter_mm: 5, shaft_mm: 60, fulcrum: {point_mm: [10, 20, 30], length_mm: 350}}
 fixtures:                   # the first is the primary one
   - {law: forbidden, name: epicardium, gamma: 1.0, depth_mm: 2.0}
   - {law: path, delta: 4.0, path: incision.mrk.json}
@@ -28,7 +29,7 @@ from dvf_ig.io.yaml_config import Section, read_yaml, validated
 
 if TYPE_CHECKING:
     from dvf_ig.core import DvfModel
-    from dvf_ig.guidance import DeviceLimits, FixtureOptions, FixtureSet, PathTarget
+    from dvf_ig.guidance import DeviceLimits, FixtureOptions, FixtureSet, PathTarget, Tool
     from dvf_ig.guidance.margins import MarginOptions
 
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-TIME_S, le=TIME_S)]
@@ -205,14 +206,63 @@ class DeviceConfig(Section):
         )
 
 
+class FulcrumConfig(Section):
+    """Trocar through which the tool passes, in the tracker's frame, and the length from hand to tip."""
+
+    point_mm: Row
+    length_mm: Number
+
+
+class ToolShapeConfig(Section):
+    """Thickness, shaft and fulcrum of the tool; nothing stated is a point.
+
+    `axis` leads from the tip to the handle in the tool's own frame; a fulcrum gives the direction as well.
+    """
+
+    diameter_mm: Number = 0.0
+    shaft_mm: Number = 0.0
+    axis: Row | None = None
+    fulcrum: FulcrumConfig | None = None
+
+    @classmethod
+    def of(cls, tool: "Tool") -> "ToolShapeConfig | None":
+        """The section that states a tool; None for a point."""
+        fulcrum = tool.fulcrum
+        stated = {
+            "diameter_mm": tool.diameter_mm,
+            "shaft_mm": tool.shaft_mm,
+            "axis": None if tool.axis is None else tool.axis.tolist(),
+            "fulcrum": None
+            if fulcrum is None
+            else {"point_mm": fulcrum.point_mm.tolist(), "length_mm": fulcrum.length_mm},
+        }
+        return cls.model_validate(stated) if any(stated.values()) else None
+
+    def shape(self) -> "Tool":
+        """Build the tool; raise InvalidInputError for a number out of range."""
+        from dvf_ig.guidance import Fulcrum, Tool
+
+        fulcrum = None
+        if self.fulcrum is not None:
+            fulcrum = Fulcrum(np.array(self.fulcrum.point_mm), self.fulcrum.length_mm)
+        axis = None if self.axis is None else np.array(self.axis)
+        return Tool(self.diameter_mm, self.shaft_mm, axis, fulcrum)
+
+    @property
+    def stated(self) -> bool:
+        """Whether it states anything but a point."""
+        return any((self.diameter_mm, self.shaft_mm, self.axis, self.fulcrum))
+
+
 class FixturesConfig(Section):
-    """The fixtures of an intervention, their joint cap, margin and device, and the law of retiming."""
+    """The fixtures of an intervention, their joint cap, margin, device and tool, and the law of retiming."""
 
     fixtures: tuple[FixtureConfig, ...] = (ForbiddenConfig(),)
     cap_n: Number | None = None
     retiming: RetimingName | None = None
     margin: MarginChoice = "off"
     device: DeviceConfig | None = None
+    tool: ToolShapeConfig | None = None
 
     @classmethod
     def of(cls, fixtures: "FixtureSet") -> "FixturesConfig":
@@ -239,6 +289,7 @@ class FixturesConfig(Section):
                 "fixtures": described,
                 "cap_n": fixtures.cap_n,
                 "device": DeviceConfig.of(fixtures.device),
+                "tool": ToolShapeConfig.of(fixtures.tool),
                 "margin": margin.fixed_mm if margin.mode == "fixed" else margin.mode,
             }
         )
@@ -254,6 +305,7 @@ class FixturesConfig(Section):
         """
         from dvf_ig.guidance import FixtureSet
         from dvf_ig.guidance.device import COMMON_DEVICE
+        from dvf_ig.guidance.tool import POINT
         from dvf_ig.io.model.model_file import read_model
 
         options = []
@@ -266,7 +318,8 @@ class FixturesConfig(Section):
             except InvalidInputError as exc:
                 raise InvalidInputError(f"fixtures.{n}: {exc}") from exc
         device = COMMON_DEVICE if self.device is None else self.device.limits()
-        return FixtureSet(tuple(options), self.cap_n, margin_options(self.margin), device)
+        tool = POINT if self.tool is None else self.tool.shape()
+        return FixtureSet(tuple(options), self.cap_n, margin_options(self.margin), device, tool)
 
 
 STRUCTURES = "structure-"

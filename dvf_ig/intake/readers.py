@@ -63,7 +63,7 @@ def read_tool(config: ToolConfig | None, folder: Path, sweep: Sweep | None) -> P
     Without a name the only other tool in the ultrasound sequence is taken.
     """
     reference = None if sweep is None else sweep.probe.target
-    if config is None:
+    if config is None or config.file is None:
         others = () if sweep is None else sweep.other_tools
         if len(others) > 1:
             log.warning(

@@ -17,7 +17,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, Discriminator, Field, Tag, field_validator, model_validator
 
@@ -28,7 +28,7 @@ from dvf_ig.io.respiration import split_respiration
 from dvf_ig.io.truth import FILES as TRUTH_FILES
 from dvf_ig.io.yaml_config import KIND, Section
 
-from .fixtures import DeviceConfig, FixtureConfig, MarginChoice, Number, RetimingName
+from .fixtures import DeviceConfig, FixtureConfig, MarginChoice, Number, RetimingName, ToolShapeConfig
 from .live import LiveConfig
 
 SCHEMA = "dvf_ig.session/1"
@@ -146,6 +146,12 @@ KEYS: dict[str, Key] = {
     "tool.file": Key("sequence with the tool's poses", "the only other tool in `ultrasound.file`",
                      "tool.igs.mha", FILE, "--tool FILE"),
     "tool.name": Key("what the recording calls it", "the only one", "Stylus", TEXT, "--tool-name NAME"),
+    "tool.diameter_mm": Key("thickness of tip and shaft, which walls are kept away from", "a point", "5.0"),
+    "tool.shaft_mm": Key("length above the tip that walls act on as well", "the tip alone", "60"),
+    "tool.axis": Key("from tip to handle in the tool's own frame, for a shaft", "through the fulcrum",
+                     "[0, 0, -1]"),
+    "tool.fulcrum": Key("trocar in the tracker's frame, mm, and length from hand to tip; a device is the "
+                        "hand", "a device moves the tip", "{point_mm: [10, 20, 30], length_mm: 350}"),
     "respiration.file": Key("what follows the breath: csv:FILE#CHANNEL, wfdb:RECORD#CHANNEL or marker:FILE",
                             "no breathing (high-frequency ventilation)", "csv:icu.csv#pressure", BREATH,
                             "--respiration csv:FILE#CHANNEL"),
@@ -282,11 +288,21 @@ class EcgConfig(FileSection):
     delay_s: Number | None = None
 
 
-class ToolConfig(FileSection):
-    """Poses of the tool (mm) on the clock of the tracker (s); a replay needs them."""
+class _ToolPoses(FileSection):
+    """Poses of the tool (mm) on the clock of the tracker (s)."""
 
-    file: FileName
+    file: FileName | None = None
     name: Text | None = None
+
+    @model_validator(mode="after")
+    def _named_in_a_file(self) -> Self:
+        if self.name is not None and self.file is None:
+            raise ValueError("a name needs the file in which it is recorded")
+        return self
+
+
+class ToolConfig(ToolShapeConfig, _ToolPoses):
+    """Shape of the tool, and its poses, which a replay needs."""
 
 
 class RespirationConfig(FileSection):

@@ -233,8 +233,9 @@ def session_fixtures(
         UnreadableFileError: values out of range, or a joint cap or a device together with the name of a file,
             which states them itself.
     """
-    margin = config.margin
-    if all(stated is None for stated in (config.fixtures, config.cap_n, config.device, margin)):
+    margin, tool = config.margin, config.tool
+    shape = tool if tool is not None and tool.stated else None
+    if all(stated is None for stated in (config.fixtures, config.cap_n, config.device, margin, shape)):
         return None, config.retiming
     if isinstance(config.fixtures, str):
         beside = [key for key in ("cap_n", "device") if getattr(config, key) is not None]
@@ -246,6 +247,9 @@ def session_fixtures(
         fixtures, retiming = read_fixtures(folder / config.fixtures)
         if margin is not None:
             fixtures = replace(fixtures, margin=margin_options(margin))
+        if shape is not None:
+            with reading(Path(named_by), "a session's configuration"):
+                fixtures = replace(fixtures, tool=shape.shape())
         return fixtures, config.retiming or retiming
     with reading(Path(named_by), "a session's configuration"):
         of_session = FixturesConfig(
@@ -253,5 +257,6 @@ def session_fixtures(
             cap_n=config.cap_n,
             device=config.device,
             margin="off" if margin is None else margin,
+            tool=shape,
         )
         return of_session.fixture_set(folder), config.retiming

@@ -22,16 +22,13 @@ from . import SOURCES
 
 P = ParamSpec("P")
 R = TypeVar("R")
-OPTIONS = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
+OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 """Options of `numba.njit`. No kernel is called from C, and that wrapper would take 5 % of the compile
 time."""
 
 
 def kernel(function: Callable[P, R]) -> Callable[P, R]:
-    """Compile a function called from Python or from other kernels; the compiler decides whether to inline it.
-
-    A call that is not inlined passes every number of every array of a tuple: 50 ns for all of a servo's.
-    """
+    """Compile a function called from Python or from other kernels."""
     compiled: Callable[P, R] = compile_kernel(function, SOURCES, **OPTIONS)
     return compiled
 
@@ -39,6 +36,12 @@ def kernel(function: Callable[P, R]) -> Callable[P, R]:
 def inlined(function: Callable[P, R]) -> Callable[P, R]:
     """Compile a function called only from other kernels and always inlined into its caller."""
     compiled: Callable[P, R] = compile_kernel(function, SOURCES, **OPTIONS, forceinline=True)
+    return compiled
+
+
+def separate(function: Callable[P, R]) -> Callable[P, R]:
+    """Compile a function called from Python or from other kernels: once for all of them, never inlined."""
+    compiled: Callable[P, R] = compile_kernel(function, SOURCES, separately=True, **OPTIONS)
     return compiled
 
 

@@ -35,7 +35,7 @@ from .fixture_field import (
 )
 from .lanes import Float64x4, fma, pack, scale, unpack
 from .phase import cubic_in_phase, phase_bracket
-from .spline import find_cell
+from .spline import cell_value, find_cell
 from .vectors import Vector
 from .warp import Slope, warped
 from .worst_phase import force_of_phase, wall_without_phase
@@ -121,6 +121,29 @@ def field_at(
     _, _, mixed, _, rate = _two_fields(coefficients, f, (u, v, w), phi)
     d, gx, gy, gz = unpack(mixed)
     return code.OK, d, (gx, gy, gz), rate
+
+
+@kernel
+def distance_at(coefficients: NDArray[np.float32], f: FloatArray, q: Vector, phi: float) -> float:
+    """Evaluate the distance alone at one point, by the fixture's blend; −∞ outside the box, also of NaN."""
+    status, u, v, w = knot_coordinates(coefficients, f, q, phi)
+    if status != code.OK:
+        return -math.inf
+    cell, count = find_cell(u, v, w, cells_of(coefficients)), len(coefficients)
+    first, second, alpha, _ = phase_bracket(f, TIMES, count, phi)
+    if int(f[BLEND]) != BLEND_PERIODIC:
+        return (1.0 - alpha) * cell_value(coefficients, np.uintp(first), cell) + alpha * cell_value(
+            coefficients, np.uintp(second), cell
+        )
+    weights, _ = cubic_in_phase(f, TIMES + count + POWERS * first, alpha)
+    before = first - 1 if first > 0 else count - 1
+    after = second + 1 if second + 1 < count else 0
+    return (
+        weights[0] * cell_value(coefficients, np.uintp(before), cell)
+        + weights[1] * cell_value(coefficients, np.uintp(first), cell)
+        + weights[2] * cell_value(coefficients, np.uintp(second), cell)
+        + weights[3] * cell_value(coefficients, np.uintp(after), cell)
+    )
 
 
 @inlined

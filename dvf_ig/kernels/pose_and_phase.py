@@ -75,6 +75,18 @@ def distance_rate_and_sigma(
 
 
 @inlined
+def distance_rate(
+    pose: Columns, phase: Phase, xyz_mm: FloatArray, gradient: Vector, rate_mm_per_cycle: float
+) -> float:
+    """Compute ∂d/∂t alone, as `distance_rate_and_sigma` does; `gradient` in the model's frame."""
+    turned, shift = rotated_by(pose, vector_at(xyz_mm, 0)), pose[3]
+    swept = cross(pose[4], (turned[0] + shift[0], turned[1] + shift[1], turned[2] + shift[2]))
+    moved = pose[5]
+    velocity = (swept[0] + moved[0], swept[1] + moved[1], swept[2] + moved[2])
+    return dot(gradient, velocity) + rate_mm_per_cycle * phase[1]
+
+
+@inlined
 def _set_pose(fixture: FloatArray, pose: Columns) -> None:
     """Write the (3, 4) pose of a packed fixture row by row."""
     for row in range(3):

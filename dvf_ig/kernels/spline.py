@@ -96,6 +96,32 @@ def cell_value_gradient(c: NDArray[np.float32], p: Index, cell: Cell) -> Float64
 
 
 @inlined
+def _value_y(c: NDArray[np.float32], p: Index, i: Index, j: Index, k: Index, w: Weights4) -> Float64x4:
+    """Compute Σ_b B_b(y) of the rows of one slice."""
+    r0, r1, r2, r3 = (
+        load_row(c, p, i, j, k),
+        load_row(c, p, i, j + 1, k),
+        load_row(c, p, i, j + 2, k),
+        load_row(c, p, i, j + 3, k),
+    )
+    return fma(fma(fma(scale(w[0], r0), w[1], r1), w[2], r2), w[3], r3)
+
+
+@inlined
+def cell_value(c: NDArray[np.float32], p: Index, cell: Cell) -> float:
+    """Evaluate the value of phase `p` in one cell: a quarter of the sums of `cell_value_gradient`."""
+    i, j, k, x, y, z, _ = cell
+    w, by_y = x[0], y[0]
+    total = scale(w[0], _value_y(c, p, i, j, k, by_y))
+    total = fma(total, w[1], _value_y(c, p, i + 1, j, k, by_y))
+    total = fma(total, w[2], _value_y(c, p, i + 2, j, k, by_y))
+    total = fma(total, w[3], _value_y(c, p, i + 3, j, k, by_y))
+    a, b, d, e = unpack(multiply(z, total))
+    value: float = (a + b) + (d + e)
+    return value
+
+
+@inlined
 def spline_at(
     coefficients: NDArray[np.float32],
     origin_mm: FloatArray,

@@ -75,11 +75,12 @@ class HapticTool:
         fixtures: on the patient's model, within `limits`.
         limits: of the device (`limits_of`).
         tracker_from_device: place of the device.
-        tip: tool tip of the session, one point in frame "tool"; the device's tip takes its place.
+        tip: tool tip of the session, one point in frame "tool"; the device's tip takes its place, or with a
+            fulcrum the tip of the instrument that the device holds.
         tell: called with a sentence whenever the force is withdrawn or given again.
         late_s: as of `Servo`.
     Raises:
-        InvalidInputError: as `Servo`, or frames that do not fit.
+        InvalidInputError: as `Servo`, frames that do not fit, or a shaft whose direction is not known.
     """
 
     def __init__(
@@ -96,6 +97,9 @@ class HapticTool:
         require_same_frame("device", tracker_from_device.source, "place of the haptic device")
         self.device, self.counts = device, HapticCounts()
         self._place, self._tip_mm, self._tell = tracker_from_device, tip.xyz_mm[0], tell
+        tool = fixtures.options.tool
+        tool.require_device(device.name)
+        self._fulcrum = tool.fulcrum
         options = ServoOptions(rate_hz=device.rate_hz)
         self._servo = Servo(fixtures, device, limits=limits, options=options, late_s=late_s)
         self._deadlines: list[Deadlines] = []
@@ -135,11 +139,13 @@ class HapticTool:
         if matrix is None or not np.isfinite(matrix).all():
             return
         in_tracker_mm = matrix[:3, :3] @ self._tip_mm + matrix[:3, 3]
-        tip_mm = np.asarray(self._place.inverse().apply_array(in_tracker_mm))
-        device.hold(Hand(np.zeros(3), tip_mm, HAND_STIFFNESS_N_PER_M, HAND_DAMPING_N_S_PER_M))
+        if self._fulcrum is not None:
+            in_tracker_mm = self._fulcrum.hand_mm(in_tracker_mm)
+        hand_mm = np.asarray(self._place.inverse().apply_array(in_tracker_mm))
+        device.hold(Hand(np.zeros(3), hand_mm, HAND_STIFFNESS_N_PER_M, HAND_DAMPING_N_S_PER_M))
         if not self._followed:
-            self._followed, self._first_mm = True, tip_mm
-            device.place(tip_mm)
+            self._followed, self._first_mm = True, hand_mm
+            device.place(hand_mm)
 
     def poses(self, now_s: float) -> list[LiveEvent]:
         """Return the tip's newest pose if the last is POSES_S old; none before a simulated hand moves."""
@@ -149,7 +155,8 @@ class HapticTool:
         record = self._read()
         fresh = record.t_s >= self._published_s
         if not np.isfinite(self._published_s):
-            return [self._pose(now_s, self._place.apply_array(self._first_mm))]
+            first_mm = np.asarray(self._place.apply_array(self._first_mm))
+            return [self._pose(now_s, first_mm if self._fulcrum is None else self._fulcrum.tip_mm(first_mm))]
         if not fresh.any():
             return []
         lost = bool(record.hazards[-1] & Hazard.DEVICE_LOST)

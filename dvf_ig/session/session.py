@@ -88,6 +88,7 @@ class Session:
         self._orders = (self._frames.order, self._clock.order, self._breathing.order, self._tool.order)
         self._tip = TipWatch(self._frames, setup.calibrations, setup.fan)
         fixtures = Fixtures(setup.heart.model, setup.fixtures)
+        self._shape = setup.fixtures.tool
         self._servo = TrackedServo(fixtures, limits=setup.device, latch_after_s=latch_after_s)
         self._margins = MarginTracker(fixtures, setup.device)
         self._actions: list[Landmark | Rearm] = []
@@ -167,7 +168,8 @@ class Session:
         tool_status = Status.STALE_TOOL if posed and tool.hazard else Status.OK
         hazards, margin_mm = self._hazards(now_s, tool.hazard, breathing), self._margins.margin_mm
         tip = None if tool.hazard else (tool.tip_tracker_mm, tool.velocity_mm_s)
-        tick = self._servo.step(now_s, self._transform, hazards, tool_status, margin_mm, tip)
+        axis = None if tool.hazard else self._shape.axis_in_tracker(tool.rotation)
+        tick = self._servo.step(now_s, self._transform, hazards, tool_status, margin_mm, tip, axis)
         confirmation = self._pose.confirmation
         age_s = inf if confirmation is None else now_s - confirmation.confirmed_s
         if self._margins.due(now_s):

@@ -334,3 +334,33 @@ fixtures:
             np.testing.assert_array_equal(one.structure.coefficients, other.structure.coefficients)
     with pytest.raises(UnreadableFileError, match=r"fixtures\.0: .*nowhere\.npz"):
         read_fixtures(written(tmp_path, "fixtures: [{law: forbidden, model: nowhere.npz}]\n"))
+
+
+def test_the_tool_block_of_a_session_gives_the_tool(tmp_path: Path) -> None:
+    """Beside poses of the tool, without any, and in a file of fixtures, whose tool the session's replaces."""
+    stated = {
+        "diameter_mm": 5.0,
+        "shaft_mm": 60.0,
+        "fulcrum": {"point_mm": [10.0, 20.0, 30.0], "length_mm": 350.0},
+    }
+    for poses in ({}, {"file": "tool.igs.mha"}):
+        fixtures, _ = session_fixtures(SessionConfig(tool=poses | stated), tmp_path, "session.yaml")
+        assert fixtures is not None
+        assert (fixtures.tool.diameter_mm, fixtures.tool.shaft_mm) == (5.0, 60.0)
+        assert fixtures.tool.fulcrum is not None
+        np.testing.assert_array_equal(fixtures.tool.fulcrum.point_mm, [10.0, 20.0, 30.0])
+    assert session_fixtures(SessionConfig(tool="tool.igs.mha"), tmp_path, "session.yaml")[0] is None
+    (tmp_path / "fixtures.yaml").write_text("fixtures: [{law: forbidden}]\ntool: {diameter_mm: 3}\n")
+    assert read_fixtures(tmp_path / "fixtures.yaml")[0].tool.diameter_mm == 3.0
+    both = SessionConfig(fixtures="fixtures.yaml", tool={"diameter_mm": 8.0})
+    fixtures, _ = session_fixtures(both, tmp_path, "session.yaml")
+    assert fixtures is not None
+    assert fixtures.tool.diameter_mm == 8.0
+    for wrong, message in (
+        ({"shaft_mm": 10.0}, "direction of the tool's shaft"),
+        ({"diameter_mm": 99.0}, "diameter is 99 mm"),
+    ):
+        with pytest.raises(UnreadableFileError, match=message):
+            session_fixtures(SessionConfig(tool=wrong), tmp_path, "session.yaml")
+    with pytest.raises(ValueError, match="file in which it is recorded"):
+        SessionConfig(tool={"name": "Needle"})

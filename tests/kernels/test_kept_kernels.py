@@ -18,7 +18,7 @@ from numba.extending import _Intrinsic
 
 import data_synth.kernels
 import dvf_ig.kernels
-from dvf_ig.kernels.compiled import inlined, kernel
+from dvf_ig.kernels.compiled import inlined, kernel, separate
 
 REPO = Path(dvf_ig.__file__).parent.parent
 COMPILED = (CFunc, Dispatcher, _Intrinsic)
@@ -65,6 +65,33 @@ def test_a_kernel_that_an_inlined_one_calls_first_is_not_inlined_itself():
     for compiled, flag in ((third, False), (ninth, True)):
         (part,) = compiled._parts.values()  # type: ignore[attr-defined]
         assert ("alwaysinline" in str(part.library._final_module)) is flag
+
+
+@separate
+def root(x, times):
+    if x < 0.0:
+        raise ValueError("negative")
+    return times * x**0.5
+
+
+@kernel
+def root_of_half(x):
+    return root(half(x), 1)
+
+
+@kernel
+def twice_the_root(x, used):
+    return root(x, 2) if used else 0.0
+
+
+def test_a_separate_kernel_is_compiled_once_for_all_that_call_it():
+    assert (root_of_half(8.0), twice_the_root(9.0, True)) == (2.0, 6.0)
+    assert len(root.overloads) == 1  # type: ignore[attr-defined]
+    with pytest.raises(ValueError, match="negative"):
+        twice_the_root(-8.0, True)
+    for caller in (root_of_half, twice_the_root):
+        (code,) = vars(caller)["overloads"].values()
+        assert not [f for f in code.library.get_defined_functions() if "4root" in f.name]
 
 
 def child(*arguments, folder, **environment):
@@ -153,6 +180,17 @@ def test_kept_until_a_source_changes(tiny):
     (tiny / "outer.py").write_text("\n\n" + (tiny / "outer.py").read_text())
     assert called(tiny) == (7.0, False, "")
     assert sorted(path.name for path in (tiny / "__pycache__").iterdir()) == files, "nothing is left behind"
+
+
+def test_a_separate_kernel_is_kept_by_itself(tiny):
+    source = (tiny / "law.py").read_text().replace("SOURCES)", "SOURCES, separately=True)")
+    (tiny / "law.py").write_text(source)
+    assert called(tiny) == (7.0, False, "")
+    for entry in (tiny / "__pycache__").glob("law.law.*.nb?"):
+        entry.unlink()
+    assert called(tiny) == (7.0, True, "")
+    edit(tiny / "law.py", "3.0", "5.0")
+    assert called(tiny) == (11.0, False, "")
 
 
 def test_nothing_is_kept_of_sources_that_change_while_a_process_runs(tiny):

@@ -4,6 +4,7 @@ tests/guidance/test_warp.py holds what a warp does to the kernel's forces to `Ev
 """
 
 import math
+from typing import Any
 
 import numpy as np
 from readable_phase_loss import PhaseLoss
@@ -19,6 +20,8 @@ from dvf_ig.guidance.servo.bound import tick_constants
 from dvf_ig.guidance.supervision.hazards import Hazard, hazard_of, withholding
 from dvf_ig.guidance.supervision.supervisor import SupervisedForce, SupervisorState
 from dvf_ig.guidance.targets import PathFixture
+
+NO_PARTS = (np.zeros((0, 3)), np.zeros((0, 3)))
 
 
 class PassivityObserver:
@@ -36,19 +39,44 @@ class PassivityObserver:
         self.residual_mj = self.given_mj = self.by_surface_mj = 0.0
         self._last: tuple[FloatArray, FloatArray] | None = None
         self._surface = np.zeros(3)
+        self._parts = self._now = NO_PARTS
         self._sent: list[FloatArray] = []
+        self._sent_parts: list[FloatArray] = []
 
-    def observe(self, xyz_mm: FloatArray, field_n: FloatArray, dt_s: float, *, following: bool) -> None:
-        """Account for the period that has just passed."""
+    def observe(
+        self,
+        xyz_mm: FloatArray,
+        field_n: FloatArray,
+        dt_s: float,
+        *,
+        following: bool,
+        parts: tuple[FloatArray, FloatArray] = NO_PARTS,
+    ) -> None:
+        """Account for the period that has just passed.
+
+        Args:
+            parts: (k, 3) N shares of the field, and (k, 3) mm/s of their surfaces; (0, 3) if all is one.
+        """
+        self._parts, self._now = self._now, parts
         if self._last is not None:
             at = len(self._sent) - 1 - self._delay
             felt = self._sent[at] if at >= 0 else np.zeros(3)
             moved, surface = xyz_mm - self._last[0], self._surface * dt_s
+            ideal = 0.5 * (field_n + self._last[1])
+            by_surface, by_ideal = float(felt @ surface), float(ideal @ surface)
+            before, velocity = self._parts
+            if len(before):
+                shares = (
+                    self._sent_parts[at] if at >= 0 and len(self._sent_parts[at]) else np.zeros_like(before)
+                )
+                after = parts[0] if len(parts[0]) else before
+                by_surface = float((shares * velocity).sum() * dt_s + (felt - shares.sum(axis=0)) @ surface)
+                by_ideal = float((0.5 * (before + after) * velocity).sum() * dt_s)
             self.given_mj += float(felt @ moved)
-            self.by_surface_mj += float(felt @ surface)
+            self.by_surface_mj += by_surface
             if following:
-                ideal = 0.5 * (field_n + self._last[1])
-                self.residual_mj = max(0.0, self.residual_mj + float((felt - ideal) @ (moved - surface)))
+                made = float((felt - ideal) @ moved) - by_surface + by_ideal
+                self.residual_mj = max(0.0, self.residual_mj + made)
         self._last = (xyz_mm.copy(), field_n.copy())
 
     def damping(self, speed: FloatArray, surface: FloatArray, period_s: float) -> FloatArray:
@@ -62,6 +90,7 @@ class PassivityObserver:
 
     def note(self, sent_n: FloatArray) -> None:
         self._sent.append(sent_n.copy())
+        self._sent_parts.append(self._now[0])
 
     def forget_residual(self) -> None:
         """Nothing is sent any more."""
@@ -79,10 +108,11 @@ class ReadableTick:
         self._c, self._options = tick_constants(fixtures, options, latency_s), options
         self._supervisor, self._loss = Supervisor(limits, walls=fixtures.walls), PhaseLoss()
         self._forbidden = [one.forbidden for one in fixtures.options.fixtures]
+        self._on_heart = [i for i, one in enumerate(fixtures.options.fixtures) if one.on_model]
         self.observer = PassivityObserver(self._c.delay_ticks, self._c.largest_damping)
         self._last: tuple[float, FloatArray] | None = None
         self._speed = np.zeros(3)
-        self._following = False
+        self._following, self._shares = False, NO_PARTS
         self.distance_mm = math.nan
         """Of the primary fixture in the last step."""
 
@@ -107,7 +137,11 @@ class ReadableTick:
         met = status in (Status.FAULT, Status.OUT_OF_VOLUME, Status.UNSEEN)
         if met or not hazards & withholding(any(self._forbidden)):
             hazards |= hazard_of(status)
-        self.observer.observe(xyz, field_n, dt_s, following=self._following)
+        parts = self._shares if status == Status.OK and self._loss.share == 0.0 else NO_PARTS
+        sizes = np.linalg.norm(parts[0], axis=1)
+        if sizes.sum() > 0.0:
+            surface = sizes @ parts[1] / sizes.sum()
+        self.observer.observe(xyz, field_n, dt_s, following=self._following, parts=parts)
         if math.isfinite(self.distance_mm):
             wanted_n = wanted_n + self.observer.damping(self._speed, surface, c.period_s)
         length = float(np.linalg.norm(wanted_n))
@@ -135,7 +169,7 @@ class ReadableTick:
         found = refused[0] if refused else max(statuses)
         place = inputs.transform.at(xyz[None], t_s)
         self._loss.step(dt_s, found, float(place.model_phase[0]))
-        self.distance_mm = math.nan
+        self.distance_mm, self._shares = math.nan, NO_PARTS
         if found != Status.OK and (found != Status.NO_PHASE or not any(self._forbidden)):
             return nothing, nothing, nothing, found
         field_n = self._crossed(self._composed(each), xyz, t_s, inputs, found)
@@ -145,20 +179,50 @@ class ReadableTick:
             if np.isfinite(one.distance_mm[0]) and (found == Status.OK or self._forbidden[i])
         ]
         if not near:
+            if len(self._on_heart) < len(each):
+                self._shares = (np.zeros((len(each), 3)), np.zeros((len(each), 3)))
             return field_n, field_n, nothing, found
+        self._shares = self._share_out(each, place, t_s, inputs)
         first, primary = near[0], each[near[0]]
         self.distance_mm = float(primary.distance_mm[0])
         gradient = primary.gradient[0]
-        rotation = inputs.transform.pose.at(t_s).rotation if inputs.transform.pose is not None else np.eye(3)
-        per_cycle, part = primary.rate_mm_per_cycle, self._parts[first]
-        if isinstance(part, PathFixture):
-            per_cycle = np.array([part.target.rate(place.xyz_mm[0], float(place.model_phase[0]))])
-        by_phase = per_cycle * np.nan_to_num(place.model_phase_rate_hz)
-        by_pose = np.einsum("ni,ni->n", (rotation @ gradient)[None], place.velocity_mm_s)
-        rate = float((by_pose + (by_phase if found == Status.OK else 0.0))[0])
+        rate = self._rate(first, primary, place, t_s, inputs, found)
         norm = float(np.linalg.norm(gradient))
         pushed = field_n + self._options.feed_forward.force(gradient, rate, self._speed)
         return field_n, pushed, -rate / norm * gradient / norm, found
+
+    def _rate(
+        self, i: int, samples: ForceSamples, place: Any, t_s: float, inputs: ServoInputs, found: Status
+    ) -> float:
+        """∂d/∂t of fixture `i`, mm/s."""
+        rotation = inputs.transform.pose.at(t_s).rotation if inputs.transform.pose is not None else np.eye(3)
+        per_cycle, part = samples.rate_mm_per_cycle, self._parts[i]
+        if isinstance(part, PathFixture):
+            per_cycle = np.array([part.target.rate(place.xyz_mm[0], float(place.model_phase[0]))])
+        by_phase = per_cycle * np.nan_to_num(place.model_phase_rate_hz)
+        by_pose = np.einsum("ni,ni->n", (rotation @ samples.gradient[0])[None], place.velocity_mm_s)
+        return float((by_pose + (by_phase if found == Status.OK else 0.0))[0])
+
+    def _share_out(
+        self, each: list[ForceSamples], place: Any, t_s: float, inputs: ServoInputs
+    ) -> tuple[FloatArray, FloatArray]:
+        """Each fixture's share of the composed force, and its surface's velocity; one surface has none."""
+        if len(self._on_heart) == len(each):
+            return NO_PARTS
+        forces = np.array([one.force_n[0] for one in each])
+        composed = composed_force(self._set, forces)
+        forbidden = np.array(self._forbidden)
+        pushed, sizes = forces[forbidden].sum(axis=0), np.linalg.norm(forces, axis=1) * ~forbidden
+        kept = float(pushed @ composed.forbidden_n) / float(pushed @ pushed) if pushed.any() else 0.0
+        guided = sizes / sizes.sum() if sizes.sum() > 0.0 else sizes
+        shares = np.where(forbidden[:, None], kept * forces, guided[:, None] * composed.guidance_n)
+        velocity = np.zeros_like(shares)
+        for i, own in enumerate(each):
+            one = each[self._on_heart[0]] if i in self._on_heart else own
+            if np.isfinite(one.distance_mm[0]):
+                g = one.gradient[0]
+                velocity[i] = -self._rate(i, one, place, t_s, inputs, Status.OK) / (g @ g) * g
+        return shares, velocity
 
     def _each(self, xyz: FloatArray, t_s: float, inputs: ServoInputs, status: Status) -> list[ForceSamples]:
         transform, given = inputs.transform, np.array([int(status)])

@@ -66,7 +66,14 @@ class TickConstants(NamedTuple):
     delay_ticks: int
 
 
-def bind_fixtures(fixtures: Fixtures, device: DeviceLimits, options: ServoOptions, latency_s: float) -> Bound:
+def bind_fixtures(
+    fixtures: Fixtures,
+    device: DeviceLimits,
+    options: ServoOptions,
+    latency_s: float,
+    *,
+    in_hand: bool = False,
+) -> Bound:
     """Everything that stays the same while a servo runs.
 
     Args:
@@ -74,6 +81,7 @@ def bind_fixtures(fixtures: Fixtures, device: DeviceLimits, options: ServoOption
         device: its limits; the stiffness gives the slew limit, and no fixture exceeds its continuous force.
         options: of the servo.
         latency_s: of the device (`HapticDevice.latency_s`).
+        in_hand: its position is that of the hand, which holds the tip through a fulcrum if there is one.
     Raises:
         InvalidInputError: too many fixtures, or a larger force than the device's.
     """
@@ -92,6 +100,9 @@ def bind_fixtures(fixtures: Fixtures, device: DeviceLimits, options: ServoOption
     linear = [part.coefficients for part in surfaces if part.blend != "periodic"]
     periodic = [part.coefficients for part in surfaces if part.blend == "periodic"]
     settings = np.zeros(1, SETTINGS)
+    first = parts[0]
+    inward = 0.0 if isinstance(first, PathFixture) else (-1.0 if isinstance(first.law, Confinement) else 1.0)
+    settings["tool"] = fixtures.options.tool.packed(in_hand=in_hand, inward=inward)
     for name, value in tick_constants(fixtures, options, latency_s)._asdict().items():
         settings[name] = value
     set_limits(settings["limits"], device)

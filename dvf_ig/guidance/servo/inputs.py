@@ -29,6 +29,7 @@ class ServoInputs:
         tracker_from_device: where the device stands; frames "tracker" and "device".
         hazards: that the session knows of; the servo's supervisor adds its own.
         tool_status: `Status` of the tool's pose where that comes from a tracker; OK with a device's encoders.
+        tool_axis: (3,) unit vector from the tip to the handle, frame "tracker"; 0: not known.
         margin_mm: (k,) by which each fixture is widened: a forbidden region begins earlier by it, a
             guidance's δ grows by it, which makes it softer. Empty: none.
         valid_for_s: silence after that withholds the force.
@@ -43,10 +44,12 @@ class ServoInputs:
     tool_status: Status = Status.OK
     margin_mm: FloatArray = field(default_factory=lambda: np.zeros(0))
     valid_for_s: float = VALID_FOR_S
+    tool_axis: FloatArray = field(default_factory=lambda: np.zeros(3))
 
     def __post_init__(self) -> None:
         margin = frozen_floats(self.margin_mm, "margins of the fixtures", (None,))
         object.__setattr__(self, "margin_mm", margin)
+        object.__setattr__(self, "tool_axis", frozen_floats(self.tool_axis, "axis of the tool", (3,)))
         if len(margin) > kernel.MAX_FIXTURES or (margin < 0.0).any():
             raise InvalidInputError(
                 f"margins of {len(margin)} fixtures, the least {margin.min(initial=0.0):g} mm; needed at "
@@ -64,6 +67,7 @@ class ServoInputs:
         values["valid_until_s"], values["clock_offset_s"] = clock_s + self.valid_for_s, clock_s - self.now_s
         values["hazards"], values["tool_status"] = self.hazards, self.tool_status
         values["tracker_from_device"] = self.tracker_from_device.matrix[:3]
+        values["tool_axis"] = self.tool_axis
         values["margin_mm"][: len(self.margin_mm)] = self.margin_mm
         values["pose_and_phase"] = self.transform.packed[0]
         return packed

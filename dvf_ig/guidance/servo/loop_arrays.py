@@ -68,7 +68,7 @@ class LoopArrays:
         numbers[kernel.LATE_NS], numbers[kernel.SILENT_NS] = late_ns, SILENT_TIMES_LATE * late_ns
         numbers[kernel.WATCHED] = watched
         return cls(
-            bind_fixtures(fixtures, limits, options, device.latency_s),
+            bind_fixtures(fixtures, limits, options, device.latency_s, in_hand=True),
             np.array(device.functions, dtype=np.int64),
             device.context,
             shared.new_counter(),

@@ -67,6 +67,7 @@ class TrackedServo:
         tool_status: Status,
         margin_mm: FloatArray,
         tip: tuple[FloatArray, FloatArray] | None,
+        axis: FloatArray | None = None,
     ) -> ServoTick:
         """Publish what a session knows at a time not before the last; the tick at that moment.
 
@@ -74,6 +75,7 @@ class TrackedServo:
             transform, hazards, tool_status, margin_mm: as of `ServoInputs`; neither array nor transform
                 changes after it was given.
             tip: (3,) mm and (3,) mm/s of the tool now, frame "tracker"; None if it is not known.
+            axis: (3,) from the tip to the handle, frame "tracker"; None: as before.
         """
         published, tip_seen = self._publication.inputs, tip is not None
         published["valid_until_s"] = now_s + VALID_FOR_S
@@ -83,6 +85,8 @@ class TrackedServo:
             self._publication.set_transform(transform)
         if margin_mm is not self._margin_mm:
             self._margin_mm, published["margin_mm"][: len(margin_mm)] = margin_mm, margin_mm
+        if axis is not None:
+            published["tool_axis"] = axis
         if tip is not None:
             self._tip_mm[:], self._velocity[:] = tip
         silent = now_s - self._stepped_s > self._latch_after_s

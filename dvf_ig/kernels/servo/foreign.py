@@ -41,9 +41,10 @@ def call_device(typing: Any, address: int, context: Any, now_ns: int, numbers: A
         function = builder.inttoptr(args[0], _FUNCTION)
         data = [context_.make_array(signature.args[k])(context_, builder, args[k]).data for k in (1, 3)]
         nothing = ir.IntType(8).as_pointer()
-        return builder.call(function, [builder.bitcast(data[0], nothing), args[2], data[1]])
+        answer = builder.call(function, [builder.bitcast(data[0], nothing), args[2], data[1]])
+        return builder.sext(answer, _INT64)
 
-    return types.int32(types.int64, context, types.int64, numbers), build
+    return types.int64(types.int64, context, types.int64, numbers), build
 
 
 _INT8, _INT32, _INT64 = ir.IntType(8), ir.IntType(32), ir.IntType(64)

@@ -17,6 +17,8 @@ from dvf_ig.kernels.place import POSE_AND_PHASE
 
 _F, _I = np.float64, np.int64
 MAX_FIXTURES = 8
+MOST_SAMPLES = 64
+"""Largest number of samples along a shaft."""
 
 INPUTS = np.dtype(
     [
@@ -25,6 +27,7 @@ INPUTS = np.dtype(
         ("hazards", _I),
         ("tool_status", _I),
         ("tracker_from_device", _F, (3, 4)),
+        ("tool_axis", _F, (3,)),
         ("margin_mm", _F, (MAX_FIXTURES,)),
         ("warps_number", _I),
         ("pose_and_phase", POSE_AND_PHASE),
@@ -32,7 +35,8 @@ INPUTS = np.dtype(
 )
 """Values published by a session. Only pose and phase live in the session's time: what fades, latches or times
 out, and `valid_until_s`, runs by the servo's own clock, which no session can set back. The coefficients of
-warps follow in the same memory (`Published`); they are copied where `warps_number` has changed."""
+warps follow in the same memory (`Published`); they are copied where `warps_number` has changed. `tool_axis`
+is the unit vector from the tip to the handle, tracker frame; 0: not known."""
 
 FIXTURES = np.dtype(
     [
@@ -100,9 +104,25 @@ HAZARDS = np.dtype(
 )
 """Bits of the hazards: by what they do to the force, of those that the servo finds, of each status."""
 
+TOOL = np.dtype(
+    [
+        ("radius_mm", _F),
+        ("shaft_mm", _F),
+        ("pitch_mm", _F),
+        ("samples", _I),
+        ("trocar", _I),
+        ("trocar_mm", _F, (3,)),
+        ("length_mm", _F),
+    ]
+)
+"""Constants of the tool; all 0 of a point. `radius_mm` is added to the distance of the primary fixture; the
+shaft has `samples` places `pitch_mm` apart; `trocar`: whether it passes through `trocar_mm`, tracker frame;
+`length_mm` leads from the hand to the tip where the device's position is the hand's, else 0."""
+
 SETTINGS = np.dtype(
     [
         ("fixtures", FIXTURES),
+        ("tool", TOOL),
         ("limits", LIMITS),
         ("hazards", HAZARDS),
         ("period_s", _F),
@@ -172,9 +192,15 @@ PASSIVITY = np.dtype(
         ("damping", _F),
         ("sent_count", _I),
         ("sent_n", _F, (SENT_KEPT, 3)),
+        ("parts", _I),
+        ("parted", _I),
+        ("part_n", _F, (MAX_FIXTURES, 3)),
+        ("part_mm_s", _F, (MAX_FIXTURES, 3)),
+        ("sent_part_n", _F, (SENT_KEPT, MAX_FIXTURES, 3)),
     ]
 )
-"""Memory of the passivity observer."""
+"""Memory of the passivity observer. With several structures `parts` fixtures have each its share of the field
+and the velocity of its surface; `parted` is 1 from the first such tick on."""
 
 MEMORY = np.dtype(
     [
@@ -187,12 +213,15 @@ MEMORY = np.dtype(
         ("worst_share", _F),
         ("last_phase", _F),
         ("phase_known", _I),
+        ("lever", _F),
+        ("to_hand", _F, (3,)),
         ("anchored", _I),
         ("anchor_mm", _F, (3,)),
     ]
 )
 """Memory from one tick to the next. `worst_share` is the progress from the fixtures of a known phase, 0, to
-the walls of the worst one, 1; `last_phase` the last known phase of the model; `anchor_mm` where friction
+the walls of the worst one, 1; `last_phase` the last known phase of the model; `lever` and the unit vector
+`to_hand` those of a fulcrum (`dvf_ig.kernels.servo.lever`); `anchor_mm` where friction
 holds the tool, in the material of the tissue that it touches."""
 
 SAMPLE = np.dtype(
@@ -202,9 +231,11 @@ SAMPLE = np.dtype(
         ("rate_mm_per_cycle", _F),
         ("distance_rate_mm_s", _F),
         ("sigma_mm", _F),
+        ("parts", _I),
     ]
 )
-"""The primary fixture at the tool, tracker frame; NaN where there is none."""
+"""The primary fixture at the tool, tracker frame; NaN where there is none. `parts` counts the fixtures whose
+shares are in `Scratch.part_n`: all with several structures and a known phase, else none."""
 
 ROW = np.dtype(
     [
@@ -307,6 +338,9 @@ class Scratch(NamedTuple):
         memory: (1,) MEMORY; row: (1,) ROW of the last tick.
         inputs: (1,) INPUTS that were read last; warps: with them.
         sample: (1,) SAMPLE; forces: (k, 3); composed, other: (1,) COMPOSED.
+        fields: (k, 4) gradient, model frame, and rate by the phase of each fixture's distance; part_n,
+            part_mm_s: (k, 3) its share of the field, its surface's velocity; with several structures alone.
+        shaft: (4,) axis of the shaft, tracker frame, and its length to the trocar; depths: (MOST_SAMPLES,).
     """
 
     memory: Any
@@ -323,6 +357,11 @@ class Scratch(NamedTuple):
     composed: Any
     other: Any
     vectors: FloatArray
+    fields: FloatArray
+    part_n: FloatArray
+    part_mm_s: FloatArray
+    shaft: FloatArray
+    depths: FloatArray
 
 
 def new_scratch(fixtures: int) -> Scratch:
@@ -342,7 +381,12 @@ def new_scratch(fixtures: int) -> Scratch:
         order=np.zeros(fixtures),
         composed=np.zeros(1, COMPOSED),
         other=np.zeros(1, COMPOSED),
-        vectors=np.zeros((7, 3)),
+        vectors=np.zeros((9, 3)),
+        fields=np.zeros((fixtures, 4)),
+        part_n=np.zeros((fixtures, 3)),
+        part_mm_s=np.zeros((fixtures, 3)),
+        shaft=np.zeros(4),
+        depths=np.zeros(MOST_SAMPLES),
     )
 
 

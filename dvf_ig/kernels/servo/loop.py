@@ -7,7 +7,7 @@ import numpy as np
 from dvf_ig.core import FloatArray
 from dvf_ig.kernels.compiled import inlined, kernel
 
-from .borrowed import borrowed
+from .borrowed import borrowed, placed
 from .clock import elapsed_ns, monotonic_ns, sleep_until, wake_exactly
 from .foreign import call_device
 from .layout import INPUT_WORDS, ROW_WORDS, WARPS_NUMBER_WORD
@@ -172,6 +172,7 @@ def run_servo(
     bound, scratch = borrowed(bound), borrowed(scratch)
     device, context, numbers = borrowed(device), borrowed(context), borrowed(numbers)
     counter, shared, ring = borrowed(counter), borrowed(shared), borrowed(ring)
+    bound_at, scratch_at = placed(bound), placed(scratch)
     inputs, row = scratch.inputs[0], scratch.row[0]
     missed = bound.settings[0].hazards.missed_deadlines
     wake_exactly()
@@ -205,7 +206,7 @@ def run_servo(
         seen = _read_inputs(counter, shared, seen, scratch)
         _answer_rearm(numbers, bound, scratch, now * 1e-9)
         device_status = call_device(device[0], context, now, xyz)
-        servo_tick(bound, scratch, inputs, xyz, device_status, now * 1e-9, hazards, force)
+        servo_tick(bound_at, scratch_at, inputs, xyz, device_status, now * 1e-9, hazards, force)
         sent = _send(device, context, numbers, now, force, zero, timespec, simulated)
         if not sent and hazards & missed == 0:
             withhold(bound, scratch, now * 1e-9)

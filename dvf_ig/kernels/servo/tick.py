@@ -11,23 +11,33 @@ from typing import Any
 
 from dvf_ig.core import FloatArray
 from dvf_ig.kernels import status as code
-from dvf_ig.kernels.compiled import inlined, kernel
+from dvf_ig.kernels.compiled import inlined, separate
 from dvf_ig.kernels.laws import LARGEST_FORCE_N, direction_certainty
 
 from . import supervision
+from .borrowed import borrowed, borrowed_from
 from .fixtures import cross_to_walls, fixtures_force
-from .passivity import control, note_sent, observe
+from .lever import force_on_hand, force_on_tip, lever_in_range, softening, tip_of_hand
+from .passivity import control, mean_velocity, note_sent, observe
 from .supervision import supervise
 from .tissue import tissue_force
 
 
 @inlined
-def _place_in_tracker(m: Any, settings: Any, inputs: Any, xyz_device: FloatArray, dt_s: float) -> bool:
+def _place_in_tracker(
+    m: Any, settings: Any, inputs: Any, xyz_device: FloatArray, dt_s: float, place: FloatArray
+) -> bool:
     """Tool in the tracker frame and its filtered speed, into the memory; whether it is finite."""
     pose = inputs.tracker_from_device
+    for k in range(3):
+        place[k] = (
+            pose[k, 0] * xyz_device[0] + pose[k, 1] * xyz_device[1] + pose[k, 2] * xyz_device[2] + pose[k, 3]
+        )
+    if settings.tool.length_mm > 0.0:
+        tip_of_hand(m, settings.tool, place)
     finite = True
     for k in range(3):
-        x = pose[k, 0] * xyz_device[0] + pose[k, 1] * xyz_device[1] + pose[k, 2] * xyz_device[2] + pose[k, 3]
+        x = place[k]
         finite = finite and math.isfinite(x)
         if m.tool_known != 0 and dt_s > 0.0:
             now = (x - m.tool_mm[k]) / dt_s
@@ -79,10 +89,10 @@ def _within_ceiling(force: FloatArray) -> None:
             force[k] = force[k] * (LARGEST_FORCE_N / length) if math.isfinite(length) else 0.0
 
 
-@inlined
+@separate
 def servo_tick(
-    bound: Any,
-    scratch: Any,
+    bound_at: Any,
+    scratch_at: Any,
     inputs: Any,
     xyz_device: FloatArray,
     device_status: int,
@@ -93,12 +103,15 @@ def servo_tick(
     """One tick; its record is `scratch.row`.
 
     Args:
-        bound: `Bound`; scratch: `Scratch`; inputs: INPUTS, what the session published.
+        bound_at, scratch_at: addresses (`placed`) of `Bound` and `Scratch`.
+        inputs: INPUTS, what the session published.
         xyz_device: (3,) mm, device frame; device_status: not 0 where the device did not answer.
         clock_s: monotonic clock at which the position was read.
         active: bits of the hazards that the loop met.
         force_device: (3,) N to send, device frame.
     """
+    bound, scratch = borrowed_from(bound_at), borrowed_from(scratch_at)
+    xyz_device, force_device = borrowed(xyz_device), borrowed(force_device)
     settings, m, sample = bound.settings[0], scratch.memory[0], scratch.sample[0]
     composed, row, hazards = scratch.composed[0], scratch.row[0], bound.settings[0].hazards
     vectors = scratch.vectors
@@ -112,11 +125,14 @@ def servo_tick(
         active |= hazards.device_lost
         status = code.STALE_TOOL
         m.tool_known = 0
-    elif not _place_in_tracker(m, settings, inputs, xyz_device, dt_s):
+    elif not _place_in_tracker(m, settings, inputs, xyz_device, dt_s, vectors[7]):
         status = code.FAULT
     if not clock_s <= inputs.valid_until_s:
         active |= hazards.session_silent
         status = code.NO_POSE if status == code.OK else status
+    levered = settings.tool.length_mm > 0.0
+    if levered and status == code.OK and not lever_in_range(m):
+        status = code.OUT_OF_VOLUME
     if status == code.OK and active & hazards.no_phase:
         status = code.NO_PHASE
     for k in range(3):
@@ -127,9 +143,9 @@ def servo_tick(
     if bound.tissue[0].felt != 0:
         status = tissue_force(bound, scratch, inputs, felt_s, xyz, status)
     else:
-        status = fixtures_force(bound, scratch, inputs, felt_s, xyz, status)
+        status = fixtures_force(bound_at, scratch_at, inputs, felt_s, xyz, status)
         if status != code.OK or m.worst_share > 0.0:
-            status = cross_to_walls(bound, scratch, inputs, felt_s, xyz, status, dt_s)
+            status = cross_to_walls(bound_at, scratch_at, inputs, felt_s, xyz, status, dt_s)
     evaluated = math.isfinite(sample.distance_mm)
     surface_speed = math.nan
     for k in range(3):
@@ -138,6 +154,16 @@ def servo_tick(
         target[k] = field[k]
     if evaluated:
         surface_speed = _relative_damping(settings, m, sample, surface, target)
+    parts = sample.parts if m.worst_share == 0.0 and status == code.OK else 0
+    mean_velocity(parts, scratch.part_n, scratch.part_mm_s, surface)
+    largest_damping = settings.largest_damping
+    if levered:
+        share = softening(m)
+        largest_damping *= share
+        for k in range(3):
+            field[k], target[k] = share * field[k], share * target[k]
+            for i in range(parts):
+                scratch.part_n[i, k] *= share
     met = status == code.FAULT or status == code.OUT_OF_VOLUME or status == code.UNSEEN
     if met or not active & hazards.fading:
         # otherwise who published why no force is given has said it
@@ -145,20 +171,27 @@ def servo_tick(
     s, p = m.supervision, m.passivity
     if device_status == 0 and m.tool_known != 0:
         following = s.state <= supervision.DEGRADED and s.slow == 0
-        observe(p, xyz, field, dt_s, settings.delay_ticks, following)
+        part_n, part_mm_s = scratch.part_n, scratch.part_mm_s
+        observe(p, xyz, field, dt_s, settings.delay_ticks, following, parts, part_n, part_mm_s)
         if evaluated:
-            control(p, speed, surface, settings.period_s, settings.largest_damping, target)
+            control(p, speed, surface, settings.period_s, largest_damping, target)
     else:
         p.started = 0
     if p.residual_mj > settings.residual_limit_mj:
         active |= hazards.energy
+    if levered:
+        force_on_hand(m, target)
     _saturate(target, settings.cap_n)
     supervise(s, settings.limits, hazards, clock_s, target, active)
     if s.state == supervision.LATCHED:
         p.residual_mj = 0.0
     if not math.isfinite(s.sent_n[0] + s.sent_n[1] + s.sent_n[2]):
         s.sent_n[0] = s.sent_n[1] = s.sent_n[2] = 0.0
-    note_sent(p, s.sent_n)
+    if levered:
+        force_on_tip(m, s.sent_n, vectors[8])
+        note_sent(p, vectors[8])
+    else:
+        note_sent(p, s.sent_n)
     turn = inputs.tracker_from_device
     for k in range(3):
         force_device[k] = turn[0, k] * s.sent_n[0] + turn[1, k] * s.sent_n[1] + turn[2, k] * s.sent_n[2]
@@ -188,7 +221,7 @@ def _record_memory(row: Any, s: Any, p: Any) -> None:
     row.by_surface_mj, row.controller_damping = p.by_surface_mj, p.damping
 
 
-@kernel
+@separate
 def withhold(bound: Any, scratch: Any, clock_s: float) -> None:
     """Latch, in memory and record, after a tick whose force was not sent or was followed by zero."""
     settings, row = bound.settings[0], scratch.row[0]

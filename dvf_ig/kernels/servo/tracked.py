@@ -9,6 +9,7 @@ from dvf_ig.core import FloatArray
 from dvf_ig.kernels.compiled import inlined, kernel
 from dvf_ig.kernels.place import phase_at
 
+from .borrowed import placed
 from .layout import INPUT_WORDS, WARPS_NUMBER_WORD
 from .tick import servo_tick
 
@@ -88,6 +89,7 @@ def tick_until(
         published: words of `Published`, of now.
         tip_mm, velocity_mm_s: (3,) of the tool now, if `known`.
     """
+    bound_at, scratch_at = placed(bound), placed(scratch)
     period_s, inputs, m = bound.settings[0].period_s, scratch.inputs[0], scratch.memory[0]
     xyz, force = scratch.vectors[5], scratch.vectors[6]
     at_s, ticks, last = m.last_tick_s + period_s, 0, False
@@ -105,7 +107,7 @@ def tick_until(
             # no motion of the tool: no speed, and no work on the hand
             m.tool_known = m.passivity.started = 0
             m.tool_mm_s[0] = m.tool_mm_s[1] = m.tool_mm_s[2] = 0.0
-        servo_tick(bound, scratch, inputs, xyz, 0, at_s, 0, force)
+        servo_tick(bound_at, scratch_at, inputs, xyz, 0, at_s, 0, force)
         at_s += period_s
         ticks += 1
     of = inputs.pose_and_phase

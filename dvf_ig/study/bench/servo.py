@@ -33,10 +33,11 @@ from dvf_ig.guidance.servo.inputs import Publication
 from dvf_ig.guidance.servo.record import BINS, deadlines_of
 from dvf_ig.guidance.servo.servo import real_time_thread
 from dvf_ig.guidance.tissue import Feel, feel_of
+from dvf_ig.guidance.tool import Fulcrum, Tool
 from dvf_ig.kernels.compiled import kernel
 from dvf_ig.kernels.pose_and_phase import GUIDED_SIZE, guided_batch
 from dvf_ig.kernels.servo import loop, shared
-from dvf_ig.kernels.servo.borrowed import borrowed
+from dvf_ig.kernels.servo.borrowed import borrowed, placed
 from dvf_ig.kernels.servo.layout import new_scratch
 from dvf_ig.kernels.servo.tick import servo_tick
 from dvf_ig.preop.tissue import LABEL_MM
@@ -265,6 +266,7 @@ def _row(name: str, what: str, deadlines: Deadlines) -> Row:
 
 
 PATH_POINTS = 20
+SHAFT_MM = 60.0
 POINTS = 10_000
 CALLS = 1000
 """Points between two readings of the clock."""
@@ -303,6 +305,10 @@ def bench_tick(model: DvfModel, seed: int) -> TickCost:
         "servo tick, tissue": _ticks(model, touching, None, feel=_feel(model)),
         "servo tick, tissue, warped": _ticks(model, touching, _warp(model), feel=_feel(model)),
         "servo tick, two structures and a path": _ticks(model, path, None, _two_structures(model)),
+        "servo tick, shaft": _ticks(model, path, None, replace(TWO_FIXTURES, tool=_away(model, path))),
+        "servo tick, shaft along the wall": _ticks(
+            model, path, None, replace(TWO_FIXTURES, tool=Tool(shaft_mm=SHAFT_MM, axis=_along(model, path)))
+        ),
     }
     floor = compiled_floor(model, POSE, law)
     if floor is not None:
@@ -319,6 +325,9 @@ def bench_tick(model: DvfModel, seed: int) -> TickCost:
         "one guided force, warped / plain": median["one guided force, warped"] / median["one guided force"],
         "servo tick, warped / plain": median["servo tick, warped"] / median["servo tick"],
         "servo tick, two structures and a path / plain": median["servo tick, two structures and a path"]
+        / median["servo tick"],
+        "servo tick, shaft / plain": median["servo tick, shaft"] / median["servo tick"],
+        "servo tick, shaft along the wall / plain": median["servo tick, shaft along the wall"]
         / median["servo tick"],
     }
     if floor is not None:
@@ -387,6 +396,23 @@ def _guided(model: DvfModel, tip: FloatArray, warp: WarpMotion | None) -> Pass:
     return run
 
 
+def _from_heart(model: DvfModel, tip: FloatArray) -> FloatArray:
+    """Unit vector (3,) from the heart's middle to the begin of a path of the tip."""
+    middle = POSE.inverse().apply_array(model.reference[model.ed_phase].vertices_mm).mean(axis=0)
+    return np.asarray((tip[0] - middle) / np.linalg.norm(tip[0] - middle))
+
+
+def _away(model: DvfModel, tip: FloatArray) -> Tool:
+    """A shaft that leads away from the heart to a trocar."""
+    return Tool(shaft_mm=SHAFT_MM, fulcrum=Fulcrum(tip[0] + 150.0 * _from_heart(model, tip), 350.0))
+
+
+def _along(model: DvfModel, tip: FloatArray) -> FloatArray:
+    """A direction (3,) along the heart's wall at the begin of a path of the tip."""
+    normal = _from_heart(model, tip)
+    return np.cross(normal, np.eye(3)[int(np.abs(normal).argmin())])
+
+
 def _two_structures(model: DvfModel) -> FixtureSet:
     """A wall on the heart, one on a second beating structure, and a path that beats with it."""
     other = replace(model, surface_name="second")
@@ -417,7 +443,11 @@ def _ticks(
     bound = bind_fixtures(Fixtures(model, fixtures), COMMON_DEVICE, ServoOptions(feel=feel), 0.0)
     scratch = new_scratch(len(fixtures.fixtures))
     inputs = ServoInputs(
-        PoseAndPhase(*steady(POSE), warp=warp), 0.0, Rigid.identity("tracker", "device"), valid_for_s=1e9
+        PoseAndPhase(*steady(POSE), warp=warp),
+        0.0,
+        Rigid.identity("tracker", "device"),
+        valid_for_s=1e9,
+        tool_axis=np.zeros(3) if fixtures.tool.axis is None else fixtures.tool.axis,
     )
     publication, force = Publication(), np.empty(3)
     publication.set(inputs, 0.0)
@@ -435,6 +465,7 @@ def tick_batch(
 ) -> None:
     """`servo_tick` at (n, 3) positions a period apart; `ticks` counts on."""
     bound, scratch, xyz_mm, force = borrowed(bound), borrowed(scratch), borrowed(xyz_mm), borrowed(force)
+    bound_at, scratch_at = placed(bound), placed(scratch)
     for n in range(len(xyz_mm)):
-        servo_tick(bound, scratch, scratch.inputs[0], xyz_mm[n], 0, 1.0 + ticks[0] * period_s, 0, force)
+        servo_tick(bound_at, scratch_at, scratch.inputs[0], xyz_mm[n], 0, 1.0 + ticks[0] * period_s, 0, force)
         ticks[0] += 1.0

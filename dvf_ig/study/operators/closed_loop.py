@@ -102,7 +102,7 @@ TASKS = {
         *_three(f"{STEREO}, ", Condition("", beating=False)),
     ),
     "tracking": _three("manual, ", Condition("")),
-    "lesion": _three(f"{BEATING}, ", Condition("", noise=MONO_NOISE))[::2],
+    "lesion": _three(f"{BEATING}, ", Condition("", noise=MONO_NOISE)),
 }
 """Conditions of each task."""
 

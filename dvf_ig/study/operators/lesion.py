@@ -152,8 +152,8 @@ def ablate(heart: OperatingHeart, condition: Condition, seed: int) -> Lesion:
     above = ABOVE_MM * site.normal
     drawn = line.points(float(model.timing.fractions[model.ed_phase]))
     fixtures = lesion_fixtures(model, drawn, tube.model(model.patient_id))
-    start, wall = line.at(0.0, 0.0) + above, fixtures[1].law
-    loop = Loop(heart, condition, seed, wall, start, -site.normal, 0.0, fixtures=fixtures)
+    start, pull = line.at(0.0, 0.0) + above, fixtures[0].law
+    loop = Loop(heart, condition, seed, pull, start, -site.normal, 0.0, fixtures=fixtures)
     trace = run_task(loop, LineTask(line, above, loop), LONGEST_S)
     phases = [heart.phase(condition, t) for t in trace.t_s.tolist()]
     off = [distance_to_line(tip, line.points(at)) for tip, at in zip(trace.tip_mm, phases, strict=True)]
@@ -180,12 +180,17 @@ def lesion_fixtures(
 
 
 def lesion_laws() -> tuple[Gaussian, Sigmoid]:
-    """The steepest guidance and forbidden region that every simulated device renders."""
+    """The steepest guidance and forbidden region that every simulated device renders.
+
+    The guidance has the paper's force; the forbidden region the largest that every device holds, because a
+    hand that believes the tip short of the line pushes on until the force is spent.
+    """
     cap_n = Sigmoid().cap_n
     limits = [device.limits(fastest_mm_s=FASTEST_MM_S) for device in DEVICES.values()]
     stiffest = (1.0 - 1e-9) * min(one.allowed_stiffness_n_per_mm for one in limits)
+    largest_n = min(one.continuous_force_n for one in limits)
     pull = Gaussian(gaussian_steepness(0.5) * cap_n / stiffest, 0.5, cap_n)
-    return pull, Sigmoid(4.0 * stiffest / cap_n, cap_n, -MARGIN_MM)
+    return pull, Sigmoid(4.0 * stiffest / largest_n, largest_n, -MARGIN_MM)
 
 
 def lesion_measures(lesion: Lesion) -> dict[str, float]:

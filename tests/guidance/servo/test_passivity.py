@@ -3,9 +3,20 @@
 import numpy as np
 import pytest
 
-from dvf_ig.guidance import Hazard, Sigmoid, SupervisorState
+from dvf_ig.core import Rigid
+from dvf_ig.guidance import (
+    FixtureOptions,
+    Fixtures,
+    FixtureSet,
+    Gaussian,
+    Hazard,
+    PathTarget,
+    Sigmoid,
+    SupervisorState,
+)
+from dvf_ig.guidance.devices.recorded import RecordedDevice
 from dvf_ig.guidance.devices.simulated import PREMIUM, Hand
-from dvf_ig.guidance.servo import ServoOptions
+from dvf_ig.guidance.servo import ServoInputs, ServoOptions, SimulatedServo
 from dvf_ig.study.passivity import (
     CAP_N,
     STEEP,
@@ -16,6 +27,7 @@ from dvf_ig.study.passivity import (
     on_the_wall,
     passive_gamma,
     press,
+    steady_transform,
     steep_walls,
     wall_model,
 )
@@ -98,3 +110,24 @@ def test_a_beating_wall_gives_less_than_ten_millijoules_a_cycle():
         assert case.largest_by_surface_mj < 10.0
         assert case.given_mj == pytest.approx(case.by_surface_mj, abs=0.1)
     assert max(case.by_surface_mj for case in beating_walls()) > 1.0
+
+
+def test_work_counts_with_the_motion_of_the_structure_that_does_it():
+    """A wall that beats behind a line at rest, the primary fixture: the account is that of the wall alone."""
+    law, at = Sigmoid(1.0, CAP_N), np.array([2.0, 0.0, 0.0])
+    still, beating = wall_model(), wall_model(5.0)
+    line = PathTarget.static("mr", [[2.0, -9.0, 0.0], [2.0, 9.0, 0.0]])
+    behind = (FixtureOptions(Gaussian(3.0), path=line), FixtureOptions(law, structure=beating))
+    options = ServoOptions(largest_damping_n_s_per_m=0.0, residual_limit_mj=UNBOUNDED_MJ)
+    records = []
+    for model, fixtures in ((beating, (FixtureOptions(law),)), (still, behind)):
+        device = RecordedDevice(np.tile(at, (1800, 1)), 1000.0)
+        servo = SimulatedServo(Fixtures(model, FixtureSet(fixtures)), device, options=options)
+        place = Rigid.identity("tracker", "device")
+        records.append(servo.run(ServoInputs(steady_transform(model), 0.0, place, valid_for_s=9.0), 1800))
+    alone, both = records
+    np.testing.assert_allclose(both.field_n, alone.field_n, atol=1e-6)
+    np.testing.assert_allclose(both.by_surface_mj, alone.by_surface_mj, atol=1e-5)
+    np.testing.assert_allclose(both.residual_mj, alone.residual_mj, atol=1e-5)
+    assert np.ptp(alone.by_surface_mj) > 0.5
+    assert alone.residual_mj[-1] > 1e-4

@@ -103,7 +103,7 @@ def test_a_lesion_stays_near_its_beating_line_and_clear_of_the_oesophagus(heart:
     """The path is the surface's own motion to 0.1 mm; the model of the oesophagus is the tube to 0.1 mm."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(lesion, "LESION_MM", 8.0)
-        alone, helped = (lesion_measures(ablate(heart, c, 1)) for c in TASKS["lesion"])
+        alone, helped = (lesion_measures(ablate(heart, c, 1)) for c in TASKS["lesion"][::2])
         normal = np.array([0.6, -0.64, 0.48])
         site = Site(CENTER + RADIUS_MM * normal, normal, np.array([0.0, 0.6, 0.8]))
         line = moving_line(heart.truth, site, 8.0, 0.0)
