@@ -127,7 +127,7 @@ class ImagedBlocks:
 
 
 class NormalEquations(NamedTuple):
-    """Of a step of a fit, the shared error integrated out.
+    """Equations of a step of a fit, the shared error integrated out.
 
     Attributes:
         curvature: (k, k); slope: (k,) of −log likelihood by the state.
