@@ -39,15 +39,10 @@ class Fulcrum:
                 f"{LONGEST_MM:g} mm"
             )
 
-    def hand_mm(self, tip_mm: FloatArray) -> FloatArray:
-        """Return the hand (3,) that holds a tip (3,), both in the frame "tracker"."""
-        out = self.point_mm - tip_mm
-        return np.asarray(tip_mm + self.length_mm / float(np.linalg.norm(out)) * out)
-
-    def tip_mm(self, hand_mm: FloatArray) -> FloatArray:
-        """Return the tip (3,) of a hand (3,)."""
-        out = hand_mm - self.point_mm
-        return np.asarray(hand_mm - self.length_mm / float(np.linalg.norm(out)) * out)
+    def other_end_mm(self, end_mm: FloatArray) -> FloatArray:
+        """Return the hand (3,) that holds a tip (3,), or the tip of a hand, both in the frame "tracker"."""
+        through = self.point_mm - end_mm
+        return np.asarray(end_mm + self.length_mm / float(np.linalg.norm(through)) * through)
 
 
 @read_only_arrays

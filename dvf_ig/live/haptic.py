@@ -140,7 +140,7 @@ class HapticTool:
             return
         in_tracker_mm = matrix[:3, :3] @ self._tip_mm + matrix[:3, 3]
         if self._fulcrum is not None:
-            in_tracker_mm = self._fulcrum.hand_mm(in_tracker_mm)
+            in_tracker_mm = self._fulcrum.other_end_mm(in_tracker_mm)
         hand_mm = np.asarray(self._place.inverse().apply_array(in_tracker_mm))
         device.hold(Hand(np.zeros(3), hand_mm, HAND_STIFFNESS_N_PER_M, HAND_DAMPING_N_S_PER_M))
         if not self._followed:
@@ -156,7 +156,9 @@ class HapticTool:
         fresh = record.t_s >= self._published_s
         if not np.isfinite(self._published_s):
             first_mm = np.asarray(self._place.apply_array(self._first_mm))
-            return [self._pose(now_s, first_mm if self._fulcrum is None else self._fulcrum.tip_mm(first_mm))]
+            return [
+                self._pose(now_s, first_mm if self._fulcrum is None else self._fulcrum.other_end_mm(first_mm))
+            ]
         if not fresh.any():
             return []
         lost = bool(record.hazards[-1] & Hazard.DEVICE_LOST)

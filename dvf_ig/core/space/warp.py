@@ -125,10 +125,8 @@ def _steepest(warp: Warp) -> float:
     weights = ((slope, value, value), (value, slope, value), (value, value, slope))
     columns = [np.einsum("ai,bj,ck,ijkl->abcl", *each, m_mm, optimize=True) for each in weights]
     slopes = np.stack(columns, axis=-1).reshape(-1, 3, 3)
-    largest = (slopes**2).sum(
-        axis=(1, 2)
-    )  # of three squares of singular values: the largest is a third or more
-    steep = slopes[largest >= largest.max() / 3.0]
+    squares = (slopes**2).sum(axis=(1, 2))  # of three singular values: the largest has a third or more
+    steep = slopes[squares >= squares.max() / 3.0]
     return float(np.linalg.norm(steep, ord=2, axis=(1, 2)).max() / warp.knot_mm)
 
 

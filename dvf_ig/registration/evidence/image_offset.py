@@ -141,8 +141,9 @@ def fit_image_offset(
 
     search = partial(minimize, jac=True, method="BFGS", options={"maxiter": STEPS})
     solution = search(cost_at, np.zeros(12))
-    as_given = cost_at(np.zeros(12))[0]
-    if landmarks is not None:
+    if landmarks is None:
+        as_given = cost_at(np.zeros(12))[0]
+    else:
         as_given = float(search(cost_as_given, np.zeros(6)).fun)
     turn, shift = solution.x[6:9], solution.x[9:]
     return ImageOffset(

@@ -158,8 +158,8 @@ def test_the_lever_is_that_of_virtual_work():
         memory, tip = new_memory()[0], hand.copy()
         lever.tip_of_hand(memory, shape, tip)
         np.testing.assert_allclose(tip, true.tip(hand), atol=1e-9)
-        np.testing.assert_allclose(FULCRUM.hand_mm(tip), hand, atol=1e-9)
-        np.testing.assert_allclose(FULCRUM.tip_mm(hand), tip, atol=1e-9)
+        np.testing.assert_allclose(FULCRUM.other_end_mm(tip), hand, atol=1e-9)
+        np.testing.assert_allclose(FULCRUM.other_end_mm(hand), tip, atol=1e-9)
         assert memory["lever"] == pytest.approx(true.lever(tip))
         at_tip = rng.standard_normal(3)
         at_hand, back = at_tip.copy(), np.zeros(3)
@@ -192,7 +192,7 @@ def pushing(ticks=900):
 def test_through_a_fulcrum_the_hand_feels_what_the_tip_meets(ball):
     """Inverted and scaled by the lever, softened where the tip moves further, the same work as at the tip."""
     tips = pushing()
-    hands = np.array([FULCRUM.hand_mm(tip) for tip in tips])
+    hands = np.array([FULCRUM.other_end_mm(tip) for tip in tips])
     device, record = servo_on(hands, Tool(fulcrum=FULCRUM))
     _, alone = servo_on(tips, Tool())
     np.testing.assert_allclose(record.xyz_mm, tips, atol=1e-9)
