@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from followed_shape import followed_shape
 from stub_registration import any_result
 from toy_heart import CENTER_MM, toy_mr, toy_pose, toy_slices
 
@@ -252,7 +253,9 @@ def test_a_heart_of_another_shape_is_refused_by_name(
     monkeypatch: pytest.MonkeyPatch, shared: float, seen_mm: float, stop: Stop
 ) -> None:
     warp = Warp("mr", np.zeros(3), 16.0, np.zeros((15, 15, 15, 4), np.float32))
-    change = ShapeChange(warp, 3.0, 90.0, seen_mm, "left", 4.04, 0.3, shared, Halves(0.5, 0.4))
+    change = ShapeChange(
+        followed_shape(warp), 3.0, 90.0, seen_mm, "left", 4.04, 0.3, shared, Halves(0.5, 0.4)
+    )
     monkeypatch.setattr(register_module, "_change_of_shape", lambda problem, fused, coverage: change)
     result = _register(_levels(speckle=0.3), toy_pose(), options=RegistrationOptions(starts=0))
     assert result.stop is stop
@@ -268,7 +271,7 @@ def test_a_heart_of_another_shape_is_refused_by_name(
 @pytest.mark.parametrize("shared", [0.2, 0.8])
 def test_landmarks_are_fitted_through_a_change_of_shape_that_is_followed(shared: float) -> None:
     warp = Warp("mr", np.zeros(3), 16.0, np.zeros((15, 15, 15, 4), np.float32))
-    change = ShapeChange(warp, 3.0, 90.0, 1.4, "left", 4.0, 0.3, shared, Halves(0.5, 0.4))
+    change = ShapeChange(followed_shape(warp), 3.0, 90.0, 1.4, "left", 4.0, 0.3, shared, Halves(0.5, 0.4))
     fits: dict[Warp | None, float] = {warp: 1.0, None: 6.0}
 
     def landmarks(through: Warp | None) -> Rigid:
@@ -288,7 +291,7 @@ def test_a_part_of_a_heart_that_has_clearly_changed_is_refused_and_never_followe
 ) -> None:
     evidence = imaged * register_module.PART_EVIDENCE + beyond
     warp = Warp("mr", np.zeros(3), 16.0, np.zeros((15, 15, 15, 4), np.float32))
-    found = ShapeChange(warp, 1.5, evidence, 2.4, "left", 4.0, 0.3, 0.2, Halves(0.5, 0.3))
+    found = ShapeChange(followed_shape(warp), 1.5, evidence, 2.4, "left", 4.0, 0.3, 0.2, Halves(0.5, 0.3))
     assert found.followed is not None
     monkeypatch.setattr(register_module, "change_of_shape", lambda *_: found)
     heart = SimpleNamespace(model=None)

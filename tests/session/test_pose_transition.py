@@ -7,6 +7,7 @@ from typing import cast
 
 import numpy as np
 import pytest
+from followed_shape import followed_shape
 
 from dvf_ig.core import FloatArray, PoseMotion, Rigid, Stop, Warp
 from dvf_ig.registration import BeatMeasurement, PoseEstimate, RegistrationResult, TipSighting
@@ -467,7 +468,7 @@ def changed(mm: float, bulge_mm: float) -> PoseEstimate:
     """A pose with a shift of all walls along y."""
     coefficients = np.zeros((15, 15, 15, 4), dtype=np.float32)
     coefficients[..., 1], coefficients[..., 3] = bulge_mm, 0.1
-    return replace(at(mm), warp=Warp("mr", np.full(3, -100.0), 17.0, coefficients))
+    return replace(at(mm), shape=followed_shape(Warp("mr", np.full(3, -100.0), 17.0, coefficients)))
 
 
 def y_of(pose: Pose, t_s: float) -> float:

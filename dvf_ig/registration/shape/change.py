@@ -15,7 +15,7 @@ from dvf_ig.registration.boundary.target import BoundaryTarget
 from dvf_ig.registration.pose_chart import DISTINCT_MM
 
 from .blocks import BlockedMatch
-from .estimate import LARGEST_SLOPE, MODES, Places, ShapeEstimate, estimate_of, modes_of, warp_of
+from .estimate import LARGEST_SLOPE, MODES, Places, ShapeEstimate, estimate_of, modes_of
 from .modes import ShapeModes
 from .posterior import ImagedBlocks, SeenBoundary, ShapePosterior, ShapeProblem
 
@@ -72,7 +72,7 @@ class ShapeChange:
     """A change of the heart's shape, at the pose of the registration that found it.
 
     Attributes:
-        warp: the pull-back m, with the variance of the wall's place along its normal, the pose's included.
+        estimate: the change, as beats correct it.
         scale_mm: RMS size of changes that the evidence prefers.
         evidence: logarithm of the odds against a rigid heart.
         seen_mm: RMS shift of the seen walls along their normals.
@@ -80,11 +80,10 @@ class ShapeChange:
             outward; sigma_mm: its standard deviation.
         shared: mean square of the boundary's shared error after the change, see `ShapePosterior`.
         halves: what every second group of frames shows and the others show; None if fixtures cannot follow.
-        estimate: the change as beats correct it; None if nothing is to follow it.
         partly: the heart's images cover it in part, so that nothing shows how the rest has changed.
     """
 
-    warp: Warp
+    estimate: ShapeEstimate
     scale_mm: float
     evidence: float
     seen_mm: float
@@ -93,8 +92,12 @@ class ShapeChange:
     sigma_mm: float
     shared: float
     halves: Halves | None = None
-    estimate: ShapeEstimate | None = None
     partly: bool = False
+
+    @property
+    def warp(self) -> Warp:
+        """The pull-back m, with the variance of the wall's place along its normal, the pose's included."""
+        return self.estimate.warp
 
     @property
     def needed(self) -> bool:
@@ -173,14 +176,9 @@ def change_of_shape(
     if evidence < LEAST_EVIDENCE:
         return None
     best = problem.fit(best.scale_mm, noise, best, images=images)
-    change = _change(boundary.target, problem, modes, best, evidence)
-    if change.followed is None:
-        return change
-    change = replace(change, halves=_halves(problem, best, noise))
-    if change.followed is None:
-        return change
     estimate = estimate_of(best, noise, problem.level, boundary.target, organ, modes.center_mm)
-    return replace(change, estimate=estimate)
+    change = _change(estimate, problem, modes, evidence)
+    return change if change.followed is None else replace(change, halves=_halves(problem, best, noise))
 
 
 def _most_likely(problem: ShapeProblem, about: ShapePosterior) -> tuple[ShapePosterior, float]:
@@ -230,14 +228,14 @@ def _halves(problem: ShapeProblem, best: ShapePosterior, noise: float) -> Halves
 
 
 def _change(
-    target: BoundaryTarget, problem: ShapeProblem, modes: ShapeModes, best: ShapePosterior, evidence: float
+    estimate: ShapeEstimate, problem: ShapeProblem, modes: ShapeModes, evidence: float
 ) -> ShapeChange:
-    """Evaluate the fit on the knots, and at the seen walls."""
-    seen = Places.at(modes, problem.places_mm, problem.outward)
+    """Evaluate the fit at the seen walls."""
+    best, seen = estimate.posterior, Places.at(modes, problem.places_mm, problem.outward)
     shift = np.einsum("ni,ni->n", problem.outward, seen.pulled_mm(best))
     wall, shift_mm, sigma_mm = _most_moved(problem, modes.center_mm, shift, seen.variance_mm2(best))
     return ShapeChange(
-        warp=warp_of(best, target, tuple(modes.center_mm.tolist())),
+        estimate=estimate,
         scale_mm=best.scale_mm,
         evidence=float(evidence),
         seen_mm=_rms(shift),

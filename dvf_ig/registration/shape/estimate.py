@@ -212,12 +212,12 @@ def estimate_of(
 ) -> ShapeEstimate:
     """Evaluate a state on the knots of a warp, and at the walls."""
     center = tuple(center_mm.tolist())
-    warp = warp_of(posterior, target, center)
+    warp = _warp(posterior, target, center)
     walls = _guarded_walls(posterior, target, center)
     return ShapeEstimate(posterior, noise, level, target, organ, center_mm, warp, walls)
 
 
-def warp_of(posterior: ShapePosterior, target: BoundaryTarget, center_mm: tuple[float, ...]) -> Warp:
+def _warp(posterior: ShapePosterior, target: BoundaryTarget, center_mm: tuple[float, ...]) -> Warp:
     """Evaluate a state on the knots of a heart's warps."""
     places, (origin_mm, knot_mm) = _at_knots(target, center_mm), _knots_of(target, center_mm)
     pulled, variance = places.pulled_mm(posterior), places.variance_mm2(posterior)

@@ -42,7 +42,7 @@ from dvf_ig.registration.lc2.lc2 import Lc2
 from dvf_ig.registration.lc2.optimise import PRIOR_SIGMA_MM, GaussianPrior, OptimiserOptions, optimise
 from dvf_ig.registration.pose_chart import PoseChart, covariance_to_mm, rigid_motion
 from dvf_ig.registration.shape.change import ShapeChange
-from dvf_ig.registration.shape.estimate import PROCESS_NOISE_MM, GuardedWalls, ShapeEstimate
+from dvf_ig.registration.shape.estimate import PROCESS_NOISE_MM, ShapeEstimate
 
 WEIGHT_TOLERANCE = 1e-3
 """Tolerance of ω: the determinant is flat at its minimum."""
@@ -138,9 +138,8 @@ class PoseEstimate:
         shared_mm2: S, of the error that all beats have in common.
         shape_step: the pose is shape_step ∘ that at which images match best, which a change of the heart's
             shape has pulled aside (`registration.shape`); None if they are the same, or `warp` tells.
-        warp: change of the heart's shape at `pose`, and walls: how well it knows those that are guarded;
-            None if the last registration found none.
-        shape: pose and change of shape together, which beats correct; None if nothing does.
+        shape: pose and change of the heart's shape together, which beats correct; None if the last
+            registration found none.
         matching: the pose that beats move while a change of shape is followed: images match where `warp`
             takes it; None until a beat has moved it.
         square_of_targets: (6, 6) M, the mean square distance by which ξ moves the targets is ξᵀMξ.
@@ -151,8 +150,6 @@ class PoseEstimate:
     center_mm: FloatArray
     shared_mm2: FloatArray
     shape_step: Rigid | None = None
-    warp: Warp | None = None
-    walls: GuardedWalls | None = None
     shape: ShapeEstimate | None = None
     matching: Rigid | None = None
     square_of_targets: FloatArray = field(default_factory=lambda: np.diag(MEAN_SQUARE_OF_COORDINATES))
@@ -175,16 +172,20 @@ class PoseEstimate:
             change: of the heart's shape at the pose, which fixtures follow.
             targets_mm: (n, 3) that the error is stated over, target frame; None: of the heart's box.
         """
-        step = None if matched is None or change is not None else pose @ matched.inverse()
+        shape = None if change is None else change.estimate
+        step = None if matched is None or shape is not None else pose @ matched.inverse()
         noise, all_errors = covariance_to_mm(noise_covariance), covariance_to_mm(covariance)
-        estimate = cls(pose, noise, center_mm, all_errors, step)
-        if change is not None:
-            estimate = replace(estimate, warp=change.warp)._following(change.estimate)
+        estimate = cls(pose, noise, center_mm, all_errors, step, shape)
         if targets_mm is None:
             return estimate
         motion = rigid_motion(targets_mm, center_mm)
         square = np.einsum("nki,nkj->ij", motion, motion) / len(targets_mm)
         return replace(estimate, square_of_targets=square)
+
+    @property
+    def warp(self) -> Warp | None:
+        """Change of the heart's shape at the pose; None if none is followed."""
+        return None if self.shape is None else self.shape.warp
 
     @property
     def moved_by_beats(self) -> Rigid:
@@ -238,15 +239,16 @@ class PoseEstimate:
 
         A registration's `tre_bound_mm` is on the largest error over them instead. Of a heart whose shape is
         followed the pose alone says little: the error is that of the guarded walls along their normals, by
-        `walls`, and by how far the heart may have moved since.
+        those of `shape`, and by how far the heart may have moved since.
 
         Source: Satterthwaite 1946 (a quadratic form as a scaled χ² of the same mean and variance).
         """
-        if self.walls is None:
+        if self.shape is None:
             weighted, mean, square = self.square_of_targets @ self.total_mm2, 0.0, 0.0
         else:
-            weighted = self.walls.square_of_motion @ self.covariance_mm2
-            mean, square = self.walls.variance_mm2, self.walls.square_mm4
+            walls = self.shape.walls
+            weighted = walls.square_of_motion @ self.covariance_mm2
+            mean, square = walls.variance_mm2, walls.square_mm4
         mean, square = mean + float(np.trace(weighted)), square + float(np.sum(weighted * weighted.T))
         return math.sqrt(square / mean * float(chi2.ppf(0.95, mean * mean / square)))
 
@@ -276,15 +278,9 @@ class PoseEstimate:
         """
         covariance = np.asarray(np.linalg.inv(np.linalg.inv(self.covariance_mm2) + information))
         moved = PoseChart(self.moved_by_beats, self.center_mm).pose(covariance @ offset_information_mm)
-        if self.warp is None:
+        if self.shape is None:
             return replace(self, pose=moved, covariance_mm2=covariance)
-        return replace(self, matching=moved, covariance_mm2=covariance)._following(shape)
-
-    def _following(self, shape: ShapeEstimate | None) -> "PoseEstimate":
-        """With another estimate of the change of shape at the pose; the same without one."""
-        if shape is None:
-            return self
-        return replace(self, shape=shape, warp=shape.warp, walls=shape.walls)
+        return replace(self, matching=moved, covariance_mm2=covariance, shape=shape or self.shape)
 
     def intersected_with(self, registered: "PoseEstimate", beats: float) -> "PoseEstimate":
         """With a registration of frames that the beats have used; see the module docstring.
@@ -302,25 +298,13 @@ class PoseEstimate:
             (moved_mm2, registered.shared_mm2),
             chart.coordinates(registered.pose),
         )
-        pose, warp, shape = chart.pose(offset), registered.warp, registered.shape
-        if warp is not None:  # the walls are where the registration saw them
-            warp = warp.at_pose(registered.pose, pose)
-        there = replace(
-            self,
-            pose=pose,
-            covariance_mm2=random,
-            shared_mm2=shared,
-            warp=warp,
-            walls=registered.walls,
-            shape=None,
-            matching=None,
-        )
-        if shape is not None:
+        pose, shape = chart.pose(offset), registered.shape
+        if shape is not None:  # the walls are where the registration saw them
             shape = shape.predicted(beats).at_pose(registered.pose, pose)
             if self.shape is not None:
                 shape = self.shape.at_pose(self.pose, pose).intersected_with(shape)
-            there = there._following(shape)
-        rigid = self.warp is None and warp is None
+        there = replace(self, pose=pose, covariance_mm2=random, shared_mm2=shared, shape=shape, matching=None)
+        rigid = self.shape is None and shape is None
         if rigid and registered.shape_step is self.shape_step:
             return there
         reshaped = replace(there, shape_step=registered.shape_step)

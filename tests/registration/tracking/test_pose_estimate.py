@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from followed_shape import followed_shape
 from toy_heart import CENTER_MM, toy_mr, toy_pose, toy_slices
 
 from dvf_ig.core import HEART_RADIUS_MM, Rigid, Warp, mean_displacement_mm
@@ -64,7 +65,7 @@ def test_a_beat_of_a_followed_heart_is_measured_where_the_change_of_shape_in_its
     places = knots(origin, 20.0)
     m_mm = places - motion.apply_array(places)
     warp = Warp.through("mr", origin, 20.0, m_mm, np.full(len(places), 0.81))
-    followed = replace(estimate(aside, 0.6), warp=warp)
+    followed = replace(estimate(aside, 0.6), shape=followed_shape(warp))
     view_mm = aside.inverse().apply_array(CENTER_MM + np.array([[-20.0, 0, 0], [20.0, 0, 5], [0, 30.0, 0]]))
     pose, variance_mm2 = followed.matched_in(view_mm)
     np.testing.assert_allclose(pose.matrix, TRUTH.matrix, atol=1e-3)
@@ -167,12 +168,15 @@ def test_the_bound_of_a_followed_shape_holds_the_error_of_its_walls_in_95_percen
     alike = 0.3 * rng.normal(size=(30, 5))
     known = alike @ alike.T
     walls = GuardedWalls(moved.T @ moved / 30, float(np.trace(known)) / 30, float((known**2).sum()) / 30**2)
-    held = replace(estimate(TRUTH, 0.4), walls=walls)
+    still = Warp("mr", np.zeros(3), 16.0, np.zeros((15, 15, 15, 4), np.float32))
+    held = replace(estimate(TRUTH, 0.4), shape=followed_shape(still, walls))
     beats = moved @ rng.multivariate_normal(np.zeros(6), held.covariance_mm2, 4000).T
     off = beats + alike @ rng.normal(size=(5, 4000))
     assert 0.03 < np.mean(np.sqrt((off**2).mean(axis=0)) > held.pose_bound_mm) < 0.07
     unfollowed = estimate(TRUTH, 0.4)
-    assert unfollowed.intersected_with(held, 0.0).walls is walls
+    fused = unfollowed.intersected_with(held, 0.0).shape
+    assert fused is not None
+    assert fused.walls is walls
     assert held.intersected_with(unfollowed, 0.0).pose_bound_mm == unfollowed.pose_bound_mm
 
 
