@@ -45,9 +45,6 @@ PART_EVIDENCE = 255.0
 sweep images all of the covered part; where it images a share, that share of it. Shifts between breath-holds
 and the rounding between slices look like a change too: calm sweeps of threshold hearts stay below 250; of
 hearts changed by 1 to 5 mm, those that end more than 5 mm off are above 265."""
-LEAST_OF_STACK = 0.5
-"""Least share of a short-axis stack without long-axis views that a sweep must image: a calm threshold heart
-of which 0.42 is imaged is 6.5 mm off with every other check passed."""
 
 
 def register(
@@ -79,9 +76,7 @@ def register(
     began, report = clock(), progress or untold
     if heart.covered is not None:
         options = images.options
-        least = options.min_overlap if heart.covered.views else max(options.min_overlap, LEAST_OF_STACK)
-        limits = limits_of_part(options.limits)
-        images = replace(images, options=replace(options, limits=limits, min_overlap=least))
+        images = replace(images, options=replace(options, limits=limits_of_part(options.limits)))
     with SliceThreads() as threads:
         in_search = prior if prior is not None and prior.in_search else None
         problem = Problem(images, heart, in_search, threads)

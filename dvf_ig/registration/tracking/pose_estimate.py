@@ -14,10 +14,10 @@ Tracking: an information filter,
     update   Λ = P⁻¹ + J,   ξ̂ = Λ⁻¹ (J ξ),   P ← Λ⁻¹,
 so that directions which one beat cannot observe keep what earlier beats knew of them. P is how well the pose
 is known against the beats to come. What all beats have in common (calibration, mismatch of the anatomy) no
-beat reduces: the covariance S of the registration that the pose goes back to is kept as well as P, and P +
-S is how well the pose is known against the truth (a consider covariance: Schmidt 1966). A later
-registration is made of frames that the beats have used, with an error of unknown correlation: it is fused by
-covariance intersection of P + S, which keeps both parts (`split_intersection`).
+beat reduces: S, what the registration that the pose goes back to leaves open beside its noise, is kept
+beside P, and P + S is how well the pose is known against the truth (a consider covariance: Schmidt 1966). A
+later registration is made of frames that the beats have used, with an error of unknown correlation: it is
+fused by covariance intersection of P + S, which keeps both parts (`split_intersection`).
 """
 
 import math
@@ -113,6 +113,14 @@ def split_intersection(
     return (1.0 - weight) * (other_gain @ offset_mm), (random, shared)
 
 
+def _noise_and_rest(covariance_mm2: FloatArray, noise_mm2: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Divide (n, n) of all errors into what is noise of it in every direction, and the rest."""
+    root = np.linalg.cholesky(covariance_mm2)
+    share, directions = np.linalg.eigh(np.linalg.solve(root, np.linalg.solve(root, noise_mm2).T))
+    directions, share = root @ directions, np.clip(share, 0.0, 1.0)
+    return (directions * share) @ directions.T, (directions * (1.0 - share)) @ directions.T
+
+
 def _nearest_rigid(places_mm: FloatArray, moved_mm: FloatArray, weights: FloatArray, frame: str) -> Rigid:
     """Fit the rigid motion that takes (n, 3) places nearest to where they go, by (n,) weights of sum 1.
 
@@ -167,6 +175,8 @@ class PoseEstimate:
     ) -> "PoseEstimate":
         """From a registration's covariances in rad², mm²: beats improve the noise alone.
 
+        P and S together are the covariance: it holds the noise already, which by itself may be stated larger.
+
         Args:
             matched: where its images match best; None: at the pose.
             change: of the heart's shape at the pose, which fixtures follow.
@@ -174,8 +184,8 @@ class PoseEstimate:
         """
         shape = None if change is None else change.estimate
         step = None if matched is None or shape is not None else pose @ matched.inverse()
-        noise, all_errors = covariance_to_mm(noise_covariance), covariance_to_mm(covariance)
-        estimate = cls(pose, noise, center_mm, all_errors, step, shape)
+        noise, shared = _noise_and_rest(covariance_to_mm(covariance), covariance_to_mm(noise_covariance))
+        estimate = cls(pose, noise, center_mm, shared, step, shape)
         if targets_mm is None:
             return estimate
         motion = rigid_motion(targets_mm, center_mm)
