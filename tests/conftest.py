@@ -7,6 +7,7 @@ import gc
 import os
 from collections.abc import Callable, Iterator
 from functools import lru_cache
+from itertools import chain, repeat
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -144,18 +145,20 @@ def replay(scenario: "Scenario", shared_hearts: None) -> "Replay":
 
 
 @pytest.fixture(scope="session")
-def registered(scenario: "Scenario", replay: "Replay") -> "RegistrationResult":
-    """The registration of the shared scenario."""
-    from dvf_ig.replay import register_scenario
-
-    return register_scenario(scenario, heart=replay.heart)
+def registered(replay: "Replay") -> "RegistrationResult":
+    """The first registration of the shared replay that may be used."""
+    result = next(attempt.result for attempt in replay.attempts if attempt.usable)
+    assert result is not None
+    return result
 
 
 @pytest.fixture
-def known_registration(replay: "Replay", monkeypatch: pytest.MonkeyPatch) -> None:
-    """A session's registrations have the result of the shared replay's, without computing it."""
-    known = next(attempt.result for attempt in replay.attempts if attempt.usable)
-    monkeypatch.setattr("dvf_ig.session.arrived_ultrasound.register_frames", lambda *_, **__: known)
+def known_registrations(
+    replay: "Replay", registered: "RegistrationResult", monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A session's registrations have the results of the shared replay's, one by one, without computing them."""
+    known = chain((attempt.result for attempt in replay.attempts), repeat(registered))
+    monkeypatch.setattr("dvf_ig.session.arrived_ultrasound.register_frames", lambda *_, **__: next(known))
 
 
 @pytest.fixture(scope="session")

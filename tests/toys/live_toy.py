@@ -23,6 +23,8 @@ ORIGIN_S = 5000.0
 LATENCY_S = 0.004
 NAMES = DeviceNames("ProbeToTracker", "ToolToTracker", "Image_Tracker", chest="ChestToTracker")
 STEP_S = 0.01
+UNGUIDED_STEP_S, GUIDED_FROM_S = 0.05, 11.0
+"""Longer steps until the first pose can be known."""
 
 
 class ReadyInbox(Inbox):
@@ -68,10 +70,11 @@ class LiveToy:
         )
 
     def run(self, arrivals: list[Arrival], until_s: float) -> None:
-        """Let time pass in steps of STEP_S; arrivals in order."""
+        """Let time pass in steps; arrivals in order."""
         waiting = [a for a in arrivals if a.arrived_s > self.now_s]
         while self.now_s < until_s - 1e-9:
-            self.now_s = round(self.now_s + STEP_S, 9)
+            step_s = STEP_S if self.now_s >= GUIDED_FROM_S - 1e-9 else UNGUIDED_STEP_S
+            self.now_s = round(min(self.now_s + step_s, until_s), 9)
             while waiting and waiting[0].arrived_s <= self.now_s:
                 self.inbox.put(waiting.pop(0))
             self.loop.step()
