@@ -147,7 +147,7 @@ def registered(files: Path, tmp_path_factory: pytest.TempPathFactory) -> Registe
 
 @dataclass
 class Stub:
-    """In place of the registration of a pair: its result, and the anatomies and the start of its last call."""
+    """In place of the registration of a pair: a result, and what the last call was given."""
 
     result: RegistrationResult
     anatomies: Sequence[Volume] = ()
@@ -274,7 +274,7 @@ def test_a_registration_begins_at_the_start_of_a_file(files: Path, stub: Stub, t
 def truth(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The true transform off by (0, 3, 4) mm on the moving side, as SimpleITK writes it, with its centre."""
     folder = tmp_path_factory.mktemp("truth")
-    transform = SimpleITK.Euler3DTransform()
+    transform = SimpleITK.AffineTransform(3)
     transform.SetCenter(CENTER.tolist())
     transform.SetMatrix(TURN.ravel().tolist())
     transform.SetTranslation(np.add(SHIFT, [0, 3, 4]).tolist())

@@ -23,8 +23,7 @@ ORIGIN_S = 5000.0
 LATENCY_S = 0.004
 NAMES = DeviceNames("ProbeToTracker", "ToolToTracker", "Image_Tracker", chest="ChestToTracker")
 STEP_S = 0.01
-UNGUIDED_STEP_S, GUIDED_FROM_S = 0.05, 11.0
-"""Longer steps until the first pose can be known."""
+UNGUIDED_STEP_S = 0.05
 
 
 class ReadyInbox(Inbox):
@@ -50,9 +49,10 @@ class Sent:
 
 
 class LiveToy:
-    """A live session of the toy's patient, advanced by `run`."""
+    """A live session of the toy's patient, advanced by `run`; `guided_from_s` ends its longer steps."""
 
-    def __init__(self, session: Session) -> None:
+    def __init__(self, session: Session, guided_from_s: float = 0.0) -> None:
+        self.guided_from_s = guided_from_s
         self.now_s, self.sent = 0.0, Sent()
         self.told: list[str] = []
         self.answers: list[Answer] = []
@@ -73,7 +73,7 @@ class LiveToy:
         """Let time pass in steps; arrivals in order."""
         waiting = [a for a in arrivals if a.arrived_s > self.now_s]
         while self.now_s < until_s - 1e-9:
-            step_s = STEP_S if self.now_s >= GUIDED_FROM_S - 1e-9 else UNGUIDED_STEP_S
+            step_s = STEP_S if self.now_s >= self.guided_from_s else UNGUIDED_STEP_S
             self.now_s = round(min(self.now_s + step_s, until_s), 9)
             while waiting and waiting[0].arrived_s <= self.now_s:
                 self.inbox.put(waiting.pop(0))
