@@ -7,6 +7,7 @@ import gc
 import os
 from collections.abc import Callable, Iterator
 from functools import lru_cache
+from itertools import chain, repeat
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
     from typer.testing import Result
 
     from data_synth.scenario.recording import ImagedHeart
-    from dvf_ig.core import DvfModel, Scenario, SurfaceSeries
+    from dvf_ig.core import DvfModel, PoseStream, Scenario, SurfaceSeries
     from dvf_ig.registration import RegistrationResult
     from dvf_ig.replay import Replay
 
@@ -114,6 +115,29 @@ def scenario(imaged: "ImagedHeart") -> "Scenario":
 
 
 @pytest.fixture(scope="session")
+def brief(scenario: "Scenario") -> "Scenario":
+    """The scenario with two seconds of its frames: images are most of what a folder holds."""
+    from dataclasses import replace
+
+    whole, few = scenario.ultrasound, slice(24)
+    assert whole.images is not None
+
+    def begin(stream: "PoseStream") -> "PoseStream":
+        names = ("t_s", "rotations", "translations_mm", "valid")
+        return replace(stream, **{name: getattr(stream, name)[few] for name in names})
+
+    poses = {name: begin(stream) for name, stream in whole.poses.items()}
+    frames = replace(
+        whole,
+        t_s=whole.t_s[few],
+        images=whole.images[few],
+        image_valid=whole.image_valid[few],
+        poses=poses,
+    )
+    return replace(scenario, ultrasound=frames)
+
+
+@pytest.fixture(scope="session")
 def written(scenario: "Scenario", tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The scenario's folder, for tests that only read it."""
     from dvf_ig.intake import write_scenario
@@ -144,18 +168,20 @@ def replay(scenario: "Scenario", shared_hearts: None) -> "Replay":
 
 
 @pytest.fixture(scope="session")
-def registered(scenario: "Scenario", replay: "Replay") -> "RegistrationResult":
-    """The registration of the shared scenario."""
-    from dvf_ig.replay import register_scenario
-
-    return register_scenario(scenario, heart=replay.heart)
+def registered(replay: "Replay") -> "RegistrationResult":
+    """The first registration of the shared replay that may be used."""
+    result = next(attempt.result for attempt in replay.attempts if attempt.usable)
+    assert result is not None
+    return result
 
 
 @pytest.fixture
-def known_registration(replay: "Replay", monkeypatch: pytest.MonkeyPatch) -> None:
-    """A session's registrations have the result of the shared replay's, without computing it."""
-    known = next(attempt.result for attempt in replay.attempts if attempt.usable)
-    monkeypatch.setattr("dvf_ig.session.arrived_ultrasound.register_frames", lambda *_, **__: known)
+def known_registrations(
+    replay: "Replay", registered: "RegistrationResult", monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A session's registrations have the results of the shared replay's, in their order, at no cost."""
+    known = chain((attempt.result for attempt in replay.attempts), repeat(registered))
+    monkeypatch.setattr("dvf_ig.session.arrived_ultrasound.register_frames", lambda *_, **__: next(known))
 
 
 @pytest.fixture(scope="session")

@@ -1,7 +1,6 @@
 """Bad input ends with its exit code and one clear sentence, and leaves nothing half-written."""
 
 import dataclasses
-import shutil
 from pathlib import Path
 
 import numpy as np
@@ -12,14 +11,16 @@ from typer.testing import CliRunner
 
 from dvf_ig.cli.main import app
 from dvf_ig.core import Scenario, Signal
+from dvf_ig.intake import write_scenario
 from dvf_ig.io import write_ecg_csv, write_model, write_poses
 from dvf_ig.replay import Replay
 
 
 @pytest.fixture
-def folder(written: Path, tmp_path: Path) -> Path:
-    """A fresh copy of the scenario on disk, for a test to damage."""
-    return Path(shutil.copytree(written, tmp_path / "scenario"))
+def folder(brief: Scenario, tmp_path: Path) -> Path:
+    """The scenario on disk with few images, for a test to damage."""
+    write_scenario(brief, tmp_path / "scenario")
+    return tmp_path / "scenario"
 
 
 def fails(arguments: list[str], code: int, *words: str) -> None:

@@ -21,6 +21,8 @@ from dvf_ig.io import add_ecg_field
 from dvf_ig.preop import ModelOptions
 from dvf_ig.registration import RegistrationResult
 from dvf_ig.replay import Replay
+from dvf_ig.replay.registration import PreparedRegistration, prepare_registration
+from dvf_ig.session.heart import Heart
 
 BLOOD = "2,4,6,7,8"
 SESSION = """
@@ -89,9 +91,32 @@ def model_of_the_same_data(scenario: Scenario, replay: Replay, monkeypatch: pyte
 
 @pytest.mark.usefixtures("model_of_the_same_data")
 def test_register_with_the_ecg_inside_the_sweep(
-    registered: RegistrationResult, lab: Path, tmp_path: Path
+    scenario: Scenario,
+    replay: Replay,
+    registered: RegistrationResult,
+    lab: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """An option of `config init` for each file; phases and patient come from the files alone."""
+    """An option of `config init` for each file; phases and patient come from the files alone.
+
+    The registration is given what the scenario's own was given: its result follows from that.
+    """
+    prepared: list[PreparedRegistration] = []
+
+    def captured(given: PreparedRegistration, **_: object) -> RegistrationResult:
+        prepared.append(given)
+        return registered
+
+    def heart_of_the_same_images(preop: Preop, model: DvfModel, **_: object) -> Heart:
+        assert preop.mr is not None
+        assert scenario.preop.mr is not None
+        np.testing.assert_array_equal(preop.mr.values, scenario.preop.mr.values)
+        np.testing.assert_array_equal(model.coefficients, replay.heart.model.coefficients)
+        return replay.heart
+
+    monkeypatch.setattr(PreparedRegistration, "register", captured)
+    monkeypatch.setattr("dvf_ig.replay.registration.build_heart", heart_of_the_same_images)
     session = tmp_path / "session.yaml"
     run(
         "config", "init", "--us", lab / "sweep_with_ecg.igs.mha", "--cine", lab / "cine.nrrd",
@@ -99,9 +124,15 @@ def test_register_with_the_ecg_inside_the_sweep(
         "--latency", lab / "latency.json", "--start", lab / "start.tfm", "-o", session,
     )  # fmt: skip
     found = run("register", session, "-o", tmp_path / "out")
-    np.testing.assert_allclose(
-        found["mr_from_tracker"], registered.target_from_source.matrix, rtol=0, atol=1e-6
-    )
+    np.testing.assert_array_equal(found["mr_from_tracker"], registered.target_from_source.matrix)
+    own, (read,) = prepare_registration(scenario, heart=replay.heart), prepared
+    np.testing.assert_allclose(read.start.matrix, own.start.matrix, rtol=0, atol=1e-9)
+    np.testing.assert_array_equal(read.recording.images, own.recording.images)
+    used, theirs = read.recording.calibrations, own.recording.calibrations
+    np.testing.assert_allclose(used.probe_from_image.matrix, theirs.probe_from_image.matrix, atol=1e-9)
+    np.testing.assert_array_equal(read.frames.used, own.frames.used)
+    for name in ("event_s", "model_phase", "rotations", "translations_mm"):
+        np.testing.assert_allclose(getattr(read.frames, name), getattr(own.frames, name), atol=1e-6)
 
 
 @pytest.mark.usefixtures("model_of_the_same_data")

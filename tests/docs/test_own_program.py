@@ -16,6 +16,7 @@ PAGE = (Path(__file__).resolve().parents[2] / "dvf_ig/docs/guide/own-program.md"
 FIFTEEN, LIVE = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
 
 
+@pytest.mark.usefixtures("known_registrations")
 def test_fifteen_lines_give_the_replay_s_force(
     written: Path, replay: Replay, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -451,7 +451,7 @@ def test_a_session_prepared_wrongly_is_refused_by_its_cause(parts: SessionFiles,
 
 def test_a_foreign_ecg_stays_foreign_however_it_is_shifted(parts: SessionFiles) -> None:
     """To obey "it is late" must not turn the run green."""
-    for late_s in np.arange(0.0, 0.8, 0.2):
+    for late_s in (0.0, 0.4):
         causes = {one.cause for one in fit_of(beating(float(late_s), beats=1)(parts)).findings}
         assert Disagreement.ECG_OF_ANOTHER_RECORDING in causes
 

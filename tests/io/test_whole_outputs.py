@@ -2,15 +2,14 @@
 
 import hashlib
 import json
+import multiprocessing
 import os
 import random
 import signal
-import subprocess
-import sys
 import time
 from collections.abc import Callable
-from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import pytest
 import typer
@@ -106,62 +105,59 @@ def test_ctrl_c_right_after_an_exchange(
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
 
 
-LOOP = """
-import signal
-import sys
-from contextlib import suppress
-from pathlib import Path
-from dvf_ig.io.provenance import recorded_inputs
-from dvf_ig.io.writing.atomic import {writer}
-signal.signal(signal.SIGINT, signal.default_int_handler)  # a background job begins with it ignored
-print("on", flush=True)
-for n in range({rounds}):
-    with recorded_inputs(), {writer}(Path(sys.argv[1]){names}) as new:
-        for name in "abc":
-            (new / name).write_text(sys.argv[2] + str(n))
-"""
+FORK = multiprocessing.get_context("fork")
+Writer = Callable[[Path, str], None]
+
+
+def keep_writing(folder: Path, writer: Writer, text: str, rounds: int, began: Any) -> None:
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a background job begins with it ignored
+    for n in range(rounds):
+        with recorded_inputs():
+            writer(folder, f"{text}{n}")
+        began.set()
+
+
+def writing(folder: Path, writer: Writer, text: str = "", rounds: int = 10**9) -> Any:
+    """Start a process that writes the folder again and again, and wait until it has done so once."""
+    began = FORK.Event()
+    child = FORK.Process(target=keep_writing, args=(folder, writer, text, rounds, began), daemon=True)
+    child.start()
+    assert began.wait(60.0)
+    return child
 
 
 @pytest.mark.parametrize("kind", [signal.SIGKILL, signal.SIGINT])
 def test_killed_at_random_moments(tmp_path: Path, kind: signal.Signals) -> None:
     """A loop writes the folder a few hundred times a second; whenever it dies, the folder is of one round."""
     folder, rng = tmp_path / "out", random.Random(kind)
-    code = LOOP.format(writer="atomic_folder", rounds=10**9, names="")
-    loop = [sys.executable, "-c", code, str(folder), ""]
-    child = subprocess.Popen(loop, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
-    assert child.stdout is not None
-    assert child.stdout.readline() == "on\n"
+    child = writing(folder, write)
     time.sleep(0.05 + 0.1 * rng.random())
     for _ in range(40):  # Python loses a Ctrl-C that comes while an object is being deleted
-        child.send_signal(kind)
-        with suppress(subprocess.TimeoutExpired):
-            child.wait(0.5)
+        os.kill(child.pid, kind)
+        child.join(0.5)
+        if child.exitcode is not None:
             break
-    child.stdout.close()
-    assert child.poll() is not None
+    assert child.exitcode is not None
     assert len(set(texts(folder))) == 1
     assert foreign_file(folder) is None
 
 
-KILLED = """
-import os, signal, sys
-from pathlib import Path
-from dvf_ig.io.provenance import recorded_inputs
-from dvf_ig.io.writing import atomic
-one, done = atomic._swap, [0]
-def dying(new, place):
-    if done[0] == int(sys.argv[2]):
-        os.kill(os.getpid(), signal.SIGKILL)
-    one(new, place)
-    done[0] += 1
-atomic._swap = dying
-with recorded_inputs(), atomic.files_together(Path(sys.argv[1]), "abc") as new:
-    for name in "abc":
-        (new / name).write_text("new")
-"""
+def killed_between_files(folder: Path, swapped: int) -> None:
+    """Write three files, killed when so many have replaced the old ones."""
+    one, done = atomic._swap, [0]
+
+    def dying(*places: Any) -> None:
+        if done[0] == swapped:
+            os.kill(os.getpid(), signal.SIGKILL)
+        one(*places)
+        done[0] += 1
+
+    setattr(atomic, "_swap", dying)  # noqa: B010
+    with recorded_inputs():
+        write_together(folder, "new")
 
 
-@pytest.mark.parametrize("swapped", [0, 1, 2])
+@pytest.mark.parametrize("swapped", [0, 2])
 def test_files_of_two_runs_are_refused_until_they_are_written_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, swapped: int
 ) -> None:
@@ -169,8 +165,10 @@ def test_files_of_two_runs_are_refused_until_they_are_written_again(
     monkeypatch.setattr(listing, "_PATIENCE_S", 0.05)
     write_together(tmp_path, "old")
     write_text(tmp_path / "other", "of another command")
-    killed = [sys.executable, "-c", KILLED, str(tmp_path), str(swapped)]
-    assert subprocess.run(killed, check=False).returncode == -signal.SIGKILL
+    child = FORK.Process(target=killed_between_files, args=(tmp_path, swapped))
+    child.start()
+    child.join()
+    assert child.exitcode == -signal.SIGKILL
     mixed = ["new"] * swapped + ["old"] * (3 - swapped)
     assert texts(tmp_path) == mixed
     for name in NAMES:
@@ -187,21 +185,13 @@ def test_files_of_two_runs_are_refused_until_they_are_written_again(
 
 
 def test_a_reader_waits_for_a_process_that_moves_its_files(tmp_path: Path) -> None:
-    code = LOOP.format(writer="files_together", rounds=10**9, names=', "abc"')
-    child = subprocess.Popen([sys.executable, "-c", code, str(tmp_path), ""], stdout=subprocess.PIPE)
+    child = writing(tmp_path, write_together)
     try:
-        assert child.stdout is not None
-        child.stdout.readline()
-        until = time.monotonic() + 20
-        while not (tmp_path / "c").exists() and time.monotonic() < until:
-            time.sleep(0.01)
         with not_recorded():
             assert all(read_text(tmp_path / name, "a text").isdecimal() for name in NAMES * 30)
     finally:
         child.kill()
-        child.wait()
-        assert child.stdout is not None
-        child.stdout.close()
+        child.join()
 
 
 @pytest.mark.parametrize(
@@ -365,10 +355,10 @@ def test_places_where_nothing_can_be_written(
 
 def test_two_processes_do_not_mix_their_files(tmp_path: Path) -> None:
     """Each swaps its files in while the other waits."""
-    code = LOOP.format(writer="files_together", rounds=150, names=', "abc"')
-    command = [sys.executable, "-c", code, str(tmp_path)]
-    both = [subprocess.Popen([*command, which], stdout=subprocess.DEVNULL) for which in "xy"]
-    assert [child.wait(60) for child in both] == [0, 0]
+    both = [writing(tmp_path, write_together, text, 150) for text in "xy"]
+    for child in both:
+        child.join(60.0)
+    assert [child.exitcode for child in both] == [0, 0]
     assert len(set(texts(tmp_path))) == 1
     assert {path.name for path in tmp_path.iterdir()} == {*NAMES, LISTING}
 

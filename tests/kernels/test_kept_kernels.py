@@ -3,6 +3,7 @@
 import ast
 import importlib
 import inspect
+import json
 import os
 import pkgutil
 import shutil
@@ -94,18 +95,43 @@ def test_a_separate_kernel_is_compiled_once_for_all_that_call_it():
         assert not [f for f in code.library.get_defined_functions() if "4root" in f.name]
 
 
-def child(*arguments, folder, **environment):
-    """A process that finds packages in `folder` first and reads sources, not bytecode."""
-    inherited = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
-    path = os.pathsep.join([str(folder), str(REPO)])
-    return subprocess.run(
-        [sys.executable, "-B", *map(str, arguments)],
-        env={**inherited, "PYTHONPATH": path, **environment},
-        cwd=folder,
-        check=True,
-        capture_output=True,
-        text=True,
-    )
+FORKS = """
+import json, os, runpy, sys, traceback
+import numba.core.caching, numba.core.ccallback, numba.core.registry
+
+numba.njit(lambda x: 3.0 * x)(2.0)  # loads what every compilation needs
+for line in sys.stdin:
+    folder, arguments, environment = json.loads(line)
+    if process := os.fork():
+        print(os.waitstatus_to_exitcode(os.waitpid(process, 0)[1]), flush=True)
+        continue
+    for number, name in ((1, "said.out"), (2, "said.err")):
+        os.dup2(os.open(os.path.join(folder, name), os.O_WRONLY | os.O_CREAT | os.O_TRUNC), number)
+    os.environ.clear()
+    os.environ.update(environment)
+    numba.config.reload_config()
+    sys.path.insert(0, folder)
+    sys.argv = ["call.py", *arguments]
+    os.chdir(folder)
+    code = 1
+    try:
+        runpy.run_path("call.py", run_name="__main__")
+        code = 0
+    except BaseException:
+        traceback.print_exc()
+    finally:
+        sys.stdout.flush()
+        os._exit(code)
+"""
+
+
+@pytest.fixture(scope="module")
+def forks():
+    """A process that has loaded numba, and forks one for each line that it reads."""
+    with subprocess.Popen(
+        [sys.executable, "-B", "-c", FORKS], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as process:
+        yield process
 
 
 def edit(path, old, new):
@@ -121,7 +147,7 @@ def edit(path, old, new):
 def tiny(tmp_path):
     """A package of two kernels, of which one is inlined into the other's file, and a script that calls it.
 
-    Beside them nothing of dvf_ig but what keeps kernels: a process starts in half of the time.
+    Beside them nothing of dvf_ig but what keeps kernels.
     """
     core = tmp_path / "dvf_ig" / "core"
     core.mkdir(parents=True)
@@ -158,73 +184,80 @@ def tiny(tmp_path):
     return package
 
 
-def called(tiny, *arguments, **environment):
+@pytest.fixture
+def called(tiny, forks):
     """The outer kernel's value at 2, whether it was read from disk, and what was said."""
-    done = child("call.py", *arguments, folder=tiny.parent, **environment)
-    value, hits = done.stdout.split()
-    return float(value), int(hits) == 1, done.stderr
+    inherited = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
+
+    def called(*arguments, **environment):
+        request = (str(tiny.parent), arguments, inherited | environment)
+        forks.stdin.write(json.dumps(request) + "\n")
+        forks.stdin.flush()
+        assert forks.stdout.readline() == "0\n", (tiny.parent / "said.err").read_text()
+        value, hits = (tiny.parent / "said.out").read_text().split()
+        return float(value), int(hits) == 1, (tiny.parent / "said.err").read_text()
+
+    return called
 
 
-def test_kept_until_a_source_changes(tiny):
-    assert called(tiny) == (7.0, False, "")
-    assert called(tiny) == (7.0, True, "")
+def test_kept_until_a_source_changes(tiny, called):
+    assert called() == (7.0, False, "")
+    assert called() == (7.0, True, "")
     (entry,) = (tiny / "__pycache__").glob("outer.*.nbc")
     of_the_old_law = entry.read_bytes()
     edit(tiny / "law.py", "3.0", "5.0")
-    assert called(tiny) == (11.0, False, "")
+    assert called() == (11.0, False, "")
     # what a process leaves that is killed between the two files, or that runs another version
     entry.write_bytes(of_the_old_law)
-    assert called(tiny) == (11.0, False, "")
+    assert called() == (11.0, False, "")
     files = sorted(path.name for path in (tiny / "__pycache__").iterdir())
     edit(tiny / "law.py", "5.0", "3.0")
     (tiny / "outer.py").write_text("\n\n" + (tiny / "outer.py").read_text())
-    assert called(tiny) == (7.0, False, "")
+    assert called() == (7.0, False, "")
     assert sorted(path.name for path in (tiny / "__pycache__").iterdir()) == files, "nothing is left behind"
 
 
-def test_a_separate_kernel_is_kept_by_itself(tiny):
+def test_a_separate_kernel_is_kept_by_itself(tiny, called):
     source = (tiny / "law.py").read_text().replace("SOURCES)", "SOURCES, separately=True)")
     (tiny / "law.py").write_text(source)
-    assert called(tiny) == (7.0, False, "")
+    assert called() == (7.0, False, "")
     for entry in (tiny / "__pycache__").glob("law.law.*.nb?"):
         entry.unlink()
-    assert called(tiny) == (7.0, True, "")
+    assert called() == (7.0, True, "")
     edit(tiny / "law.py", "3.0", "5.0")
-    assert called(tiny) == (11.0, False, "")
+    assert called() == (11.0, False, "")
 
 
-def test_nothing_is_kept_of_sources_that_change_while_a_process_runs(tiny):
+def test_nothing_is_kept_of_sources_that_change_while_a_process_runs(tiny, called):
     change = "law = Path('tiny/law.py'); law.write_text(law.read_text().replace('3.0', '5.0'))"
-    assert called(tiny, change) == (7.0, False, "")
+    assert called(change) == (7.0, False, "")
     assert not list(tiny.rglob("*.nbc"))
-    assert called(tiny) == (11.0, False, "")
+    assert called() == (11.0, False, "")
 
 
-def test_without_a_folder_that_can_be_written(tiny):
+def test_without_a_folder_that_can_be_written(tiny, called):
     (tiny / "__pycache__").write_text("in the way")
     nowhere = {"HOME": str(tiny / "law.py"), "XDG_CACHE_HOME": str(tiny / "law.py")}
-    value, read, said = called(tiny, **nowhere)
+    value, read, said = called(**nowhere)
     assert (value, read) == (7.0, False)
     assert said.count("set NUMBA_CACHE_DIR to a folder that can be written") == 1
     given = {**nowhere, "NUMBA_CACHE_DIR": str(tiny.parent / "kept")}
-    assert called(tiny, **given) == (7.0, False, "")
+    assert called(**given) == (7.0, False, "")
     assert list((tiny.parent / "kept").rglob("outer.*.nbc"))
 
 
-def test_a_folder_that_can_no_longer_be_written(tiny):
+def test_a_folder_that_can_no_longer_be_written(tiny, called):
     lost = "shutil.rmtree('tiny/__pycache__'); Path('tiny/__pycache__').write_text('in the way')"
-    value, _, said = called(tiny, lost)
+    value, _, said = called(lost)
     assert value == 7.0
     assert said.count("set NUMBA_CACHE_DIR") == 1
 
 
-def test_no_home_no_folder_called_tilde(tiny):
+def test_no_home_no_folder_called_tilde(tiny, called):
     (tiny / "__pycache__").write_text("in the way")
-    (tiny.parent / "sitecustomize.py").write_text("import pwd; pwd.getpwuid = {}.__getitem__")
-    (tiny.parent / "call.py").write_text(
-        "import os; del os.environ['HOME']\n" + (tiny.parent / "call.py").read_text()
-    )
-    value, _, said = called(tiny)
+    homeless = "import os, pwd; del os.environ['HOME']; pwd.getpwuid = {}.__getitem__\n"
+    (tiny.parent / "call.py").write_text(homeless + (tiny.parent / "call.py").read_text())
+    value, _, said = called()
     assert value == 7.0
     assert "NUMBA_CACHE_DIR" in said
     assert not (tiny.parent / "~").exists()

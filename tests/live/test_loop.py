@@ -32,7 +32,7 @@ RAS_FROM_LPS = np.diag([-1.0, -1.0, 1.0, 1.0])
 @pytest.fixture
 def toy(known_images: None) -> Iterator[LiveToy]:
     with Session(toy_setup(), latch_after_s=VALID_FOR_S) as session:
-        yield LiveToy(session)
+        yield LiveToy(session, guided_from_s=11.0)
 
 
 def streams_of(until_s: float) -> list[Arrival]:
@@ -41,7 +41,7 @@ def streams_of(until_s: float) -> list[Arrival]:
 
 @cache
 def _streams_of(until_s: float) -> tuple[Arrival, ...]:
-    return tuple(arrivals_of(toy_streams(until_s, chunk=5)))
+    return tuple(arrivals_of(toy_streams(until_s, chunk=25)))
 
 
 def without(arrivals: list[Arrival], device: str, from_s: float, until_s: float) -> list[Arrival]:
@@ -115,7 +115,7 @@ def test_latency_is_from_the_newest_tool_pose(clean):
 
 def test_lost_tool_fades_and_comes_back(toy):
     """Poses that are said to be missing for 0.2 s, and then none at all."""
-    streams = toy_streams(15.5, chunk=5)
+    streams = toy_streams(15.5, chunk=25)
     missing = [p if p.t_s < 13.5 or p.t_s > 13.7 else type(p)(p.t_s, None) for p in streams.tool]
     streams.tool = [p for p in missing if not 13.7 < p.t_s < 13.9]
     toy.run(arrivals_of(streams), 15.5)
@@ -129,7 +129,7 @@ def test_lost_tool_fades_and_comes_back(toy):
 
 def test_tool_that_was_long_gone_needs_the_operator(toy):
     """Nothing that a peer sends re-arms; the operator at this machine does, where little force is wanted."""
-    streams = toy_streams(16.5, chunk=5)
+    streams = toy_streams(16.5, chunk=25)
     streams.tool = [p for p in streams.tool if not 13.0 < p.t_s < 14.5]
     arrivals = arrivals_of(streams)
     toy.run(arrivals, 16.0)
@@ -209,7 +209,7 @@ def test_the_pose_follows_the_breath_that_arrives_and_is_withheld_when_it_stops(
     """Five breaths teach the motion here; the surrogate ends at 36 s, and breathing goes on."""
     monkeypatch.setattr("dvf_ig.session.arrived_ultrasound.compare_beat", compare_breathing)
     monkeypatch.setattr("dvf_ig.session.breathing_motion.TRUSTED_BREATHS", 5)
-    streams = toy_streams(37.0, patient=breathing, chunk=5)
+    streams = toy_streams(37.0, patient=breathing, chunk=25)
     arrivals = arrivals_of(streams)
     times = np.arange(0.0, 36.0, 0.04).tolist()
     arrivals += [arrival(t_s, breath_message(t_s, by_marker=by_marker)) for t_s in times]
@@ -356,7 +356,7 @@ def test_a_peer_whose_clock_restarts_comes_back_when_the_operator_re_arms(toy):
     assert not np.any([a.state.force_n for a in gone])
     assert states(toy, 18.0, 20.0)[-1] is SupervisorState.LATCHED
     assert not toy.answers[-1].state.supervised.hazards & (Hazard.CLOCK_BACKWARDS | Hazard.STALE_TOOL)
-    assert toy.loop.refused > 300
+    assert toy.loop.refused > 200
     assert abs(toy.sent.named("ToolForce")[-1].stamp_s - (ORIGIN_S - 4000.0 + 20.0)) < 0.1
 
 

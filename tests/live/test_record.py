@@ -159,12 +159,12 @@ def test_session_whose_tool_is_a_haptic_device_is_repeated_too(tmp_path: Path) -
     assert [bits(a) for a in again] == [bits(b) for b in states]
 
 
-@pytest.mark.usefixtures("known_images")
 def last_of_each_moment(states: list[GuidanceState]) -> list[GuidanceState]:
     """After a re-arming there may be two."""
     return [one for one, then in pairwise([*states, None]) if one and (not then or then.now_s > one.now_s)]
 
 
+@pytest.mark.usefixtures("known_images")
 def test_session_that_follows_the_breath_is_repeated_too(tmp_path: Path) -> None:
     times = np.arange(0.0, 13.0, 0.04).tolist()
 

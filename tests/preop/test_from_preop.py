@@ -67,20 +67,25 @@ def test_labels_of_every_phase_give_the_chambers_that_their_names_tell(ball: Pre
     check_chambers(model_from_preop(ball, options=COARSE))
 
 
-def test_labels_of_end_diastole_go_with_the_motion(of_end_diastole: Preop) -> None:
-    model = model_from_preop(of_end_diastole, options=COARSE)
-    check_chambers(model)
-    for mesh, scale in zip(model.reference, SCALES, strict=True):
+@pytest.fixture(scope="module")
+def model_of_end_diastole(of_end_diastole: Preop) -> DvfModel:
+    return model_from_preop(of_end_diastole, options=COARSE)
+
+
+def test_labels_of_end_diastole_go_with_the_motion(model_of_end_diastole: DvfModel) -> None:
+    check_chambers(model_of_end_diastole)
+    for mesh, scale in zip(model_of_end_diastole.reference, SCALES, strict=True):
         assert np.abs(np.linalg.norm(mesh.vertices_mm, axis=1) - OUTER_MM * scale).mean() < 0.2 * VOXEL_MM
 
 
-def test_unnamed_labels_are_told_by_their_values(of_end_diastole: Preop) -> None:
+def test_unnamed_labels_are_told_by_their_values(
+    of_end_diastole: Preop, model_of_end_diastole: DvfModel
+) -> None:
     """All but 0 is the organ; the first cavity is the left ventricle's, whose volume gives end-systole."""
     unnamed = replace(of_end_diastole, label_names=(), organ_labels=(), cavity_labels=(LV, RV))
     model = model_from_preop(unnamed, options=COARSE)
-    named = model_from_preop(of_end_diastole, options=COARSE)
     assert [c.name for c in model.chambers] == ["label 3", "label 1"]
-    assert np.array_equal(model.coefficients, named.coefficients)
+    assert np.array_equal(model.coefficients, model_of_end_diastole.coefficients)
     without = model_from_preop(replace(unnamed, cavity_labels=()), options=COARSE)
     assert without.chambers == ()
 

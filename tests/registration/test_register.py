@@ -153,7 +153,7 @@ def _eight_landmarks(pose: Rigid) -> LandmarkPrior:
 
 
 @pytest.mark.parametrize("touched", [False, True])
-@pytest.mark.parametrize("away_mm", [80.0, 120.0, 160.0, 1000.0])
+@pytest.mark.parametrize("away_mm", [80.0, 160.0, 1000.0])
 def test_slices_at_the_edge_of_the_model_or_far_from_it_are_refused(away_mm: float, touched: bool) -> None:
     """As with the poses of another marker: few pixels within the model, or none."""
     levels = _levels(speckle=0.3)

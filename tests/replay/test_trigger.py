@@ -76,8 +76,8 @@ def test_ticks_go_on_where_a_trigger_is_silent(scenario: Scenario) -> None:
         tick_times(replace(scenario, ecg=TriggerTimes(np.array([1e4, 1e4 + 2.0]))))
 
 
-def test_a_folder_keeps_the_trigger(scenario: Scenario, tmp_path: Path) -> None:
-    triggered = with_trigger(scenario)
+def test_a_folder_keeps_the_trigger(brief: Scenario, tmp_path: Path) -> None:
+    triggered = with_trigger(brief)
     write_scenario(triggered, tmp_path / "s")
     back = read_scenario(tmp_path / "s").ecg
     assert isinstance(back, TriggerTimes)

@@ -69,7 +69,7 @@ def test_a_trial_counts_beats_until_a_shift_is_found_and_how_far_a_drift_is_foll
     assert 0.0 < lags[0] < lags[1] < lags[2] < 2.0
 
 
-@pytest.mark.usefixtures("known_registration")
+@pytest.mark.usefixtures("known_registrations")
 def test_beats_of_a_recording_are_displaced_when_its_session_has_ended(
     scenario: Scenario, replay: Replay, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -23,6 +23,7 @@ ORIGIN_S = 5000.0
 LATENCY_S = 0.004
 NAMES = DeviceNames("ProbeToTracker", "ToolToTracker", "Image_Tracker", chest="ChestToTracker")
 STEP_S = 0.01
+UNGUIDED_STEP_S = 0.05
 
 
 class ReadyInbox(Inbox):
@@ -48,9 +49,10 @@ class Sent:
 
 
 class LiveToy:
-    """A live session of the toy's patient, advanced by `run`."""
+    """A live session of the toy's patient, advanced by `run`; `guided_from_s` ends its longer steps."""
 
-    def __init__(self, session: Session) -> None:
+    def __init__(self, session: Session, guided_from_s: float = 0.0) -> None:
+        self.guided_from_s = guided_from_s
         self.now_s, self.sent = 0.0, Sent()
         self.told: list[str] = []
         self.answers: list[Answer] = []
@@ -68,10 +70,11 @@ class LiveToy:
         )
 
     def run(self, arrivals: list[Arrival], until_s: float) -> None:
-        """Let time pass in steps of STEP_S; arrivals in order."""
+        """Let time pass in steps; arrivals in order."""
         waiting = [a for a in arrivals if a.arrived_s > self.now_s]
         while self.now_s < until_s - 1e-9:
-            self.now_s = round(self.now_s + STEP_S, 9)
+            step_s = STEP_S if self.now_s >= self.guided_from_s else UNGUIDED_STEP_S
+            self.now_s = round(min(self.now_s + step_s, until_s), 9)
             while waiting and waiting[0].arrived_s <= self.now_s:
                 self.inbox.put(waiting.pop(0))
             self.loop.step()

@@ -46,16 +46,16 @@ def about_the_heart(labels: SimpleITK.Image) -> tuple[slice, slice]:
 
 @pytest.fixture(scope="module")
 def expert(data_dir: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Every sixth frame of a real cine, cropped to the heart; the third (number 2) is end-systole."""
+    """Every sixth frame and second pixel of a real cine, cropped to the heart; frame 2 is end-systole."""
     here, source = tmp_path_factory.mktemp("acdc"), data_dir / "acdc-cine" / "patient008"
     if not source.is_dir():
         pytest.skip(f"no cine at {source}")
     ed, es = (SimpleITK.ReadImage(str(source / f"{name}_labels.nii.gz")) for name in ("ed", "es"))
     x, y = about_the_heart(ed)
     grey = SimpleITK.ReadImage(str(source / "cine_4d.nii.gz"))
-    SimpleITK.WriteImage(grey[x, y, :, 0:28:6], str(here / "cine.nii.gz"))
-    SimpleITK.WriteImage(ed[x, y, :], str(here / "ed.nii.gz"))
-    SimpleITK.WriteImage(es[x, y, :], str(here / "es.nii.gz"))
+    SimpleITK.WriteImage(grey[x, y, :, 0:28:6][::2, ::2], str(here / "cine.nii.gz"))
+    for name, labels in (("ed", ed), ("es", es)):
+        SimpleITK.WriteImage(labels[x, y, :][::2, ::2], str(here / f"{name}.nii.gz"))
     return here
 
 
@@ -138,6 +138,7 @@ def test_a_real_cine_with_distant_slices_gives_a_model_and_says_what_is_missing(
         *("--cavity", 2, "--patient", "patient1", "--knot-mm", 8, "-o", tmp_path / "heart.npz"),
     )
     assert "slices lie 17.7 mm apart" in done.stderr
+    assert "the motion folds" not in done.stderr
     model = read_model(tmp_path / "heart.npz", "patient1")
     assert model.timing.rr_s == pytest.approx(0.829, abs=0.001)
     assert [chamber.name for chamber in model.chambers] == ["label 2"]

@@ -165,9 +165,9 @@ def test_without_a_folder_or_with_two_presets_it_is_a_usage_error(tmp_path: Path
 
 
 def test_the_folder_tells_what_is_in_it_but_no_true_value(
-    tmp_path: Path, scenario: Scenario, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, brief: Scenario, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("data_synth.phantom_scenario", lambda spec, report: scenario)
+    monkeypatch.setattr("data_synth.phantom_scenario", lambda spec, report: brief)
     out = tmp_path / "made"
     for _ in range(2):  # a folder of ours is replaced
         done = CliRunner().invoke(app, ["scenario", "--preset", "probe slip", "-o", str(out)])
@@ -175,8 +175,8 @@ def test_the_folder_tells_what_is_in_it_but_no_true_value(
     readme = (out / "README.md").read_text()
     for fault in describe_faults(PRESETS["probe-slip"]):
         assert fault in readme
-    assert scenario.truth is not None
-    assert f"{scenario.truth.lag_s:.3f}" not in readme
+    assert brief.truth is not None
+    assert f"{brief.truth.lag_s:.3f}" not in readme
     for path in out.rglob("*"):
         if path.is_file() and path.suffix not in (".md", ".png") and "truth" not in path.parts:
             listed = path.name in readme or any(
@@ -186,13 +186,13 @@ def test_the_folder_tells_what_is_in_it_but_no_true_value(
     assert (out / "preview.png").read_bytes()[:4] == b"\x89PNG"
     spec = scenario_spec(read_spec(out / "truth" / "spec.yaml"))
     assert spec.options == PRESETS["probe-slip"]
-    assert len(read_scenario(out).ultrasound) == len(scenario.ultrasound)
+    assert len(read_scenario(out).ultrasound) == len(brief.ultrasound)
 
 
-def test_notes_are_optional_and_reading_ignores_them(tmp_path: Path, scenario: Scenario) -> None:
-    write_scenario(scenario, tmp_path / "plain")
+def test_notes_are_optional_and_reading_ignores_them(tmp_path: Path, brief: Scenario) -> None:
+    write_scenario(brief, tmp_path / "plain")
     assert not (tmp_path / "plain" / "README.md").exists()
     assert not (tmp_path / "plain" / "truth" / "spec.yaml").exists()
-    write_scenario(scenario, tmp_path / "plain", ScenarioNotes())
+    write_scenario(brief, tmp_path / "plain", ScenarioNotes())
     assert (tmp_path / "plain" / "README.md").is_file()
     assert not (tmp_path / "plain" / "truth" / "spec.yaml").exists()

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 import SimpleITK
 
-from data_synth.heart.anatomy import PhantomAnatomy, phantom_anatomy
+from data_synth.heart.anatomy import PhantomAnatomy
 from data_synth.heart.motion_report import MotionReport
 from data_synth.heart.tissue import Tissue
 from data_synth.realism import gates as realism
@@ -48,12 +48,7 @@ def test_muscle_returns_less_where_its_wall_runs_along_the_beam() -> None:
     assert failed([realism.anisotropy_gate()]) == []
 
 
-def test_speckle_follows_the_gently_beating_wall() -> None:
-    heart = phantom_anatomy(motion="paper5mm", mismatch_mm=1.2, seed=2)
-    assert failed(beating_gates(heart, EARLY_SYSTOLE["paper5mm"])) == []
-
-
-def test_speckle_follows_the_physiologically_beating_wall(anatomy: PhantomAnatomy) -> None:
+def test_speckle_follows_the_beating_wall(anatomy: PhantomAnatomy) -> None:
     assert failed(beating_gates(anatomy, EARLY_SYSTOLE["physiological"])) == []
 
 

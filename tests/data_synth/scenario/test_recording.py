@@ -90,9 +90,8 @@ def test_a_longer_recording_keeps_what_does_not_depend_on_its_length() -> None:
 
 
 @pytest.mark.usefixtures("on_a_ball")
-@pytest.mark.parametrize("seed", [1, 2])
-def test_a_minute_keeps_its_promises(seed: int, ball: Any) -> None:
-    made = phantom_scenario(ScenarioSpec(seed=seed))
+def test_a_minute_keeps_its_promises(ball: Any) -> None:
+    made = phantom_scenario(ScenarioSpec(seed=1))
     truth = made.truth
     assert truth is not None
     contact = truth.tool

@@ -1,5 +1,6 @@
 """Ultrasound of labelled volumes: a small synthetic one, and the real whole heart."""
 
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,7 @@ import typer
 from typer.testing import CliRunner
 
 from data_synth.heart.tissue import Tissue
-from data_synth.ultrasound.label_anatomy import label_anatomy
+from data_synth.ultrasound.label_anatomy import LabelAnatomy, label_anatomy
 from data_synth.ultrasound.presets import PROBES
 from data_synth.ultrasound.probe import SectorProbe
 from data_synth.ultrasound.sequence import simulate_frame
@@ -35,6 +36,11 @@ def two_chambers() -> Volume:
     return Volume(grid, values)
 
 
+@cache
+def made() -> LabelAnatomy:
+    return label_anatomy(two_chambers())
+
+
 def codes_at(anatomy_codes: AnyArray, origin: AnyArray, xyz: AnyArray) -> AnyArray:
     index = np.rint(xyz - origin).astype(int)
     return anatomy_codes[tuple(index.T)]
@@ -42,7 +48,7 @@ def codes_at(anatomy_codes: AnyArray, origin: AnyArray, xyz: AnyArray) -> AnyArr
 
 def test_tissues_stand_where_the_labels_do() -> None:
     labels = two_chambers()
-    reference = label_anatomy(labels).reference
+    reference = made().reference
     centers = labels.grid.to_mm(np.array([[24.0, 22, 20], [24, 22, 46], [24, 34, 20]]))
     found = codes_at(reference.inner, reference.origin_mm, centers)
     assert found.tolist() == [Tissue.LV_BLOOD, Tissue.LA_BLOOD, Tissue.LV_MYOCARDIUM]
@@ -52,7 +58,7 @@ def test_tissues_stand_where_the_labels_do() -> None:
 
 def test_bare_blood_gets_a_wall_and_the_heart_fat_and_pericardium() -> None:
     labels = two_chambers()
-    reference = label_anatomy(labels).reference
+    reference = made().reference
     inside = reference.organ_mm > 0
     wall = inside & (reference.inner == Tissue.ATRIAL_WALL)
     assert 1500 < wall.sum() < 9000  # mm³: about 2 mm around an atrium of 16 mm radius, less the valve's side
@@ -68,7 +74,7 @@ def test_bare_blood_gets_a_wall_and_the_heart_fat_and_pericardium() -> None:
 
 def test_blood_is_dark_and_myocardium_bright_in_the_image() -> None:
     labels = two_chambers()
-    anatomy = label_anatomy(labels)
+    anatomy = made()
     probe = PROBES["epicardial"]
     assert isinstance(probe, SectorProbe)
     lv = labels.grid.to_mm(np.array([24.0, 22.0, 20.0]))
@@ -86,9 +92,9 @@ def test_blood_is_dark_and_myocardium_bright_in_the_image() -> None:
 def test_missing_chambers_and_odd_labels_are_refused() -> None:
     labels = two_chambers()
     with pytest.raises(InvalidInputError, match="rv_blood"):
-        standard_view("apical four-chamber", label_anatomy(labels).reference)
+        standard_view("apical four-chamber", made().reference)
     with pytest.raises(InvalidInputError, match="choose from apical"):
-        standard_view("from afar", label_anatomy(labels).reference)
+        standard_view("from afar", made().reference)
     with pytest.raises(InvalidInputError, match="no voxel carries"):
         label_anatomy(labels, {9: Tissue.LIVER})
     with pytest.raises(InvalidInputError, match="fractions"):

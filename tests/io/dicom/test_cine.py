@@ -82,6 +82,7 @@ def test_every_voxel_lies_at_its_place_and_time(folder: Path) -> None:
     assert not series.timing.timing_assumed
 
 
+@pytest.mark.usefixtures("quick")
 def test_it_is_the_image_that_simpleitk_reads(folder: Path) -> None:
     """SimpleITK's own series reader orders the slices of a phase; voxels lie where it puts them."""
     import SimpleITK
@@ -96,6 +97,7 @@ def test_it_is_the_image_that_simpleitk_reads(folder: Path) -> None:
     np.testing.assert_allclose(cine.grid.to_mm(np.array([5.0, 7, 3])), far, atol=1e-4)
 
 
+@pytest.mark.usefixtures("quick")
 def test_inspect_says_whose_it_is(folder: Path) -> None:
     told = describe(str(folder))
     assert told.kind == "cine of DICOM images"
@@ -105,6 +107,7 @@ def test_inspect_says_whose_it_is(folder: Path) -> None:
     assert image_dimension(folder) == 4
 
 
+@pytest.mark.usefixtures("quick")
 def test_rescale_slope_and_other_files(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     def halves(data: Any, number: int, phase: int) -> None:
         data.RescaleSlope, data.RescaleIntercept = 0.5, -1
@@ -199,6 +202,7 @@ def enhanced(path: Path, change: Callable[[Any], None] = lambda data: None) -> P
     return path
 
 
+@pytest.mark.usefixtures("quick")
 def test_an_enhanced_file_is_the_classic_stack(tmp_path: Path, folder: Path) -> None:
     classic, one = read_dicom_cine(folder), read_dicom_cine(enhanced(tmp_path / "IM1"))
     np.testing.assert_array_equal(one.values, classic.values)

@@ -7,17 +7,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from dvf_ig.core import CycleTiming, Grid, InvalidInputError, Volume, VolumeSeries
-from dvf_ig.io import read_surface_series, read_volume_series
 from dvf_ig.preop import (
     MotionOptions,
-    build_triangle_tree,
     cavity_volumes_mm3,
-    close_surface,
     dice,
     propagate_labels,
     track_cycle,
 )
-from dvf_ig.preop.distance.signed import inside_mask
 from dvf_ig.preop.motion.cycle import propagate_surface
 from dvf_ig.preop.motion.demons import DisplacementField
 from dvf_ig.preop.motion.free_form import Bending, FreeForm, Lattice, volume_ratio
@@ -187,34 +183,6 @@ def test_lattice_algebra():
     moved, everywhere = lattice.on_voxels(stretch), np.ones(grid.shape, dtype=bool)
     ratio = volume_ratio(moved, grid.spacing_mm, everywhere)
     np.testing.assert_allclose(ratio, 1.1 * 0.8 * 1.3, rtol=1e-9)
-
-
-def test_a_real_cine_is_followed_without_folding(data_dir):
-    """Against the surfaces that an automatic tool fitted to this cine; slices 17.7 mm apart."""
-    whole = read_volume_series(data_dir / "bivme-cine" / "sax_4d.nii.gz")
-    chosen = np.arange(0, 25, 6)
-    timing = CycleTiming(whole.timing.fractions[chosen], whole.timing.rr_s)
-    fitted = close_surface(read_surface_series(data_dir / "bivme-cine", "EPICARDIAL"))
-    vertices = fitted.vertices_mm[chosen]
-    there = whole.grid.to_index(vertices.reshape(-1, 3))[:, :2]
-    low, high = there.min(axis=0).astype(int) - 30, there.max(axis=0).astype(int) + 30
-    values = whole.values[chosen][:, low[0] : high[0] : 2, low[1] : high[1] : 2]
-    spacing = whole.grid.spacing_mm * [2.0, 2.0, 1.0]
-    origin_mm = whole.grid.to_mm(np.array([*low, 0.0]))
-    grid = Grid("mr", values.shape[1:], origin_mm, spacing, whole.grid.direction)
-    image = VolumeSeries(grid, values, timing)
-    organ = inside_mask(image.grid.to_index(vertices[0]), fitted.triangles, image.grid.shape)
-    motion = track_cycle(image, organ)
-    quality = assess_motion(motion, image, organ)
-    assert quality.slice_pitch_mm == pytest.approx(17.7, abs=0.01)
-    assert not quality.folds
-    assert (quality.correlation[1:] > quality.correlation_before[1:]).all()
-    still, estimated = [], []
-    for deformation, there in zip(motion.deformations[1:], vertices[1:], strict=True):
-        tree = build_triangle_tree(there, fitted.triangles)
-        still.append(tree.distance_mm(vertices[0]).mean())
-        estimated.append(tree.distance_mm(deformation.move(vertices[0])).mean())
-    assert np.mean(estimated) < np.mean(still)
 
 
 def test_refusals(ball):

@@ -124,7 +124,7 @@ def test_a_mirrored_model_is_the_model_at_mirrored_places() -> None:
 def brain() -> OrganPair:
     """With labels on a coarser grid than studies have: quick."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("data_synth.organ_pair.brain.VOXEL_MM", 1.6)
+        patch.setattr("data_synth.organ_pair.brain.VOXEL_MM", 2.0)
         return organ_pair(1002)
 
 

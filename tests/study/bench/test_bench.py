@@ -32,7 +32,7 @@ def model() -> DvfModel:
 
 def test_covariance_tree_finds_the_exact_distance(model: DvfModel) -> None:
     mesh = model.reference[0]
-    points = random_points(mesh, 400, np.random.default_rng(1))
+    points = random_points(mesh, 150, np.random.default_rng(1))
     search = CovarianceTree(mesh)
     exact = build_triangle_tree(mesh.vertices_mm, mesh.triangles).distance_mm(points)
     np.testing.assert_allclose(search.distances_mm(points), exact, atol=1e-9)

@@ -47,7 +47,7 @@ def test_the_rhythm_goes_on_at_the_seam(recorded: Round) -> None:
     assert np.mean(locked) > 0.97
 
 
-@pytest.mark.usefixtures("known_registration")
+@pytest.mark.usefixtures("known_registrations")
 def test_a_session_is_measured(replay: Replay, recorded: Round) -> None:
     done = run_session(replay.setup, recorded, 15.0)
     state, beat = done.rows
