@@ -99,6 +99,14 @@ class PullBack(Protocol):
         ...
 
 
+class HeartMotion(PullBack, Protocol):
+    """Motion χ and its inverse, frame "mr", at one phase for all points or one for each."""
+
+    def push_forward(self, xyz_mm: FloatArray, model_phase: FloatArray | float) -> FloatArray:
+        """Compute (n, 3) positions of (n, 3) end-diastolic points."""
+        ...
+
+
 @read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class InverseMotion:

@@ -11,13 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
+from data_synth.heart.motion import HeartMotion
 from data_synth.heart.reference import ReferenceMap
 from data_synth.seeds import child_rng
 from dvf_ig.core import FloatArray, IntArray, Landmarks, Rigid, read_only_arrays
 
 from .drawn import Drawn
 from .random_fields import GridField, grid_nodes, random_displacement_field, solved_inverse
-from .resting_heart import HeartMotion, RestingHeart, box_of
+from .resting_heart import RestingHeart, box_of
 from .rigid_fit import best_rigid
 
 TABLE_MM = 4.0
@@ -166,7 +167,7 @@ def changed_heart(heart: RestingHeart, reference: ReferenceMap, drawn: Drawn) ->
 
 def _settled(heart: RestingHeart, motion: ChangedMotion) -> tuple[ChangedMotion, float]:
     """Find C; return the motion with it and the remaining RMS."""
-    before = heart.contracting(1.0)
+    before = heart.resting_motion
     loaded = solved_inverse(motion.load, heart.ed_vertices_mm)
     phases = np.arange(FIT_PHASES) / FIT_PHASES
     now = np.concatenate([motion.surface(loaded, p) for p in phases.tolist()])

@@ -50,7 +50,7 @@ def trial(_: Settings, seed: int) -> Line:
     line: Line = {}
     seen: SeenPart | None = None
     for name in EXAMS:
-        exam = examination(anatomy, name, child_rng(spec.seeds.anatomy, "preop"))
+        exam = examination(anatomy, anatomy.reference, name, child_rng(spec.seeds.anatomy, "preop"))
         built = _built(exam)
         line[name] = _scores(anatomy, exam, built)
         seen = built.model.seen

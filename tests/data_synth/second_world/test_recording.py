@@ -93,7 +93,7 @@ def test_tissue_rides_on_the_motion_of_the_surface(room: OperatingRoom) -> None:
 def test_the_true_pose_is_the_best_rigid_one_of_the_moving_surface(room: OperatingRoom) -> None:
     phases = (np.arange(16) / 16).tolist()
     then = np.concatenate(
-        [room.heart.contracting(1.0).push_forward(room.heart.ed_vertices_mm, p) for p in phases]
+        [room.heart.resting_motion.push_forward(room.heart.ed_vertices_mm, p) for p in phases]
     )
     now = np.concatenate([room.changed.surface_vertices(p) for p in phases])
     weights = np.tile(vertex_areas(room.heart.ed_vertices_mm, room.heart.triangles), 16)
