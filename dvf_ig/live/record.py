@@ -20,7 +20,7 @@ from dvf_ig.intake.session_log.live import (
 )
 from dvf_ig.io.ros.log_file import UNFINISHED, LogWriter, require_log_packages
 from dvf_ig.io.writing.place import failure_reason
-from dvf_ig.session import Event, GuidanceState, Job, ThreadedExecutor, TrackedFrame
+from dvf_ig.session import Event, GuidanceState, Job, ThreadedExecutor, ToolPose, TrackedFrame
 
 from .priority import RECORDING, schedule_first
 
@@ -101,6 +101,7 @@ class SessionRecord:
         self._now_s = 0.0
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._write_all, name="dvf-ig record", daemon=True)
+        self._missing = {ToolPose: "pose of the tool", TrackedFrame: "ultrasound"}
         self.lost = 0
         """Events, states and answers that were left out."""
         self.failure: str | None = None
@@ -112,6 +113,11 @@ class SessionRecord:
         return self._bytes_in == 0 and self.lost == 0
 
     @property
+    def missing(self) -> str | None:
+        """First stream that a replay needs of which nothing came; None if none is missing."""
+        return next(iter(self._missing.values()), None)
+
+    @property
     def problem(self) -> str | None:
         if self.failure is not None:
             return f"the record ended, the session goes on: {self.failure}"
@@ -120,6 +126,7 @@ class SessionRecord:
         return None
 
     def event(self, event: Event, arrived_s: float | None) -> None:
+        self._missing.pop(type(event), None)
         image = event.image if isinstance(event, TrackedFrame) else None
         size = SMALL_BYTES if image is None else SMALL_BYTES + image.nbytes
         arrived = float("nan") if arrived_s is None else arrived_s
