@@ -94,8 +94,8 @@ def examine(
 def segmented(examined: Examination, heart: RestingHeart, fields: TissueFields, drawn: Drawn) -> Preop:
     """Take the cines of an examination, with labels as an observer draws them at end-diastole."""
     grid = examined.sax.image.grid
-    held = SliceErrors(np.zeros((grid.shape[2], 1)), examined.sax.slice_shift_mm)
-    material = _material(grid, heart.resting_motion, held, 0)
+    errors = SliceErrors(np.zeros((grid.shape[2], 1)), examined.sax.slice_shift_mm)
+    material = _material(grid, heart.resting_motion, errors, 0)
     contours = _ContourErrors(grid, fields, drawn).labels(material, 0)
     return examined.preop(f"second-world-{drawn.seed}", contours)
 

@@ -44,10 +44,10 @@ def read_source(run: Path, recording: Path | None, model: Path | None) -> Source
     if file is not None:
         require_place("model", file, run, "--model FILE")
     files = read_session(place)
-    found = read_exported_run(run, files.scenario)
+    exported = read_exported_run(run, files.scenario)
     given = files.model or file
-    built, _ = patient_model(found.scenario.preop, given)
-    return Source(found, built, None if given is None else built)
+    built, _ = patient_model(exported.scenario.preop, given)
+    return Source(exported, built, None if given is None else built)
 
 
 @app.command("slicer")

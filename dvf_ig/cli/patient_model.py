@@ -20,5 +20,5 @@ def patient_model(preop: "Preop", given: "DvfModel | Path | None") -> "tuple[Dvf
     if given is not None:
         return read_model(given, patient_id=preop.patient_id), f"model from {given}"
     with progress("model") as report:
-        found = cached_model(preop, progress=report)
-    return found.model, found.remark
+        cached = cached_model(preop, progress=report)
+    return cached.model, cached.remark

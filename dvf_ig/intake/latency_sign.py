@@ -32,13 +32,13 @@ def reversed_log_ratio(
     if abs(lag_s) < LEAST_LAG_S or not len(images.t_s):
         return 0.0
     points_mm = grid_mm(image, shape)
-    given, seen = _moved_mm(images, probe, points_mm, lag_s)
+    moved_mm, seen = _moved_mm(images, probe, points_mm, lag_s)
     other, seen_other = _moved_mm(images, probe, points_mm, -lag_s)
     inside = seen & seen_other
     if (count := int(np.count_nonzero(inside))) < LEAST_PAIRS:
         return 0.0
     change = np.log(images.change[inside])
-    left = [residual_of_fit(without_heart(moved[inside]), change)[0] for moved in (given, other)]
+    left = [residual_of_fit(without_heart(moved[inside]), change)[0] for moved in (moved_mm, other)]
     return float(0.25 * count * np.log(left[0] / left[1]))
 
 

@@ -162,8 +162,8 @@ def images_of_frames(
         for pitch in (COARSE_PITCH_MM, FINE_PITCH_MM)
     )
     boundary = None if heart.surface is None else boundary_points(fine.slices)
-    known = heart.beats_update_pose or heart.covered is not None
-    options = SWEEP if known else replace(SWEEP, kind=None)
+    follows = heart.beats_update_pose or heart.covered is not None
+    options = SWEEP if follows else replace(SWEEP, kind=None)
     return UltrasoundImages(
         coarse,
         fine,

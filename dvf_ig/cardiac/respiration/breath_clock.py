@@ -216,10 +216,10 @@ class BreathClock:
         if not self._count:
             return out
         table = self._table[: self._count]
-        known = (times >= table[0, 0]) & (times <= table[-1, 0])
-        out[known, 0] = 1.0
+        inside = (times >= table[0, 0]) & (times <= table[-1, 0])
+        out[inside, 0] = 1.0
         for k in (1, 2, 3):
-            out[known, k] = np.interp(times[known], table[:, 0], table[:, k])
+            out[inside, k] = np.interp(times[inside], table[:, 0], table[:, k])
         later = (times > table[-1, 0]) & (times <= table[-1, 0] + HORIZONS * STEP_S)
         for i in np.flatnonzero(later).tolist():
             ahead_s = float(times[i] - table[-1, 0])

@@ -122,8 +122,8 @@ def serve(
             options = replace(options, device=limits_of(hardware, options.device))
         ready = live_setup(files, model, fixture_options.with_margin(options, margin), mode, seed)
         typer.echo(ready.origin, err=True)
-        for found in ready.findings:
-            warn(f"{found.key}: {found.sentence}")
+        for finding in ready.findings:
+            warn(f"{finding.key}: {finding.sentence}")
         _serve(ready, live, page, seconds, out, hardware, as_json=as_json)
 
 

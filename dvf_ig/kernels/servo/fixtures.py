@@ -348,7 +348,7 @@ def _note_parts(bound: Any, scratch: Any, pose: Columns, phase: Phase, xyz: Floa
             total += forces[i, k] if of.forbidden[i] != 0.0 else 0.0
         before += total * total
         pushed += total * composed.forbidden_n[k]
-    kept = pushed / before if before > 0.0 else 0.0
+    remaining = pushed / before if before > 0.0 else 0.0
     for i in range(count):
         field = (scratch.fields[i, 0], scratch.fields[i, 1], scratch.fields[i, 2])
         square = dot(field, field)
@@ -356,7 +356,7 @@ def _note_parts(bound: Any, scratch: Any, pose: Columns, phase: Phase, xyz: Floa
         if square > 0.0:
             per = -distance_rate(pose, phase, xyz, field, scratch.fields[i, 3]) / square
         turned = _to_tracker(pose, field)
-        share = kept
+        share = remaining
         if of.forbidden[i] == 0.0:
             size = math.sqrt(forces[i, 0] ** 2 + forces[i, 1] ** 2 + forces[i, 2] ** 2)
             share = size / guided if guided > 0.0 else 0.0

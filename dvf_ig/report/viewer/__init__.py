@@ -1,6 +1,5 @@
 """Interactive viewer: scene, time series and live events as JSON, and the page that shows them."""
 
-from .event import shaft_in_tool as shaft_in_tool
 from .event import state_event as state_event
 from .frames import FrameSeries as FrameSeries
 from .frames import frame_event as frame_event

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from dvf_ig.core import FloatArray, PhaseState
-from dvf_ig.guidance import Hazard
+from dvf_ig.guidance import Hazard, Tool
 from dvf_ig.guidance.servo import SentForce
 from dvf_ig.session import GuidanceState
 
@@ -16,12 +16,13 @@ from .series import FORCE_MR, FORCE_TRACKER, SHAFT, STEPS, TIP
 _DECIMALS = {name: max(0, round(-np.log10(step))) for name, step in STEPS.items()}
 
 
-def state_event(state: GuidanceState, sent: SentForce | None = None) -> dict[str, Any]:
+def state_event(state: GuidanceState, tool: Tool, sent: SentForce | None = None) -> dict[str, Any]:
     """Build the fields that every live event has (`dvf_ig/report/web/README.md`).
 
     The caller adds new data: `ecg`, `r_peaks_s`, `frame` (see `frame_event`) and `marks`.
 
     Args:
+        tool: on which the fixtures act.
         sent: force of a haptic device's own servo, which is shown then.
     """
     now_s, phase, transform = state.now_s, state.phase, state.transform
@@ -32,7 +33,8 @@ def state_event(state: GuidanceState, sent: SentForce | None = None) -> dict[str
         force_mr = pose.rotation @ force_n
         if not state.tool.hazard:
             tip = pose.apply_array(state.tool.tip_tracker_mm)
-            shaft = pose.rotation @ state.tool.rotation @ shaft_in_tool(state.calibrations.tip.xyz_mm[0])
+            tip_mm, turn = state.calibrations.tip.xyz_mm[0], state.tool.rotation[None]
+            shaft = pose.rotation @ tool.handle_direction(tip_mm, state.tool.tip_tracker_mm[None], turn)[0]
     numbers = {
         "t_s": now_s,
         "phi": phase.phi,
@@ -58,12 +60,6 @@ def state_event(state: GuidanceState, sent: SentForce | None = None) -> dict[str
         "supervisor": (state.supervisor if sent is None else sent.state).name.lower(),
         "hazards": "|".join(one.name.lower() for one in hazards if one.name),
     }
-
-
-def shaft_in_tool(tip_mm: FloatArray) -> FloatArray:
-    """Return the (3,) unit vector from the tip (3,) to the tool's sensor; z if they coincide."""
-    length = float(np.linalg.norm(tip_mm))
-    return -tip_mm / length if length > 1e-6 else np.array([0.0, 0.0, 1.0])
 
 
 def _axes(names: tuple[str, ...], vector: FloatArray) -> dict[str, float]:
