@@ -21,17 +21,17 @@ from data_synth.realism.gates import (
     attenuation_gates,
     contrast_gates,
     elevation_gate,
+    heart_gates,
     homogeneous,
     level_gates,
     point_gates,
+    real_pair_gates,
     speckle_gates,
     texture_gates,
 )
 from data_synth.realism.grey_levels import GreyLevels, grey_levels
-from data_synth.realism.heart import heart_gates
 from data_synth.realism.motion import EARLY_SYSTOLE, beating_gates, block_matching_gates
 from data_synth.realism.pictures import attenuation_db, contrasts_db, heart_views, points_db
-from data_synth.realism.scan import real_pair_gates
 from data_synth.ultrasound.sequence import simulate_sequence
 from data_synth.ultrasound.views import standard_view
 from data_synth.ultrasound.volume import MatrixProbe, simulate_volume

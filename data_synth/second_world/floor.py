@@ -6,8 +6,8 @@ import numpy as np
 
 from dvf_ig.core import FloatArray, Landmarks, Rigid
 
+from .changed_heart import best_rigid
 from .operating_room import OperatingRoom
-from .rigid_fit import best_rigid
 
 _PER_IMAGE = 40
 

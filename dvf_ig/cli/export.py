@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 import typer
 from typer import Argument
 
-from .patient_model import patient_model
 from .recorded import ModelOption, RecordingOption, require_place
+from .session_argument import patient_model
 from .shell import JsonFlag, SeedOption, command, emit, out_file, out_folder, wrote
 
 if TYPE_CHECKING:

@@ -7,9 +7,8 @@ import typer
 from typer import Argument
 
 from . import fixture_options
-from .patient_model import patient_model
 from .run_outputs import run_files, write_run
-from .session_argument import SESSION, ModelOption, read_agreeing
+from .session_argument import SESSION, ModelOption, patient_model, read_agreeing
 from .shell import JsonFlag, SeedOption, ThreadsOption, command, emit, out_folder, progress, warn, wrote
 
 

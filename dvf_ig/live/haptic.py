@@ -32,7 +32,7 @@ from dvf_ig.guidance.servo.record import deadlines_together
 from dvf_ig.guidance.servo.servo import LATE_NS
 from dvf_ig.session import GuidanceState, ToolPose
 
-from .timed import LiveEvent
+from .frames import LiveEvent
 
 POSES_S = 0.009
 """Poses of the tip reach the session this far apart or further: about as often as it gives a state."""

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 
 from dvf_ig.core import DvfModel, FloatArray, Rigid, TrackedVolume, read_only_arrays
-from dvf_ig.core.threads import thread_pool
+from dvf_ig.core.progress import thread_pool
 from dvf_ig.kernels.compiled import thread_count
 from dvf_ig.registration.boundary.fit import Boundary
 from dvf_ig.registration.boundary.points import BoundaryPoints, boundary_points

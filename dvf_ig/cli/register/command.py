@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from typer import Argument, Option
 
-from dvf_ig.cli.patient_model import patient_model
-from dvf_ig.cli.session_argument import SESSION, ModelOption, read_agreeing
+from dvf_ig.cli.session_argument import SESSION, ModelOption, patient_model, read_agreeing
 from dvf_ig.cli.shell import JsonFlag, SeedOption, ThreadsOption, command, emit, progress, warn
 
 from .output import files_of, output_of_register, payload_of, require_usable, rows_of

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dvf_ig.cli.patient_model import patient_model
 from dvf_ig.cli.run_outputs import run_files, write_run
+from dvf_ig.cli.session_argument import patient_model
 from dvf_ig.cli.shell import warn, wrote
 
 if TYPE_CHECKING:

@@ -16,8 +16,8 @@ from dvf_ig.core import (
     VolumeSeries,
     read_only_arrays,
 )
+from dvf_ig.core.progress import thread_pool
 from dvf_ig.core.space.mesh import enclosed_volume_mm3
-from dvf_ig.core.threads import thread_pool
 from dvf_ig.preop.components import largest_component
 
 SMOOTHING_VOXELS = 1.0

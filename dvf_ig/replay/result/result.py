@@ -148,7 +148,7 @@ def result_of(replay: Replay) -> dict[str, Any]:
         "fixtures": [one.described() for one in replay.setup.fixtures.fixtures],
         "fixtures_cap_n": replay.setup.fixtures.joint_cap_n,
         "device": None if device is None else device.model_dump(),
-        "tool": None if tool is None else tool.model_dump(),
+        "tool": None if tool is None else tool.model_dump(mode="json"),
         "retiming": replay.setup.retiming,
         "margin": margin_fields(replay),
         "no_force": _no_force(replay),

@@ -13,7 +13,7 @@ from data_synth.heart import anatomy
 from data_synth.heart.outline import outline
 from data_synth.heart.tissue import Tissue
 from data_synth.second_world import tissue_fields
-from data_synth.second_world.changed_heart import vertex_areas
+from data_synth.second_world.changed_heart import best_rigid, vertex_areas
 from data_synth.second_world.cine import examine, segmented
 from data_synth.second_world.drawn import Drawn
 from data_synth.second_world.echo_images import drawn_display, echo_images
@@ -29,7 +29,6 @@ from data_synth.second_world.recording import (
     SecondWorldSpec,
     second_world_recording,
 )
-from data_synth.second_world.rigid_fit import best_rigid
 from data_synth.second_world.sweeps import sweep
 from data_synth.ultrasound.volume import MatrixProbe
 from dvf_ig.cli.register.command import register_session
