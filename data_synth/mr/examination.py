@@ -53,32 +53,26 @@ class ExaminedHeart(Protocol):
     @property
     def mr_from_heart(self) -> Rigid:
         """Frame of its shapes, whose x axis points towards the right heart."""
-        ...
 
     @property
     def resting_motion(self) -> HeartMotion:
         """Its motion."""
-        ...
 
     @property
     def ed_vertices_mm(self) -> FloatArray:
         """(v, 3) epicardial surface at end-diastole."""
-        ...
 
     @property
     def long_axis_mm(self) -> FloatArray:
         """(2, 3) epicardial apex of the left ventricle and middle of its base at end-diastole."""
-        ...
 
     @property
     def rr_s(self) -> float:
         """RR interval for which its motion holds."""
-        ...
 
     @property
     def es_fraction(self) -> float:
         """End-systole as a fraction of that."""
-        ...
 
 
 @read_only_arrays

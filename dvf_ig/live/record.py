@@ -41,23 +41,18 @@ class Record(Protocol):
     @property
     def problem(self) -> str | None:
         """Problem of the record, as a sentence for the user; None if there is none."""
-        ...
 
     def event(self, event: Event, arrived_s: float | None) -> None:
         """Before it is pushed."""
-        ...
 
     def state(self, state: GuidanceState) -> None:
         """One that the session was asked for."""
-        ...
 
     def answer(self, state: GuidanceState) -> None:
         """Answer that was sent."""
-        ...
 
     def work(self, number: int, refused: int) -> None:
         """Work was found done after it had been asked for `refused` times."""
-        ...
 
 
 class _NoRecord:

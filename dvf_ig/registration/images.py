@@ -114,27 +114,22 @@ class HeartTarget(Protocol):
     @property
     def channels(self) -> ModelChannels:
         """Channels by which LC2 explains the ultrasound."""
-        ...
 
     @property
     def center_mm(self) -> FloatArray:
         """(3,) centre of the heart box, about which poses turn."""
-        ...
 
     @property
     def surface(self) -> BoundaryTarget | None:
         """The boundary of blood and wall at the phases in use; None if it is not known."""
-        ...
 
     @property
     def covered(self) -> CoveredPart | None:
         """The part of the heart that its images cover; None if they hold all of it."""
-        ...
 
     @property
     def model(self) -> DvfModel | None:
         """The guarded surface, from which the depth of walls is measured; None if it is not known."""
-        ...
 
 
 @read_only_arrays

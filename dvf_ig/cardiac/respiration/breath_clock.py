@@ -165,7 +165,6 @@ class Breath(Protocol):
     @property
     def continuous(self) -> bool:
         """Whether it is sampled so often that a departure from the ordinary is noticed at once."""
-        ...
 
     @property
     def latest_s(self) -> float: ...

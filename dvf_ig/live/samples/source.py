@@ -28,7 +28,6 @@ class SampleReader(Protocol):
 
     def read(self) -> Sequence[EcgSamples | RespirationSample]:
         """Return samples since the last call, stamped by this machine's monotonic clock; may wait."""
-        ...
 
 
 @contextmanager

@@ -1,7 +1,5 @@
 """Encode the time series of a completed run: ticks by their columns, signals, ultrasound frames and marks."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any

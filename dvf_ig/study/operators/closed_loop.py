@@ -390,7 +390,6 @@ class Player(Protocol):
 
     def step(self, aim: Aim) -> float:
         """Act until the next step; return the seconds in which the supervisor withheld the force."""
-        ...
 
 
 class SimulatedPlayer:
