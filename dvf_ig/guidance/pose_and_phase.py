@@ -182,13 +182,17 @@ class PoseAndPhase:
             force, gradient = (np.einsum("nji,nj->ni", turn, v) for v in (force, gradient))
         return ForceSamples(frame, force, out[:, 3], gradient, status, out[:, 7], out[:, DISTANCE_SIGMA])
 
-    def bind(self, evaluator: Evaluator) -> "BoundTick":
-        """One call per servo tick, without allocation, valid until the next event.
+    def bind(self, evaluator: Evaluator) -> partial[int]:
+        """One call per servo tick, without allocation and checks, valid until the next event.
+
+        `tick(t_s, tip_tracker_mm, input_status, out)` returns the `Status` value and fills `out` as
+        `dvf_ig.kernels.pose_and_phase.guided_tick` does, vectors in the tracker frame; use it in one loop
+        alone. Its `args` are for loops that run inside a kernel and never cross Python.
 
         Raises:
             FrameMismatchError: the model is in another frame than the registration's target.
         """
-        return BoundTick(*self._kernel_arguments(evaluator))
+        return partial(guided_tick, *self._kernel_arguments(evaluator))
 
     def _kernel_arguments(self, evaluator: Evaluator) -> tuple[Any, FloatArray, Any, Any]:
         """Leading arguments of `guided_tick`; the fixture's array is a new one, which its calls write to."""
@@ -223,29 +227,6 @@ class PoseAndPhase:
         jacobian[:, 2, 0], jacobian[:, 2, 1] = y, -x
         jacobian[:, :, 3:] = np.eye(3)
         return np.asarray(jacobian @ self.covariance_mm2 @ np.swapaxes(jacobian, 1, 2))
-
-
-class BoundTick(partial[int]):
-    """One tick of the servo loop: time and tip (tracker frame) in, force (tracker frame) out.
-
-    `tick(t_s, tip_tracker_mm, input_status, out)` returns the `Status` value and fills `out`:
-
-    Args:
-        t_s: time of the tool's pose.
-        tip_tracker_mm: (3,) tool tip, tracker frame.
-        input_status: `Status` of the tool's pose; anything but OK gives zero force.
-        out: (7,) force in N, distance in mm, gradient, vectors in the tracker frame; (8,) for ∂d/∂φ in mm a
-            cycle as well; (10,) for ∂d/∂t at the tool's fixed place in mm/s and σ_d in mm as well.
-
-    Arguments are not checked: the call goes straight to the kernel, for use in one servo loop.
-    `PoseAndPhase.evaluate` is the same with checks. `args` are the leading arguments of
-    `dvf_ig.kernels.pose_and_phase.guided_tick`, for loops that run inside a kernel and never cross Python.
-    """
-
-    __slots__ = ()
-
-    def __new__(cls, coefficients: Any, fixture: FloatArray, packed: Any, warps: Any) -> "BoundTick":
-        return super().__new__(cls, guided_tick, coefficients, fixture, packed, warps)
 
 
 def _check_covariance(covariance_mm2: FloatArray) -> None:
