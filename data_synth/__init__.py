@@ -4,6 +4,8 @@ Whole interventions (`phantom_scenario`, `surface_scenario`) and image pairs (`i
 each usable alone: a beating heart, its MR and ultrasound, signals, calibration phantoms, an operator's hands.
 """
 
+from data_synth.scenario.presets import describe_faults as describe_faults
+
 from .cine_heart.anatomy import LV_LABEL as LV_LABEL
 from .cine_heart.anatomy import RV_LABEL as RV_LABEL
 from .cine_heart.anatomy import CineHeart as CineHeart
@@ -30,7 +32,6 @@ from .phantoms.pivot import pivot_recording as pivot_recording
 from .phantoms.wall import WallSpec as WallSpec
 from .phantoms.wall import wall_recording as wall_recording
 from .phantoms.watertank import watertank_images as watertank_images
-from .scenario.faults import describe_faults as describe_faults
 from .scenario.ground_truth import draw_ground_truth as draw_ground_truth
 from .scenario.presets import MOTIONS as MOTIONS
 from .scenario.presets import PRESETS as PRESETS
