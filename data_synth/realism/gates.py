@@ -227,11 +227,11 @@ def _fwhm(profile: FloatArray) -> float:
     return float((curve > curve.max() - np.log(2)).mean() * (right - 1 - left))
 
 
-def _covariance_fwhm(stack: FloatArray, axis: int, lags: int = 14) -> float:
+def _covariance_fwhm(stack: FloatArray, axis: int) -> float:
     """Compute the full width at half maximum, in samples, of the autocovariance along an axis."""
     centered = np.moveaxis(stack - stack.mean(), axis, 0)
     count = len(centered)
-    half = np.array([np.mean(centered[: count - k] * centered[k:]) for k in range(lags)])
+    half = np.array([np.mean(centered[: count - k] * centered[k:]) for k in range(14)])
     return _fwhm(np.maximum(np.concatenate([half[:0:-1], half]), 1e-9))
 
 

@@ -93,7 +93,6 @@ def track_phase(
     source: Signal | TriggerTimes,
     t_s: FloatArray,
     *,
-    options: PhaseClockOptions | None = None,
     progress: Progress = untold,
 ) -> PhaseTracking:
     """Detect R peaks and estimate phase over a recording, each time from what was known by then.
@@ -106,7 +105,7 @@ def track_phase(
         InvalidInputError: sampled below 100 Hz, or times that do not increase.
     """
     peaks, changes = stream_recording(source, part_of(progress, 0, 2))
-    track = phase_from_peaks(peaks, changes, t_s, options=options, progress=part_of(progress, 1, 2))
+    track = phase_from_peaks(peaks, changes, t_s, progress=part_of(progress, 1, 2))
     return PhaseTracking(peaks, changes, track)
 
 
