@@ -97,10 +97,10 @@ def fuzz_kill(trials: int, seed: int, chosen: list[str]) -> int:
         os.chdir(scratch)
         os.environ["DVF_IG_CACHE"] = str(Path("cache").resolve())
         scene, words = Path("scene"), " ".join(WRITERS[name] for name in chosen)
-        for made, command in MADE_BEFORE.items():
-            if made == "scene" or re.search(rf"(^| ){made}\b", words):
+        for setup, command in MADE_BEFORE.items():
+            if setup == "scene" or re.search(rf"(^| ){setup}\b", words):
                 _in_child(partial(_run, command, Path("log")))
-                if not Path(made).exists():
+                if not Path(setup).exists():
                     raise SystemExit(f"{command}: {Path('log').read_text()}")
         _write_inputs(words)
         for name in chosen:

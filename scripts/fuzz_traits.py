@@ -86,12 +86,12 @@ def silent_traits(reader: str, seed: int, count: int, folder: Path) -> tuple[lis
 def fuzz_traits(readers: list[str], seed: int, count: int, folder: Path) -> int:
     """Print what is read silently, and return how many files are."""
     write_trait_seeds(folder)
-    found = 0
+    silent_count = 0
     for reader in readers:
         silent, changed = silent_traits(reader, seed, count, folder)
         print(
             "\n".join((*silent, f"{reader}: {changed} files with a trait, {len(silent)} silent")), flush=True
         )
-        found += len(silent)
-    print(f"{len(readers)} readers, {found} files read silently")
-    return found
+        silent_count += len(silent)
+    print(f"{len(readers)} readers, {silent_count} files read silently")
+    return silent_count

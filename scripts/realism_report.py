@@ -21,17 +21,17 @@ from data_synth.realism.gates import (
     attenuation_gates,
     contrast_gates,
     elevation_gate,
+    heart_gates,
     homogeneous,
     level_gates,
     point_gates,
+    real_pair_gates,
     speckle_gates,
     texture_gates,
 )
 from data_synth.realism.grey_levels import GreyLevels, grey_levels
-from data_synth.realism.heart import heart_gates
 from data_synth.realism.motion import EARLY_SYSTOLE, beating_gates, block_matching_gates
 from data_synth.realism.pictures import attenuation_db, contrasts_db, heart_views, points_db
-from data_synth.realism.scan import real_pair_gates
 from data_synth.ultrasound.sequence import simulate_sequence
 from data_synth.ultrasound.views import standard_view
 from data_synth.ultrasound.volume import MatrixProbe, simulate_volume
@@ -90,36 +90,36 @@ def main() -> int:
 
 def _recorded() -> dict[str, GreyLevels]:
     """Grey levels of the real recordings that are there."""
-    found = {}
+    tables = {}
     if (sweep := DATA / "imfusion-liver-sweep" / "liver_sweep.npz").is_file():
         with np.load(sweep) as arrays:
             column_mm, row_mm = arrays["spacing_mm"]
-            found["liver"] = grey_levels(arrays["images"][::4], (float(row_mm), float(column_mm)))
+            tables["liver"] = grey_levels(arrays["images"][::4], (float(row_mm), float(column_mm)))
     if (clip := DATA / "echo-clips" / "pydicom_examples_ybr_color_A4C.dcm").is_file():
         # halved from 640 columns, for which its header states region and pixel size
         frames = SimpleITK.GetArrayFromImage(SimpleITK.ReadImage(clip))[:, 16:207, 42:298, 0]
-        found["apical 4-chamber"] = grey_levels(np.ascontiguousarray(frames), (1.02, 1.02))
+        tables["apical 4-chamber"] = grey_levels(np.ascontiguousarray(frames), (1.02, 1.02))
     if (brain := DATA / "resect-case2" / "case2_us_0.5mm.nii.gz").is_file():
         volume = read_volume(brain)
         levels = np.clip(255.0 * volume.values.T / volume.values.max(), 0, 255).astype(np.uint8)
         along = volume.grid.spacing_mm
-        found["brain"] = grey_levels(levels[20:90:4], (float(along[1]), float(along[0])))
-    return found
+        tables["brain"] = grey_levels(levels[20:90:4], (float(along[1]), float(along[0])))
+    return tables
 
 
 def _simulated(world: str, quality: Literal["calm", "poor-image"]) -> list[GreyLevels]:
     """Grey levels of two short sweeps of a synthetic world, of hearts that are for tuning."""
     measured = []
     for seed in (1, 2):
-        made = (
+        rows = (
             phantom_scenario(ScenarioSpec(quality, seconds=5.0, seed=1000 + seed))
             if world == "first"
             else second_world_recording(SecondWorldSpec(5000 + seed, quality, seconds=5.0)).scenario
         )
-        if made.ultrasound.images is None or made.truth is None:
+        if rows.ultrasound.images is None or rows.truth is None:
             raise TypeError("a synthetic sweep has images and their truth")
-        column_mm, row_mm = made.truth.probe_from_image.scale_mm_per_px
-        measured.append(grey_levels(made.ultrasound.images[::3], (float(row_mm), float(column_mm))))
+        column_mm, row_mm = rows.truth.probe_from_image.scale_mm_per_px
+        measured.append(grey_levels(rows.ultrasound.images[::3], (float(row_mm), float(column_mm))))
     return measured
 
 

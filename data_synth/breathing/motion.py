@@ -103,9 +103,9 @@ class Breathing:
 
         def path(t_s: FloatArray) -> tuple[FloatArray, FloatArray]:
             turns, shifts = rest_from_object(t_s)
-            held = self.points_at((turns @ held_mm + shifts)[:, None], t_s)[:, 0]
+            moved = self.points_at((turns @ held_mm + shifts)[:, None], t_s)[:, 0]
             rotations, translations = rigid(t_s)
-            return rotations, translations + (held - (rotations @ held_mm + translations))
+            return rotations, translations + (moved - (rotations @ held_mm + translations))
 
         return path
 

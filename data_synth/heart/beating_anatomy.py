@@ -44,20 +44,15 @@ class BeatingAnatomy(Protocol):
 
     def tissue(self, xyz_mm: FloatArray, model_phase: float) -> NDArray[np.uint8]:
         """Return (n,) tissue codes of the intra-operative anatomy at (n, 3) points."""
-        ...
 
     def material(self, xyz_mm: FloatArray, model_phase: float) -> FloatArray:
         """Return (n, 3) reference positions X = χ⁻¹(x), with which scatterers move."""
-        ...
 
     def surface_vertices(self, model_phase: float) -> FloatArray:
         """Return the (v, 3) true epicardial surface of the intra-operative anatomy."""
-        ...
 
     def targets(self) -> Landmarks:
         """Return named points and 27 grid points of the heart box at which registration errors are stated."""
-        ...
 
     def landmarks(self) -> Landmarks:
         """Return points on the pre-operative end-diastolic surface that a stylus could touch."""
-        ...

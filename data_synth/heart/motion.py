@@ -96,7 +96,13 @@ class PullBack(Protocol):
 
     def pull_back(self, xyz_mm: FloatArray, model_phase: FloatArray | float) -> FloatArray:
         """Return (n, 3) reference positions X = χ⁻¹(x), at one phase or each at its own (n,)."""
-        ...
+
+
+class HeartMotion(PullBack, Protocol):
+    """Motion χ and its inverse, frame "mr", at one phase for all points or one for each."""
+
+    def push_forward(self, xyz_mm: FloatArray, model_phase: FloatArray | float) -> FloatArray:
+        """Compute (n, 3) positions of (n, 3) end-diastolic points."""
 
 
 @read_only_arrays

@@ -31,19 +31,15 @@ class ReferenceShapes(Protocol):
 
     def organ(self, xyz_mm: FloatArray) -> FloatArray:
         """Compute the (n,) depth below the epicardial surface."""
-        ...
 
     def inside(self, xyz_mm: FloatArray, organ: FloatArray) -> Layers:
         """List parts of the heart, painted in order over `base`."""
-        ...
 
     def inside_ultrasound_only(self, xyz_mm: FloatArray) -> Layers:
         """List parts that pre-operative images do not show, painted last."""
-        ...
 
     def outside(self, xyz_mm: FloatArray, organ: FloatArray) -> Layers:
         """List neighbours of the heart, painted in order over MEDIASTINUM."""
-        ...
 
 
 @read_only_arrays

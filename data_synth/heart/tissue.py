@@ -122,9 +122,12 @@ LABEL_NAMES: tuple[tuple[int, str], ...] = tuple(
 """Labels of the pre-operative segmentation, all inside the epicardial surface."""
 
 
-def bssfp_signal(tissue: Tissue, flip_rad: float = np.pi / 3, echo_time_ms: float = 1.5) -> float:
+FLIP_RAD, ECHO_TIME_MS = np.pi / 3, 1.5
+
+
+def bssfp_signal(tissue: Tissue) -> float:
     """Compute ρ sinα e^(−TE/T2) / [(T1/T2 + 1) − cosα (T1/T2 − 1)], times the inflow factor."""
     r = RELAXATION[tissue]
     ratio = r.t1_ms / r.t2_ms
-    level = r.density * np.sin(flip_rad) * np.exp(-echo_time_ms / r.t2_ms)
-    return float(r.inflow * level / ((ratio + 1) - np.cos(flip_rad) * (ratio - 1)))
+    level = r.density * np.sin(FLIP_RAD) * np.exp(-ECHO_TIME_MS / r.t2_ms)
+    return float(r.inflow * level / ((ratio + 1) - np.cos(FLIP_RAD) * (ratio - 1)))

@@ -68,3 +68,13 @@ def decibel(envelope: AnyArray, scale: float) -> None:
     for line in range(envelope.shape[0]):
         for i in range(envelope.shape[1]):
             envelope[line, i] = 20.0 * np.log10(max(envelope[line, i] * scale, 1e-10))
+
+
+@kernel(nogil=True, error_model="numpy")
+def fill_middles(path: AnyArray, stride: int) -> None:
+    """Put the point half-way between every `stride`-th point of (lines, count, 3) paths into their middle."""
+    half = stride // 2
+    for line in range(path.shape[0]):
+        for i in range(0, path.shape[1] - stride, stride):
+            for k in range(3):
+                path[line, i + half, k] = 0.5 * (path[line, i, k] + path[line, i + stride, k])

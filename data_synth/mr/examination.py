@@ -6,7 +6,7 @@ from typing import Literal, Protocol, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from data_synth.heart.motion import PullBack
+from data_synth.heart.motion import HeartMotion
 from data_synth.heart.reference import ReferenceMap
 from data_synth.heart.tissue import LABEL_NAMES
 from dvf_ig.core import FloatArray, InvalidInputError, Preop, Rigid, Volume, VolumeSeries, read_only_arrays
@@ -53,41 +53,26 @@ class ExaminedHeart(Protocol):
     @property
     def mr_from_heart(self) -> Rigid:
         """Frame of its shapes, whose x axis points towards the right heart."""
-        ...
 
     @property
-    def reference(self) -> ReferenceMap:
-        """Tissue and MR signal at end-diastole."""
-        ...
-
-    @property
-    def resting_motion(self) -> PullBack:
+    def resting_motion(self) -> HeartMotion:
         """Its motion."""
-        ...
 
     @property
     def ed_vertices_mm(self) -> FloatArray:
         """(v, 3) epicardial surface at end-diastole."""
-        ...
 
     @property
     def long_axis_mm(self) -> FloatArray:
         """(2, 3) epicardial apex of the left ventricle and middle of its base at end-diastole."""
-        ...
 
     @property
     def rr_s(self) -> float:
         """RR interval for which its motion holds."""
-        ...
 
     @property
     def es_fraction(self) -> float:
         """End-systole as a fraction of that."""
-        ...
-
-    def deformed(self, xyz_mm: FloatArray, model_phase: float) -> FloatArray:
-        """Compute (n, 3) positions at a phase of (n, 3) end-diastolic points."""
-        ...
 
 
 @read_only_arrays
@@ -139,6 +124,7 @@ class Examination:
 
 def examination(
     anatomy: ExaminedHeart,
+    reference: ReferenceMap,
     name: ExamName,
     rng: np.random.Generator,
     phases: int | None = None,
@@ -147,6 +133,7 @@ def examination(
     """Examine a heart.
 
     Args:
+        reference: its tissue and MR signal at end-diastole.
         name: "sax8" (8 mm slices, 2 mm gaps), "sax10" (10 mm, no gaps), "sax+lax" (as "sax8", with three
             long-axis cines), or "sax7" (as "sax8", the seven slices in the middle of the ventricles alone).
         rng: draws phases, breath-holds, heart rates, coil shading and noise.
@@ -164,10 +151,13 @@ def examination(
     own = {} if scanner is None else asdict(scanner)
     protocol = replace(usual, phases=phases, pitch_mm=PITCH_MM, thickness_mm=THICKNESS_MM[name], **own)
     heart = _long_axis_frame(anatomy)
-    sax = _stack(anatomy, heart, protocol, name, stack_rng)
+    sax = _stack(anatomy, reference, heart, protocol, name, stack_rng)
     views = LAX_VIEWS if name == "sax+lax" else ()
     of_view = replace(protocol, pitch_mm=LAX_THICKNESS_MM, thickness_mm=LAX_THICKNESS_MM)
-    lax = [_view(anatomy, heart, angle, of_view, r) for (_, angle), r in zip(views, view_rngs, strict=False)]
+    lax = [
+        _view(anatomy, reference, heart, angle, of_view, r)
+        for (_, angle), r in zip(views, view_rngs, strict=False)
+    ]
     return Examination(sax, tuple(lax), _base_descent(anatomy, heart, phases))
 
 
@@ -182,7 +172,12 @@ def _long_axis_frame(anatomy: ExaminedHeart) -> Rigid:
 
 
 def _stack(
-    anatomy: ExaminedHeart, heart: Rigid, protocol: StackProtocol, name: ExamName, rng: np.random.Generator
+    anatomy: ExaminedHeart,
+    reference: ReferenceMap,
+    heart: Rigid,
+    protocol: StackProtocol,
+    name: ExamName,
+    rng: np.random.Generator,
 ) -> StackCine:
     local = heart.inverse().apply_array(anatomy.ed_vertices_mm)
     low, high = local.min(axis=0) - FIELD_MM, local.max(axis=0) + FIELD_MM
@@ -194,11 +189,16 @@ def _stack(
     size = np.array([*(high - low)[:2], reach_mm - 1e-6])
     grid = stack_grid(heart.rotation, heart.apply_array(low), size, protocol)
     timing = (anatomy.rr_s, anatomy.es_fraction)
-    return stack_cine(anatomy.reference, anatomy.resting_motion, grid, timing, rng, protocol)
+    return stack_cine(reference, anatomy.resting_motion, grid, timing, rng, protocol)
 
 
 def _view(
-    anatomy: ExaminedHeart, heart: Rigid, angle_deg: float, protocol: StackProtocol, rng: np.random.Generator
+    anatomy: ExaminedHeart,
+    reference: ReferenceMap,
+    heart: Rigid,
+    angle_deg: float,
+    protocol: StackProtocol,
+    rng: np.random.Generator,
 ) -> StackCine:
     """Acquire one slice that holds the long axis."""
     angle = np.deg2rad(angle_deg)
@@ -210,13 +210,13 @@ def _view(
     low[2] = high[2] = 0.0
     grid = stack_grid(axes, heart.translation_mm + axes @ low, high - low, protocol)
     timing = (anatomy.rr_s, anatomy.es_fraction)
-    return stack_cine(anatomy.reference, anatomy.resting_motion, grid, timing, rng, protocol)
+    return stack_cine(reference, anatomy.resting_motion, grid, timing, rng, protocol)
 
 
 def _base_descent(anatomy: ExaminedHeart, heart: Rigid, phases: int) -> FloatArray:
     base = anatomy.long_axis_mm[1:]
     z = heart.rotation[:, 2]
-    moved = [anatomy.deformed(base, i / phases) - base for i in range(phases)]
+    moved = [anatomy.resting_motion.push_forward(base, i / phases) - base for i in range(phases)]
     return np.array([-float((step @ z)[0]) for step in moved])
 
 

@@ -6,14 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_synth.breathing.motion import DIRECTION
-from data_synth.heart.anatomy import PhantomAnatomy
 from data_synth.heart.clock import two_segment_phase
 from data_synth.heart.motion import PullBack
 from data_synth.heart.reference import ReferenceMap
 from data_synth.threads import for_each
 from dvf_ig.core import CycleTiming, FloatArray, Grid, InvalidInputError, VolumeSeries, read_only_arrays
 
-from .cine import FWHM_PER_SIGMA, MrProtocol, coil_shading, heart_labels, measured
+from .cine import FWHM_PER_SIGMA, coil_shading, heart_labels, measured
 
 _SUBSLICES = 5
 
@@ -68,21 +67,6 @@ class StackCine:
     slice_rr_s: FloatArray
     slice_shift_mm: FloatArray
     trigger_s: FloatArray
-
-
-def short_axis_cine(
-    anatomy: PhantomAnatomy, rng: np.random.Generator, protocol: StackProtocol | None = None
-) -> StackCine:
-    """Acquire a short-axis stack over the ventricles, from below the apex to above the mitral plane."""
-    chosen, margin_mm = protocol or StackProtocol(), MrProtocol().margin_mm
-    pose = anatomy.shapes.mr_from_heart
-    local = pose.inverse().apply_array(anatomy.ed_vertices_mm)
-    low, high = local.min(axis=0) - margin_mm, local.max(axis=0) + margin_mm
-    apex, base = pose.inverse().apply_array(anatomy.long_axis_mm)
-    low[2], high[2] = apex[2] - 0.5 * chosen.pitch_mm, base[2] + chosen.pitch_mm
-    grid = stack_grid(pose.rotation, pose.apply_array(low), high - low, chosen)
-    timing = (anatomy.rr_s, anatomy.es_fraction)
-    return stack_cine(anatomy.reference, anatomy.resting_motion, grid, timing, rng, chosen)
 
 
 def stack_cine(

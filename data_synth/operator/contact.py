@@ -22,11 +22,9 @@ class BeatClock(Protocol):
 
     def phi(self, t_s: FloatArray) -> FloatArray:
         """Compute the fraction of the running RR interval, in [0, 1)."""
-        ...
 
     def model_phase(self, t_s: FloatArray) -> FloatArray:
         """Compute the heart's phase in the pre-operative cycle, in [0, 1)."""
-        ...
 
 
 class MovingMesh(Protocol):

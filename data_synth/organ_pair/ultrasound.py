@@ -86,7 +86,7 @@ def organ_ultrasound(
         shift_mm: (nx, ny, nz, 3) on the organ's grid: tissue now at x was at x + shift in the MR images.
         moving_from_fixed: pose of the ultrasound's frame.
     """
-    moving_from_probe = _probe(organ, style, seed)
+    moving_from_probe = _probe(organ, seed)
     swept = _swept(style)
     xyz = moving_from_probe.apply_array(_places(swept, style))
     displaced = xyz + np.stack([sampled(shift_mm[..., k], organ.grid, xyz) for k in range(3)], axis=-1)
@@ -95,7 +95,7 @@ def organ_ultrasound(
     return _reconstructed(grey, swept, style, fixed_from_probe, child_rng(seed, "organ tracking"))
 
 
-def _probe(organ: OrganLabels, style: ScanStyle, seed: int) -> Rigid:
+def _probe(organ: OrganLabels, seed: int) -> Rigid:
     """Build moving_from_probe: z into the organ, y along the sweep."""
     rng = child_rng(seed, "organ probe")
     z = organ.inward + 0.12 * rng.normal(size=3)

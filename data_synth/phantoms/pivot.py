@@ -11,6 +11,9 @@ from dvf_ig.core import FloatArray, Points, PoseStream
 CONE_DEG = 32.0
 """Half-angle of the cone that the shaft sweeps: poses span more than 40°."""
 
+TIP_PLAY_MM = 0.05
+"""RMS motion of the tip in its divot."""
+
 
 def pivot_recording(
     tip_in_tool: Points,
@@ -18,21 +21,19 @@ def pivot_recording(
     rng: np.random.Generator,
     *,
     seconds: float = 15.0,
-    tip_play_mm: float = 0.05,
 ) -> PoseStream:
     """Record tracker_from_tool while the shaft circles and rocks about a fixed point.
 
     Args:
         tip_in_tool: one point in frame "tool".
         spec: tracker errors; `rate_hz` times `seconds` poses.
-        tip_play_mm: RMS motion of the tip in its divot.
     """
     true_s, stamp_s = sampling_times(spec, 0.0, seconds, rng)
-    path = _pivoting(tip_in_tool.xyz_mm[0], seconds, tip_play_mm, rng)
+    path = _pivoting(tip_in_tool.xyz_mm[0], seconds, rng)
     return tracked(path, "tracker", "tool", true_s, stamp_s, spec, rng)
 
 
-def _pivoting(offset: FloatArray, seconds: float, tip_play_mm: float, rng: np.random.Generator) -> PosePath:
+def _pivoting(offset: FloatArray, seconds: float, rng: np.random.Generator) -> PosePath:
     pivot_mm = rng.uniform((-120.0, -120.0, -900.0), (120.0, 120.0, -500.0))
     base = Rotation.random(rng=rng)
     shaft = offset / np.linalg.norm(offset)
@@ -46,7 +47,7 @@ def _pivoting(offset: FloatArray, seconds: float, tip_play_mm: float, rng: np.ra
         axis = np.cos(around)[:, None] * side + np.sin(around)[:, None] * np.cross(shaft, side)
         turn = Rotation.from_rotvec(tilt[:, None] * axis) * Rotation.from_rotvec(spin[:, None] * shaft)
         rotations = (base * turn).as_matrix()
-        tip = pivot_mm + play(t_s) * (tip_play_mm / np.sqrt(3))
+        tip = pivot_mm + play(t_s) * (TIP_PLAY_MM / np.sqrt(3))
         return rotations, tip - rotations @ offset
 
     return path

@@ -3,13 +3,16 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.optimize import curve_fit
 from scipy.special import erfc
 from scipy.stats import rayleigh
 
+from data_synth.heart.motion_report import MotionReport
 from data_synth.heart.tissue import ACOUSTICS, ANISOTROPY_DB, Tissue
 from data_synth.ultrasound.probe import FWHM_PER_SIGMA, SectorProbe
+from data_synth.ultrasound.scan_conversion import PixelGrid, PolarGrid, ScanConverter
 from data_synth.ultrasound.scan_lines import form_beams
 from data_synth.ultrasound.sequence import simulate_lines
 from dvf_ig.core import FloatArray, Rigid
@@ -224,9 +227,55 @@ def _fwhm(profile: FloatArray) -> float:
     return float((curve > curve.max() - np.log(2)).mean() * (right - 1 - left))
 
 
-def _covariance_fwhm(stack: FloatArray, axis: int, lags: int = 14) -> float:
+def _covariance_fwhm(stack: FloatArray, axis: int) -> float:
     """Compute the full width at half maximum, in samples, of the autocovariance along an axis."""
     centered = np.moveaxis(stack - stack.mean(), axis, 0)
     count = len(centered)
-    half = np.array([np.mean(centered[: count - k] * centered[k:]) for k in range(lags)])
+    half = np.array([np.mean(centered[: count - k] * centered[k:]) for k in range(14)])
     return _fwhm(np.maximum(np.concatenate([half[:0:-1], half]), 1e-9))
+
+
+INFINITY = float("inf")
+
+
+def heart_gates(motion: str, report: MotionReport) -> list[Gate]:
+    """Check exactness for any motion, and physiological ranges or the 4.96 mm of "paper5mm"."""
+    r = report
+    gates = [
+        Gate(f"{motion}: |det - 1| in the LV wall", r.wall_det_error, 0.0, 1e-6),
+        Gate(f"{motion}: inverse error, mm", r.inverse_error_mm, 0.0, 0.05),
+        Gate(f"{motion}: smallest Jacobian", r.det_min, 0.2, INFINITY),
+    ]
+    if motion == "paper5mm":
+        return [*gates, Gate(f"{motion}: largest LV motion, mm", r.largest_lv_motion_mm, 4.7, 5.2)]
+    return [
+        *gates,
+        Gate(f"{motion}: largest LV motion, mm", r.largest_lv_motion_mm, 10.0, 16.0),
+        Gate(f"{motion}: LV ejection fraction", r.lv_ejection_fraction, 0.52, 0.72),
+        Gate(f"{motion}: RV ejection fraction", r.rv_ejection_fraction, 0.40, 0.68),
+        Gate(f"{motion}: LA expansion at ES", r.la_expansion, 0.15, 1.2),
+        Gate(f"{motion}: wall thickening", r.wall_thickening, 0.25, 0.80),
+        Gate(f"{motion}: long-axis shortening", r.long_axis_shortening, 0.10, 0.22),
+    ]
+
+
+REAL_LINES, REAL_SAMPLES = 96, 3640
+REAL_POLAR = PolarGrid(REAL_LINES, REAL_SAMPLES, 10.0, 82.0, float(np.deg2rad(75.0)))
+REAL_PIXELS = PixelGrid(616, 820, (0.15, 0.15), (410.0, 87.0 - 10.0 / 0.15))
+"""Geometry of the PLUS test recording (Ultrasonix BPC8-4/10): the transducer's face at pixel (410, 87)."""
+
+
+def real_pair_gates(polar: NDArray[np.uint8], converted: NDArray[np.uint8]) -> list[Gate]:
+    """Check the smallest correlation over frames, inside the sector, of our and the recorded conversion.
+
+    Args:
+        polar: (n, 96, 3640) recorded lines.
+        converted: (n, 616, 820) the recorder's conversion.
+    """
+    convert = ScanConverter.of(REAL_POLAR, REAL_PIXELS)
+    inside = convert.line >= 0
+    scores = [
+        float(np.corrcoef(convert(lines.astype(np.float32))[inside], image[inside])[0, 1])
+        for lines, image in zip(polar, converted, strict=True)
+    ]
+    return [Gate("scan conversion, r with the real pair", min(scores), 0.95, 1.0)]

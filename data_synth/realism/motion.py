@@ -81,7 +81,7 @@ def block_matching_gates(shift_mm: tuple[float, float] = (1.37, -0.83), turn_deg
         simulate_frame(moving, probe, pose, np.full(probe.lines, phase), seed=1, frame=i)
         for i, phase in enumerate((0.0, 0.5))
     ]
-    match = match_blocks(images[0], images[1], probe, block_places(probe))
+    match = match_blocks(images[0], images[1], probe, block_places())
     turned = match.places @ np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
     error = np.abs(match.moved - (turned + np.array(shift_mm) - match.places))
     # near the middle of the sector the image's axes are the beam's
@@ -136,7 +136,7 @@ def _wall_motion(
     return flat[stays], there[stays, :2] - flat[stays]
 
 
-def block_places(probe: SectorProbe) -> FloatArray:
+def block_places() -> FloatArray:
     """List (n, 2) lateral and depth of blocks from near to far within 15° of the middle line."""
     depth, angle = np.meshgrid(np.arange(35.0, 126.0, 10.0), np.deg2rad([-15, -8, 0, 8, 15]), indexing="ij")
     return np.column_stack([(depth * np.sin(angle)).ravel(), (depth * np.cos(angle)).ravel()])

@@ -14,9 +14,9 @@ from data_synth.heart.heart_spec import STANDARD_HEART, HeartSpec
 from data_synth.heart.motion import MotionPreset
 from data_synth.mr.cine import cine_preop
 from data_synth.seeds import child_rng, child_seed
+from data_synth.ultrasound.image_faults import degraded_pyramid
 from data_synth.ultrasound.views import standard_view
 from data_synth.ultrasound.volume import MatrixProbe, shown_volume, simulate_pyramid
-from data_synth.ultrasound.volume_faults import degraded_pyramid
 from dvf_ig.core import FloatArray, InvalidInputError, Landmarks, Preop, Rigid, TrackedVolume
 
 from .presets import PRESETS

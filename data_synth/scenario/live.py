@@ -54,7 +54,7 @@ class ToolTask:
 
 def tool_task(world: World) -> ToolTask:
     """Draw the operator's task on the beating, breathing heart; the hand follows the breathing."""
-    spec, breathing, held = world.spec, world.breathing, world.truth.tip_in_tool
+    spec, breathing, tip_in_tool = world.spec, world.breathing, world.truth.tip_in_tool
     rng = world.rng("tool path")
     access = perpendicular(world.window, ANTERIOR_LEFT)
     options = world.options.tool
@@ -64,9 +64,9 @@ def tool_task(world: World) -> ToolTask:
     ticks_s = np.arange(round(spec.seconds * TICK_HZ)) / TICK_HZ
     met = tool_truth(world.surface, world.clock, ticks_s, tip(ticks_s))
     if breathing is None:
-        return ToolTask(heart_from_tool, met, held)
-    path = breathing.carried(heart_from_tool, held.xyz_mm[0])
-    return ToolTask(path, breathing.carried_contact(met), held)
+        return ToolTask(heart_from_tool, met, tip_in_tool)
+    path = breathing.carried(heart_from_tool, tip_in_tool.xyz_mm[0])
+    return ToolTask(path, breathing.carried_contact(met), tip_in_tool)
 
 
 def tracked_tool(world: World, task: ToolTask) -> tuple[PoseStream, PoseStream | None]:

@@ -113,7 +113,7 @@ def _examined(
     """Examine a heart once for its pre-operative data and their truth; mismatch and speckle play no part."""
     heart = HeartSpec(kind, anatomy_seed, motion_seed)
     anatomy = scenario_heart(ScenarioSpec(motion=motion, heart=heart, mismatch_mm=0.0))
-    return examination(anatomy, exam, child_rng(anatomy_seed, "preop"), phases)
+    return examination(anatomy, anatomy.reference, exam, child_rng(anatomy_seed, "preop"), phases)
 
 
 def phantom_scenario(

@@ -11,14 +11,19 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
+from data_synth.heart.motion import HeartMotion
 from data_synth.heart.reference import ReferenceMap
 from data_synth.seeds import child_rng
 from dvf_ig.core import FloatArray, IntArray, Landmarks, Rigid, read_only_arrays
 
 from .drawn import Drawn
-from .random_fields import GridField, grid_nodes, random_displacement_field, solved_inverse
-from .resting_heart import HeartMotion, RestingHeart, box_of
-from .rigid_fit import best_rigid
+from .random_fields import (
+    GridField,
+    grid_nodes,
+    random_displacement_field,
+    solved_inverse,
+)
+from .resting_heart import RestingHeart, box_of
 
 TABLE_MM = 4.0
 TOLERANCE_MM = 2e-4
@@ -166,7 +171,7 @@ def changed_heart(heart: RestingHeart, reference: ReferenceMap, drawn: Drawn) ->
 
 def _settled(heart: RestingHeart, motion: ChangedMotion) -> tuple[ChangedMotion, float]:
     """Find C; return the motion with it and the remaining RMS."""
-    before = heart.contracting(1.0)
+    before = heart.resting_motion
     loaded = solved_inverse(motion.load, heart.ed_vertices_mm)
     phases = np.arange(FIT_PHASES) / FIT_PHASES
     now = np.concatenate([motion.surface(loaded, p) for p in phases.tolist()])
@@ -213,3 +218,18 @@ def _load_field(reference: ReferenceMap, wide_mm: FloatArray, shift_mm: float) -
     flat = 1.0 / (np.sqrt(2.0 * np.pi) * sigma)
     inward = slope / np.maximum(steepness, 1e-9) * np.tanh(steepness / (_FULL_LOAD * flat))
     return GridField(shift_mm * inward, nodes[0, 0, 0], TABLE_MM)
+
+
+def best_rigid(
+    source_mm: FloatArray, target_mm: FloatArray, target: str, source: str, weights: FloatArray | None = None
+) -> Rigid:
+    """Fit target_from_source to (n, 3) points by least squares.
+
+    Source: Kabsch, Acta Cryst. A32:922, 1976.
+    """
+    w = np.ones(len(source_mm)) if weights is None else weights
+    a, b = np.average(source_mm, axis=0, weights=w), np.average(target_mm, axis=0, weights=w)
+    u, _, vt = np.linalg.svd(((source_mm - a) * w[:, None]).T @ (target_mm - b))
+    flip = np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
+    rotation = (u @ flip @ vt).T
+    return Rigid(target, source, rotation, b - rotation @ a)

@@ -7,18 +7,18 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 from scipy.spatial.transform import Rotation
 
-from data_synth.heart.reference import ReferenceMap
+from data_synth.heart.motion import HeartMotion
 from data_synth.heart.tissue import FIRST_OUTSIDE, LABEL_NAMES, Tissue
 from data_synth.kernels import tissue_map
 from data_synth.mr.examination import Examination, ExamName, Scanner, examination
 from data_synth.seeds import child_rng
 from data_synth.threads import for_each
-from dvf_ig.core import CycleTiming, FloatArray, Grid, Preop, Rigid, VolumeSeries, read_only_arrays
+from dvf_ig.core import CycleTiming, FloatArray, Grid, Preop, VolumeSeries, read_only_arrays
 
 from .clock import CycleLaw
 from .drawn import Drawn
 from .random_fields import grid_noise, wide_noise
-from .resting_heart import HeartMotion, RestingHeart
+from .resting_heart import RestingHeart
 from .tissue_fields import TissueFields
 
 MARGIN_MM = 16.0
@@ -50,7 +50,7 @@ def cine(heart: RestingHeart, fields: TissueFields, law: CycleLaw, drawn: Drawn)
     errors = slice_errors(grid, count, law, drawn)
     shading = _shading(grid, drawn)
     warp = _ContourErrors(grid, fields, drawn)
-    motion = heart.contracting(1.0)
+    motion = heart.resting_motion
     image = np.empty((count, *grid.shape), dtype=np.int16)
     labels = np.empty((count, *grid.shape), dtype=np.uint8)
 
@@ -71,45 +71,6 @@ def cine(heart: RestingHeart, fields: TissueFields, law: CycleLaw, drawn: Drawn)
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Examined:
-    """A heart of this world as an examination takes it."""
-
-    heart: RestingHeart
-    fields: TissueFields
-
-    @property
-    def mr_from_heart(self) -> Rigid:
-        return self.heart.mr_from_heart
-
-    @property
-    def reference(self) -> ReferenceMap:
-        return self.fields.reference
-
-    @property
-    def resting_motion(self) -> HeartMotion:
-        return self.heart.contracting(1.0)
-
-    @property
-    def ed_vertices_mm(self) -> FloatArray:
-        return self.heart.ed_vertices_mm
-
-    @property
-    def long_axis_mm(self) -> FloatArray:
-        return self.heart.long_axis_mm
-
-    @property
-    def rr_s(self) -> float:
-        return self.heart.rr_s
-
-    @property
-    def es_fraction(self) -> float:
-        return self.heart.es_fraction
-
-    def deformed(self, xyz_mm: FloatArray, model_phase: float) -> FloatArray:
-        return self.resting_motion.push_forward(xyz_mm, model_phase)
-
-
 def examine(
     heart: RestingHeart, fields: TissueFields, exam: ExamName, drawn: Drawn, phases: int | None = None
 ) -> Examination:
@@ -127,14 +88,14 @@ def examine(
         rr_jitter=drawn["mr.rr_jitter"],
     )
     rng = child_rng(drawn.seed, "second world examination")
-    return examination(_Examined(heart, fields), exam, rng, phases, scanner)
+    return examination(heart, fields.reference, exam, rng, phases, scanner)
 
 
 def segmented(examined: Examination, heart: RestingHeart, fields: TissueFields, drawn: Drawn) -> Preop:
     """Take the cines of an examination, with labels as an observer draws them at end-diastole."""
     grid = examined.sax.image.grid
-    held = SliceErrors(np.zeros((grid.shape[2], 1)), examined.sax.slice_shift_mm)
-    material = _material(grid, heart.contracting(1.0), held, 0)
+    errors = SliceErrors(np.zeros((grid.shape[2], 1)), examined.sax.slice_shift_mm)
+    material = _material(grid, heart.resting_motion, errors, 0)
     contours = _ContourErrors(grid, fields, drawn).labels(material, 0)
     return examined.preop(f"second-world-{drawn.seed}", contours)
 

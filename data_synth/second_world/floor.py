@@ -6,8 +6,8 @@ import numpy as np
 
 from dvf_ig.core import FloatArray, Landmarks, Rigid
 
+from .changed_heart import best_rigid
 from .operating_room import OperatingRoom
-from .rigid_fit import best_rigid
 
 _PER_IMAGE = 40
 
@@ -73,7 +73,7 @@ def matched_points(room: OperatingRoom, taken_s: FloatArray) -> tuple[FloatArray
     phases = np.repeat(room.clock.model_phase(taken_s), _PER_IMAGE)
     material = room.changed.inverse_motion.pull_back(true.reshape(-1, 3), phases)
     in_heart = room.heart.shapes.organ(material) > 0
-    meant = room.heart.contracting(1.0).push_forward(material[in_heart], phases[in_heart])
+    meant = room.heart.resting_motion.push_forward(material[in_heart], phases[in_heart])
     return seen.reshape(-1, 3)[in_heart], meant
 
 

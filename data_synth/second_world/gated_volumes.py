@@ -137,7 +137,7 @@ class SecondWorldPair:
     def floor(self) -> RigidFloor:
         """Compute the error that no rigid registration of the volumes can remove, at ED and ES."""
         rng = child_rng(self.drawn.seed, "second world volume floor")
-        sector, before = self.array.sector, self.heart.contracting(1.0)
+        sector, before = self.array.sector, self.heart.resting_motion
         seen, meant = [], []
         for v, view in enumerate(self.views):
             side = np.tan(sector.half_angle_rad) * rng.uniform(-1, 1, (_FLOOR_POINTS, 2))

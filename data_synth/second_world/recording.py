@@ -150,7 +150,7 @@ def second_world_recording(
     report(0.55)
     taken_s = _image_times(room, spec)
     ultrasound = _ultrasound(room, spec, taken_s, lambda share: report(0.55 + 0.44 * share))
-    tip = pivot_recording(room.tip, _steady_sensor(drawn, 20.0), room.rng("pivot"))
+    tip = pivot_recording(room.tip, _steady_sensor(20.0), room.rng("pivot"))
     landmarks = resting.landmarks
     scenario = Scenario(
         name=f"second world, {resting.name}, {spec.motion}, {spec.quality}, seed {spec.seed}",
@@ -238,7 +238,7 @@ def _breathing_recorded(room: OperatingRoom, seconds: float) -> dict[str, Any]:
     return recorded_breathing(room.breathing, path, seconds, room.rng("breathing recorded"))
 
 
-def _steady_sensor(drawn: Drawn, rate_hz: float) -> TrackerSpec:
+def _steady_sensor(rate_hz: float) -> TrackerSpec:
     """Return the sensor's noise during a calibration, in the undistorted middle of the field."""
     return TrackerSpec(rate_hz=rate_hz, position_mm=0.15, rotation_deg=0.08)
 
@@ -253,9 +253,7 @@ def _nwire(room: OperatingRoom) -> NWireRecording:
         lateral_mm=0.25 * deep * float(np.tan(probe.half_angle_rad)),
     )
     size = (probe.columns, probe.rows)
-    return nwire_recording(
-        room.calibrated, probe.fan, size, _steady_sensor(room.drawn, 12.0), spec, room.rng("n-wire")
-    )
+    return nwire_recording(room.calibrated, probe.fan, size, _steady_sensor(12.0), spec, room.rng("n-wire"))
 
 
 def _watertank(room: OperatingRoom) -> LatencyRecording:
@@ -267,7 +265,7 @@ def _watertank(room: OperatingRoom) -> LatencyRecording:
     )
     lag_s = room.lag_s + drawn["calibration.lag_error_s"]
     return watertank_recording(
-        room.calibrated, room.probe.fan, lag_s, _steady_sensor(drawn, 50.0), spec, room.rng("water tank")
+        room.calibrated, room.probe.fan, lag_s, _steady_sensor(50.0), spec, room.rng("water tank")
     )
 
 

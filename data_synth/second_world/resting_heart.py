@@ -2,28 +2,15 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 
 from data_synth.heart.anatomy import phantom_anatomy
 from data_synth.heart.beating_anatomy import MARGIN_MM
 from data_synth.heart.heart_spec import HeartKind, HeartSpec
-from data_synth.heart.motion import MotionPreset
+from data_synth.heart.motion import HeartMotion, MotionPreset
 from data_synth.heart.reference import ReferenceShapes
 from dvf_ig.core import FloatArray, IntArray, Landmarks, Rigid, read_only_arrays
-
-
-class HeartMotion(Protocol):
-    """Motion χ and its inverse, frame "mr", at one phase for all points or one for each."""
-
-    def push_forward(self, xyz_mm: FloatArray, model_phase: FloatArray | float) -> FloatArray:
-        """Compute (n, 3) positions of (n, 3) end-diastolic points."""
-        ...
-
-    def pull_back(self, xyz_mm: FloatArray, model_phase: FloatArray | float) -> FloatArray:
-        """Compute (n, 3) end-diastolic positions of (n, 3) points."""
-        ...
 
 
 @read_only_arrays
@@ -53,6 +40,11 @@ class RestingHeart:
     es_fraction: float
     targets: Landmarks
     landmarks: Landmarks
+
+    @property
+    def resting_motion(self) -> HeartMotion:
+        """Its motion before the intervention."""
+        return self.contracting(1.0)
 
     @property
     def box_mm(self) -> FloatArray:

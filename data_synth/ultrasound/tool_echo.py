@@ -114,7 +114,7 @@ def _scan_lines(
     met, echo = np.zeros((2, probe.lines, probe.samples))
     np.maximum.at(met, cell, share)
     np.maximum.at(echo, cell, share * 10 ** (level_db / 20))
-    return _shown(probe, echo, float(depth.mean()), spec), _loss_db(probe, met, spec)
+    return _shown(probe, echo, float(depth.mean()), spec), _loss_db(met, spec)
 
 
 def _shown(probe: SectorProbe, echo: FloatArray, depth_mm: float, spec: ToolEchoSpec) -> FloatArray:
@@ -131,6 +131,6 @@ def _shown(probe: SectorProbe, echo: FloatArray, depth_mm: float, spec: ToolEcho
     return wide
 
 
-def _loss_db(probe: SectorProbe, met: FloatArray, spec: ToolEchoSpec) -> FloatArray:
+def _loss_db(met: FloatArray, spec: ToolEchoSpec) -> FloatArray:
     """Compute the loss behind the shaft, blurred like the beams."""
     return np.asarray(gaussian_filter1d(spec.shadow_db * np.maximum.accumulate(met, axis=1), 1.0, axis=0))

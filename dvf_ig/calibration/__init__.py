@@ -24,14 +24,12 @@ from .probe.crosswire import validate_crosswire as validate_crosswire
 from .probe.errors import CalibrationErrors as CalibrationErrors
 from .probe.nwire import NWireOptions as NWireOptions
 from .probe.nwire import NWireResult as NWireResult
-from .probe.nwire import NWireVariants as NWireVariants
 from .probe.nwire import calibrate_nwire as calibrate_nwire
 from .probe.nwire import compare_nwire_methods as compare_nwire_methods
 from .probe.nwire import validate_nwire as validate_nwire
 from .probe.nwire_solve import NWIRE_METHODS as NWIRE_METHODS
 from .probe.target_fit import TargetOptions as TargetOptions
 from .probe.target_fit import TargetResult as TargetResult
-from .probe.wall import PlaneTarget as PlaneTarget
 from .probe.wall import calibrate_wall as calibrate_wall
 from .probe.wall import validate_wall as validate_wall
 from .refusal import Gate as Gate

@@ -3,12 +3,12 @@
 All of it is causal except `beat_phase`, which needs the R peak after the time as well.
 """
 
-from .beats import beat_phase as beat_phase
 from .lead_off import LeadChange as LeadChange
 from .phase_clock import PhaseClock as PhaseClock
 from .phase_clock import PhaseClockOptions as PhaseClockOptions
 from .phase_tracking import PhaseTracking as PhaseTracking
 from .phase_tracking import TriggerDetector as TriggerDetector
+from .phase_tracking import beat_phase as beat_phase
 from .phase_tracking import phase_from_peaks as phase_from_peaks
 from .phase_tracking import stream_recording as stream_recording
 from .phase_tracking import track_phase as track_phase

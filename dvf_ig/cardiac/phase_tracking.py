@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dvf_ig.core import (
+    BoolArray,
     FloatArray,
     InvalidInputError,
     PhaseTrack,
@@ -12,6 +13,7 @@ from dvf_ig.core import (
     Signal,
     TriggerTimes,
     part_of,
+    read_only_arrays,
     untold,
 )
 from dvf_ig.core.timing.trigger import check_trigger_delay
@@ -91,7 +93,6 @@ def track_phase(
     source: Signal | TriggerTimes,
     t_s: FloatArray,
     *,
-    options: PhaseClockOptions | None = None,
     progress: Progress = untold,
 ) -> PhaseTracking:
     """Detect R peaks and estimate phase over a recording, each time from what was known by then.
@@ -104,7 +105,7 @@ def track_phase(
         InvalidInputError: sampled below 100 Hz, or times that do not increase.
     """
     peaks, changes = stream_recording(source, part_of(progress, 0, 2))
-    track = phase_from_peaks(peaks, changes, t_s, options=options, progress=part_of(progress, 1, 2))
+    track = phase_from_peaks(peaks, changes, t_s, progress=part_of(progress, 1, 2))
     return PhaseTracking(peaks, changes, track)
 
 
@@ -168,3 +169,46 @@ def _fill(clock: PhaseClock, t_s: FloatArray, out: FloatArray) -> None:
         last = int(np.searchsorted(t_s, forecast.until_s, side="right"))
         out[first:last] = np.column_stack(forecast.at_many(t_s[first:last])[:4])
         first = last
+
+
+MAX_RR_DEVIATION = 0.2
+"""A beat is regular when its RR is within this share of the median of its neighbourhood."""
+NEIGHBOURS = 4
+"""Beats on each side that form the neighbourhood."""
+
+
+@read_only_arrays
+@dataclass(frozen=True, slots=True, eq=False)
+class BeatPhase:
+    """Phase of times between R peaks.
+
+    Attributes:
+        phi: (n,) fraction of the enclosing RR interval, [0, 1); 0 outside any.
+        rr_s: (n,) length of that interval; NaN outside any.
+        regular: (n,) True if the beat is complete and neither it nor the one before was early or late.
+    """
+
+    phi: FloatArray
+    rr_s: FloatArray
+    regular: BoolArray
+
+
+def beat_phase(r_peaks_s: FloatArray, t_s: FloatArray) -> BeatPhase:
+    """Compute phase at `t_s` from the R peaks before and after it.
+
+    Args:
+        r_peaks_s: (k,) increasing.
+        t_s: (n,) times at which phase is computed.
+    """
+    n = len(t_s)
+    if len(r_peaks_s) < 2:
+        return BeatPhase(np.zeros(n), np.full(n, np.nan), np.zeros(n, dtype=np.bool_))
+    rr = np.diff(r_peaks_s)
+    normal = np.array([np.median(rr[max(0, k - NEIGHBOURS) : k + NEIGHBOURS + 1]) for k in range(len(rr))])
+    regular = np.abs(rr - normal) <= MAX_RR_DEVIATION * normal
+    regular[1:] &= np.abs(rr[:-1] - normal[:-1]) <= MAX_RR_DEVIATION * normal[:-1]
+    beat = np.searchsorted(r_peaks_s, t_s, side="right") - 1
+    inside = (beat >= 0) & (beat < len(rr))
+    safe = np.clip(beat, 0, len(rr) - 1)
+    phi = np.where(inside, (t_s - r_peaks_s[safe]) / rr[safe], 0.0)
+    return BeatPhase(phi, np.where(inside, rr[safe], np.nan), inside & regular[safe])

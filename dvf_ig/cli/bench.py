@@ -94,9 +94,9 @@ def _bench_calls(model: "DvfModel", options: "BenchOptions", continuity: int) ->
     from dvf_ig.io import plain
     from dvf_ig.study.bench.calls import continuity_checks, run_bench
 
-    done, checks = run_bench(model, options), continuity_checks(model, continuity, options.seed)
-    result = {**plain(done), "ratios": done.ratios(), "continuity": plain(checks), "seed": options.seed}
-    return result, [*_rows(done), *_continuity_rows(checks)]
+    bench, checks = run_bench(model, options), continuity_checks(model, continuity, options.seed)
+    result = {**plain(bench), "ratios": bench.ratios(), "continuity": plain(checks), "seed": options.seed}
+    return result, [*_rows(bench), *_continuity_rows(checks)]
 
 
 def _bench_session(seconds: float, model_file: Path | None, seed: int, threads: int) -> Output:
@@ -109,9 +109,9 @@ def _bench_session(seconds: float, model_file: Path | None, seed: int, threads: 
         built = None if model_file is None else read_model(model_file)
         setup = bench_setup(scenario, seed, built, report)
     with progress("the session") as report:
-        done = run_session(setup, round_of(scenario), seconds, report)
-    factors = {"real_time_factor": done.real_time_factor, "growth_percent": done.growth_percent}
-    return {**plain(done), **factors, "seed": seed, "threads": threads}, _session_rows(done)
+        timed = run_session(setup, round_of(scenario), seconds, report)
+    factors = {"real_time_factor": timed.real_time_factor, "growth_percent": timed.growth_percent}
+    return {**plain(timed), **factors, "seed": seed, "threads": threads}, _session_rows(timed)
 
 
 def _bench_servo(seconds: float, model: "DvfModel", seed: int) -> Output:
@@ -120,9 +120,9 @@ def _bench_servo(seconds: float, model: "DvfModel", seed: int) -> Output:
 
     cost = bench_tick(model, seed)
     with progress("the servo loops") as report:
-        done = bench_servo(model, seconds, seed, report)
-    result = {**plain(done), "rows": plain((*done.rows, *cost.rows)), "ratios": cost.ratios, "seed": seed}
-    return result, _servo_rows(done, cost)
+        timed = bench_servo(model, seconds, seed, report)
+    result = {**plain(timed), "rows": plain((*timed.rows, *cost.rows)), "ratios": cost.ratios, "seed": seed}
+    return result, _servo_rows(timed, cost)
 
 
 def _servo_rows(done: "ServoBench", cost: "TickCost") -> list[tuple[str, ...]]:

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 import typer
 from typer import Argument
 
-from .patient_model import patient_model
 from .recorded import ModelOption, RecordingOption, require_place
+from .session_argument import patient_model
 from .shell import JsonFlag, SeedOption, command, emit, out_file, out_folder, wrote
 
 if TYPE_CHECKING:
@@ -44,10 +44,10 @@ def read_source(run: Path, recording: Path | None, model: Path | None) -> Source
     if file is not None:
         require_place("model", file, run, "--model FILE")
     files = read_session(place)
-    found = read_exported_run(run, files.scenario)
+    exported = read_exported_run(run, files.scenario)
     given = files.model or file
-    built, _ = patient_model(found.scenario.preop, given)
-    return Source(found, built, None if given is None else built)
+    built, _ = patient_model(exported.scenario.preop, given)
+    return Source(exported, built, None if given is None else built)
 
 
 @app.command("slicer")

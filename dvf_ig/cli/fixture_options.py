@@ -160,24 +160,24 @@ def chosen_fixtures(
     from dvf_ig.guidance import FixtureSet
     from dvf_ig.intake.fixtures import LAWS, fixture_options, read_fixtures
 
-    asked = _asked(given)
+    flags = _asked(given)
     if file is not None:
-        if asked:
-            raise typer.BadParameter(f"--fixtures describes every fixture; leave out {_options(asked)}")
+        if flags:
+            raise typer.BadParameter(f"--fixtures describes every fixture; leave out {_options(flags)}")
         return read_fixtures(file, frame)
-    law = asked.setdefault("law", "forbidden")
-    unfit = [key for key in asked if key not in LAWS[law].model_fields]
+    law = flags.setdefault("law", "forbidden")
+    unfit = [key for key in flags if key not in LAWS[law].model_fields]
     if unfit:
         fit = [key for key in given if key in LAWS[law].model_fields and key != "law"]
         raise typer.BadParameter(f"--law {law} does not take {_options(unfit)}; it takes {_options(fit)}")
-    return FixtureSet((fixture_options(asked),)), None
+    return FixtureSet((fixture_options(flags),)), None
 
 
 def refuse_options(given: Mapping[str, Any], file: Path | None) -> None:
     """Raise typer.BadParameter if options describe fixtures that the session describes itself."""
-    asked = _options(_asked(given)) if file is None else "--fixtures"
-    if asked:
-        raise typer.BadParameter(f"the session describes the fixtures; leave out {asked}")
+    source = _options(_asked(given)) if file is None else "--fixtures"
+    if source:
+        raise typer.BadParameter(f"the session describes the fixtures; leave out {source}")
 
 
 def _asked(given: Mapping[str, Any]) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from typer import Argument, Option
 from .shell import EcgLeadOption, EcgRateOption, JsonFlag, command, emit, out_file, progress, warn, wrote
 
 if TYPE_CHECKING:
-    from dvf_ig.cardiac import PhaseClockOptions, PhaseTracking
+    from dvf_ig.cardiac import PhaseTracking
     from dvf_ig.core import FloatArray, Signal, TriggerTimes
 
 VALIDITY_RATE_HZ = 100.0
@@ -29,7 +29,6 @@ def gate(
     phase_at: Annotated[
         float | None, Option(help="Also give phase at this rate (Hz).", min=0.1, max=10_000.0)
     ] = None,
-    predictor: Annotated[str, Option(help="RR predictor: ar8, ewma or last.")] = "ar8",
     delay_s: Annotated[
         float | None, Option(help="trigger:FILE only: time from R to the trigger (s).")
     ] = None,
@@ -59,7 +58,7 @@ def gate(
         rows: list[tuple[str, str]] = []
         drawn: list[bytes] = []
         if ecg is not None:
-            signal, tracking = _track(ecg, rate, lead, phase_at or VALIDITY_RATE_HZ, predictor, delay_s)
+            signal, tracking = _track(ecg, rate, lead, phase_at or VALIDITY_RATE_HZ, delay_s)
             result |= _result(signal, tracking, with_phase=phase_at is not None)
             rows += _rows(result)
             drawn += [_picture(ecg, signal, tracking)] if output is not None else []
@@ -83,7 +82,6 @@ def _track(
     ecg_rate_hz: float | None,
     lead: str | None,
     rate_hz: float,
-    predictor: str,
     delay_s: float | None,
 ) -> "tuple[Signal | None, PhaseTracking]":
     import numpy as np
@@ -92,14 +90,13 @@ def _track(
     from dvf_ig.core import Signal
     from dvf_ig.io import read_beat_source
 
-    options = _options(predictor)
     source = read_beat_source(spec, rate_hz=ecg_rate_hz, delay_s=delay_s, lead=lead)
     if isinstance(source, Signal):
         duration_s = len(source) / source.rate_hz
         t_s = source.start_s + np.arange(max(1, int(duration_s * rate_hz))) / rate_hz
         with progress("heart beats") as report:
-            return source, track_phase(source, t_s, options=options, progress=report)
-    tracking = track_phase(source, _trigger_times(source, rate_hz), options=options)
+            return source, track_phase(source, t_s, progress=report)
+    tracking = track_phase(source, _trigger_times(source, rate_hz))
     doubles = len(tracking.lead_changes) // 2
     if doubles:
         warn(
@@ -114,16 +111,6 @@ def _trigger_times(source: "TriggerTimes", rate_hz: float) -> "FloatArray":
 
     count = max(1, int((source.t_s[-1] - source.start_s) * rate_hz) + 1)
     return np.asarray(source.start_s + np.arange(count) / rate_hz)
-
-
-def _options(predictor: str) -> "PhaseClockOptions":
-    from dvf_ig.cardiac import PREDICTORS, PhaseClockOptions, RhythmOptions
-    from dvf_ig.core import InvalidInputError
-
-    for name in PREDICTORS:
-        if name == predictor:
-            return PhaseClockOptions(rhythm=RhythmOptions(predictor=name))
-    raise InvalidInputError(f"RR predictor '{predictor}' is unknown; choose {', '.join(PREDICTORS)}")
 
 
 def _result(signal: "Signal | None", tracking: "PhaseTracking", *, with_phase: bool) -> dict[str, Any]:

@@ -7,9 +7,8 @@ import typer
 from typer import Argument
 
 from . import fixture_options
-from .patient_model import patient_model
 from .run_outputs import run_files, write_run
-from .session_argument import SESSION, ModelOption, read_agreeing
+from .session_argument import SESSION, ModelOption, patient_model, read_agreeing
 from .shell import JsonFlag, SeedOption, ThreadsOption, command, emit, out_folder, progress, warn, wrote
 
 
@@ -51,7 +50,7 @@ def replay(
         with output_folder(out, run_files()):
             built, origin = patient_model(recorded.preop, files.model or model)
             with progress("replay") as report:
-                done = run_replay(
+                finished = run_replay(
                     recorded,
                     model=built,
                     fixtures=fixture_options.with_margin(options, margin),
@@ -60,19 +59,21 @@ def replay(
                     progress=report,
                     live=files.record,
                 )
-            result = result_of(done)
-            written = write_run(done, result, out, session, model)
-        heading = ("", "estimate", "error against the truth" if done.scenario.truth is not None else "")
+            result = result_of(finished)
+            written = write_run(finished, result, out, session, model)
+        heading = ("", "estimate", "error against the truth" if finished.scenario.truth is not None else "")
         emit(result, [heading, *table(result)], as_json=as_json)
         typer.echo(origin, err=True)
         for name, frame in written.items():
             wrote(out / name, frame)
         for warning in result["warnings"]:
             warn(f"{warning['key']}: {warning['sentence']}")
-        if done.poses and done.history.updates[-1].pose is None:
+        if finished.poses and finished.history.updates[-1].pose is None:
             warn("at the end no pose was in use: mr_from_tracker is the last one before it was suspended")
-        if not done.poses:
-            reason = result["registrations"][-1]["reason"] if done.attempts else "the recording is too short"
+        if not finished.poses:
+            reason = (
+                result["registrations"][-1]["reason"] if finished.attempts else "the recording is too short"
+            )
             raise QualityGateError(f"no registration could be used, so no force was given: {reason}")
         if result["no_force"] is not None:
             raise QualityGateError(f"no force was given: {result['no_force']}")

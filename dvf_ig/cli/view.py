@@ -6,8 +6,8 @@ from typing import Annotated
 import typer
 from typer import Argument
 
-from .patient_model import patient_model
 from .recorded import ModelOption, RecordingOption, require_place
+from .session_argument import patient_model
 from .shell import JsonFlag, ThreadsOption, command, emit, out_file, wrote
 
 

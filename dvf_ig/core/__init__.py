@@ -65,10 +65,10 @@ from .stop import Stop as Stop
 from .timing.cycle import CycleTiming as CycleTiming
 from .timing.cycle import nearest_phase as nearest_phase
 from .timing.cycle import phase_distance as phase_distance
-from .timing.phase import PhaseState as PhaseState
-from .timing.phase import PhaseTrack as PhaseTrack
 from .timing.phase_forecast import PhaseForecast as PhaseForecast
 from .timing.phase_forecast import PhaseReading as PhaseReading
+from .timing.phase_forecast import PhaseState as PhaseState
+from .timing.phase_forecast import PhaseTrack as PhaseTrack
 from .timing.retiming_curve import CubicPieces as CubicPieces
 from .timing.retiming_curve import RetimingCurve as RetimingCurve
 from .timing.trigger import TriggerTimes as TriggerTimes

@@ -87,8 +87,8 @@ class SeenPart:
         Args:
             phase: (n,) of the cycle; the largest deviation where it is NaN.
         """
-        known = np.interp(np.nan_to_num(phase), timing.fractions, self.sigma_mm, period=1.0)
-        sigma = np.where(np.isnan(phase), self.sigma_mm.max(), known)
+        sigma_mm = np.interp(np.nan_to_num(phase), timing.fractions, self.sigma_mm, period=1.0)
+        sigma = np.where(np.isnan(phase), self.sigma_mm.max(), sigma_mm)
         low, high = self.ends_mm
         share = np.clip((self.heights_mm(xyz_mm) - low) / (high - low), 0.0, 1.0)
         return np.asarray((sigma * share)[:, None, None] ** 2 * np.outer(self.normal, self.normal))

@@ -44,7 +44,6 @@ class PlacesInModel:
         sigma_model_phase: (n,) one standard deviation.
         covariance_mm2: (n, 3, 3) of the place, by that of the pose, before the warp; NaN if that is unknown.
         wall_variance_mm2: (n,) of a wall there along its normal, by the change of shape.
-        mr_from_tool: (n, 3, 3) orientation of the tool; (0, 3, 3) if it was not asked for.
         status: (n,) `Status`: OK, NO_POSE, NO_PHASE or FAULT.
     """
 
@@ -55,7 +54,6 @@ class PlacesInModel:
     sigma_model_phase: FloatArray
     covariance_mm2: FloatArray
     wall_variance_mm2: FloatArray
-    mr_from_tool: FloatArray
     status: IntArray
 
     def __len__(self) -> int:

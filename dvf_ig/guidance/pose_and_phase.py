@@ -35,8 +35,6 @@ from dvf_ig.kernels.pose_and_phase import DISTANCE_SIGMA, GUIDED_SIZE, guided_ba
 from .evaluator import Evaluator, ForceSamples
 from .places import PlacesInModel, Status
 
-DEVICE_FRAME = "device"
-"""Frame of forces that were turned by `tracker_from_device`."""
 TRACKER_FRAME = "tracker"
 """Frame of the tool where there is no pose to name it."""
 
@@ -91,35 +89,27 @@ class PoseAndPhase:
         packed.setflags(write=False)
         object.__setattr__(self, "packed", packed)
 
-    def at(self, xyz_tracker_mm: Any, t_s: Any, *, tracker_from_tool: Any = None) -> PlacesInModel:
+    def at(self, xyz_tracker_mm: Any, t_s: Any) -> PlacesInModel:
         """Places in the model and in its cycle.
 
         Args:
             xyz_tracker_mm: (n, 3) points, tracker frame.
             t_s: (n,) times of these, or one for all.
-            tracker_from_tool: orientation of the tool, if that is wanted in the model: (3, 3) or (4, 4), or
-                one for each point, (n, 3, 3) or (n, 4, 4).
         Raises:
             InvalidInputError: shapes that do not fit.
         """
         xyz, t = _points_and_times(xyz_tracker_mm, t_s)
         n = len(xyz)
-        tools = None if tracker_from_tool is None else _rotations(tracker_from_tool, n, "tracker_from_tool")
         finite = np.isfinite(xyz).all(axis=1) & np.isfinite(t)
-        if tools is not None:
-            finite &= np.isfinite(tools).all(axis=(1, 2))
         posed = finite & (t < (-math.inf if self.pose is None else self.pose_until_s))
         phase, rate, sigma = self._model_phase(np.where(finite, t, np.nan))
         status = np.where(np.isnan(phase), int(Status.NO_PHASE), int(Status.OK))
         status = np.where(posed, status, int(Status.NO_POSE))
         place, velocity = np.full((n, 3), np.nan), np.full((n, 3), np.nan)
-        turned = np.full((0 if tools is None else n, 3, 3), np.nan)
         if self.pose is not None:
             poses = self.pose.matrices(t[posed])
             place[posed] = np.einsum("nij,nj->ni", poses[:, :, :3], xyz[posed]) + poses[:, :, 3]
             velocity[posed] = self.pose.velocity_mm_s(place[posed], t[posed])
-            if tools is not None:
-                turned[posed] = poses[:, :, :3] @ tools[posed]
         covariance, variance = self._covariance(place), np.where(posed, RIGID_SIGMA_MM**2, np.nan)
         if self.warp is not None:
             pull = self.warp.pull(place[posed], t[posed])
@@ -134,7 +124,6 @@ class PoseAndPhase:
             sigma_model_phase=sigma,
             covariance_mm2=covariance,
             wall_variance_mm2=variance,
-            mr_from_tool=turned,
             status=np.where(finite, status, int(Status.FAULT)),
         )
 
@@ -144,8 +133,6 @@ class PoseAndPhase:
         tip_tracker_mm: Any,
         t_s: Any,
         input_status: IntArray | None = None,
-        *,
-        tracker_from_device: Any = None,
     ) -> ForceSamples:
         """Forces at the tool tip at some times; none where tool or pose may not be used.
 
@@ -157,38 +144,34 @@ class PoseAndPhase:
             tip_tracker_mm: (n, 3) tool tip, tracker frame; any value where its status is not OK.
             t_s: (n,) times of these, or one for all.
             input_status: (n,) `Status` of the tool's pose; None: all OK.
-            tracker_from_device: (3, 3) or (4, 4), or one per sample, (n, 3, 3) or (n, 4, 4): orientation of
-                the frame "device" in which forces and gradients are wanted; None leaves them in the tracker
-                frame. Only the rotation acts: a force is a free vector.
         Raises:
             FrameMismatchError: the model is in another frame than the registration's target.
             InvalidInputError: shapes that do not fit.
         """
         xyz, t = _points_and_times(tip_tracker_mm, t_s)
         n = len(xyz)
-        ok = int(Status.OK)
-        status = np.full(n, ok) if input_status is None else np.array(input_status, dtype=np.int64)
+        status = (
+            np.full(n, int(Status.OK)) if input_status is None else np.array(input_status, dtype=np.int64)
+        )
         check_shape(status, "input status", (n,))
-        frame, turn = self._pose_frames(evaluator).source, None
-        if tracker_from_device is not None:
-            device = _rotations(tracker_from_device, n, "tracker_from_device")
-            broken = np.asarray(~np.isfinite(device).all(axis=(1, 2)))
-            status[broken & (status == ok)] = int(Status.FAULT)
-            frame, turn = DEVICE_FRAME, np.where(broken[:, None, None], np.eye(3), device)
+        frame = self._pose_frames(evaluator).source
         out = np.empty((n, GUIDED_SIZE))
         guided_batch(*self._kernel_arguments(evaluator), t, xyz, status, out)
-        force, gradient = out[:, :3], out[:, 4:7]
-        if turn is not None:
-            force, gradient = (np.einsum("nji,nj->ni", turn, v) for v in (force, gradient))
-        return ForceSamples(frame, force, out[:, 3], gradient, status, out[:, 7], out[:, DISTANCE_SIGMA])
+        return ForceSamples(
+            frame, out[:, :3], out[:, 3], out[:, 4:7], status, out[:, 7], out[:, DISTANCE_SIGMA]
+        )
 
-    def bind(self, evaluator: Evaluator) -> "BoundTick":
-        """One call per servo tick, without allocation, valid until the next event.
+    def bind(self, evaluator: Evaluator) -> partial[int]:
+        """One call per servo tick, without allocation and checks, valid until the next event.
+
+        `tick(t_s, tip_tracker_mm, input_status, out)` returns the `Status` value and fills `out` as
+        `dvf_ig.kernels.pose_and_phase.guided_tick` does, vectors in the tracker frame; use it in one loop
+        alone. Its `args` are for loops that run inside a kernel and never cross Python.
 
         Raises:
             FrameMismatchError: the model is in another frame than the registration's target.
         """
-        return BoundTick(*self._kernel_arguments(evaluator))
+        return partial(guided_tick, *self._kernel_arguments(evaluator))
 
     def _kernel_arguments(self, evaluator: Evaluator) -> tuple[Any, FloatArray, Any, Any]:
         """Leading arguments of `guided_tick`; the fixture's array is a new one, which its calls write to."""
@@ -225,29 +208,6 @@ class PoseAndPhase:
         return np.asarray(jacobian @ self.covariance_mm2 @ np.swapaxes(jacobian, 1, 2))
 
 
-class BoundTick(partial[int]):
-    """One tick of the servo loop: time and tip (tracker frame) in, force (tracker frame) out.
-
-    `tick(t_s, tip_tracker_mm, input_status, out)` returns the `Status` value and fills `out`:
-
-    Args:
-        t_s: time of the tool's pose.
-        tip_tracker_mm: (3,) tool tip, tracker frame.
-        input_status: `Status` of the tool's pose; anything but OK gives zero force.
-        out: (7,) force in N, distance in mm, gradient, vectors in the tracker frame; (8,) for ∂d/∂φ in mm a
-            cycle as well; (10,) for ∂d/∂t at the tool's fixed place in mm/s and σ_d in mm as well.
-
-    Arguments are not checked: the call goes straight to the kernel, for use in one servo loop.
-    `PoseAndPhase.evaluate` is the same with checks. `args` are the leading arguments of
-    `dvf_ig.kernels.pose_and_phase.guided_tick`, for loops that run inside a kernel and never cross Python.
-    """
-
-    __slots__ = ()
-
-    def __new__(cls, coefficients: Any, fixture: FloatArray, packed: Any, warps: Any) -> "BoundTick":
-        return super().__new__(cls, guided_tick, coefficients, fixture, packed, warps)
-
-
 def _check_covariance(covariance_mm2: FloatArray) -> None:
     """Refuse what would make a distance look more certain than it is."""
     tolerance = 1e-6 * float(np.abs(covariance_mm2).max())
@@ -269,14 +229,3 @@ def _points_and_times(xyz_mm: Any, t_s: Any) -> tuple[FloatArray, FloatArray]:
         t = np.full(len(xyz), t)
     check_shape(t, "times", (len(xyz),))
     return xyz, t
-
-
-def _rotations(given_map: Any, n: int, name: str) -> FloatArray:
-    """(n, 3, 3) rotations of rigid maps given in any of the accepted shapes."""
-    matrix = np.asarray(given_map, dtype=np.float64)
-    stack = matrix[None] if matrix.ndim == 2 else matrix
-    if stack.ndim != 3 or stack.shape[1:] not in ((3, 3), (4, 4)) or len(stack) not in (1, n):
-        raise InvalidInputError(
-            f"{name} has shape {matrix.shape}; needed (3, 3) or (4, 4), or one for each of {n} samples"
-        )
-    return np.broadcast_to(stack[:, :3, :3], (n, 3, 3))

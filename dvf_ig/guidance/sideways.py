@@ -53,15 +53,12 @@ class SidewaysStiffness:
     share_beyond: float
 
 
-def sideways_stiffness(
-    evaluator: Evaluator, device: DeviceLimits, reach_mm: float = REACH_MM
-) -> SidewaysStiffness | None:
+def sideways_stiffness(evaluator: Evaluator, device: DeviceLimits) -> SidewaysStiffness | None:
     """In the cells of the spline's knots within reach of the guarded surface; None if there are none.
 
     Args:
         evaluator: the fixture.
         device: whose stiffness is compared with.
-        reach_mm: from its guarded depth.
     """
     looked_at = beyond = 0
     samples = _places(evaluator)
@@ -70,7 +67,7 @@ def sideways_stiffness(
     for phase in np.arange(PHASES) / PHASES:
         samples_there = evaluator.force(samples, phase)
         near = (samples_there.status == Status.OK) & (
-            np.abs(samples_there.distance_mm - depth_mm) <= reach_mm
+            np.abs(samples_there.distance_mm - depth_mm) <= REACH_MM
         )
         if not near.any():
             continue

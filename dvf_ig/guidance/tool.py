@@ -96,6 +96,23 @@ class Tool:
             return None
         return np.asarray(tracker_from_tool @ self.axis)
 
+    def handle_direction(
+        self, tip_mm: FloatArray, tips_mm: FloatArray, tracker_from_tool: FloatArray
+    ) -> FloatArray:
+        """Return (n, 3) unit vectors from the tip to the handle, or to the sensor if no axis is stated.
+
+        Args:
+            tip_mm: (3,) frame "tool".
+            tips_mm: (n, 3) the tip, frame "tracker".
+            tracker_from_tool: (n, 3, 3) rotations.
+        """
+        if self.fulcrum is not None:
+            along = self.fulcrum.point_mm - tips_mm
+        else:
+            along = tracker_from_tool @ (-tip_mm if self.axis is None else self.axis)
+        size = np.linalg.norm(along, axis=1, keepdims=True)
+        return np.where(size > 1e-6, along / np.maximum(size, 1e-6), tracker_from_tool[:, :, 2])
+
     def require_device(self, name: str) -> None:
         """Refuse a free shaft on a device, whose servo reads a position and no direction.
 

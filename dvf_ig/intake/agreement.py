@@ -1,4 +1,4 @@
-"""Whether a session's files agree: units, names, clocks, and where everything lies."""
+"""Whether a session's files agree: units, motion, names, clocks, and where everything lies."""
 
 from collections.abc import Iterator
 
@@ -45,6 +45,7 @@ def disagreements(
 def _all(files: SessionFiles, peaks_s: FloatArray, seen: HeartInImages | None) -> Iterator[Finding]:
     units = tuple(unit_findings(files))
     yield from units
+    yield from motion_findings(files)
     yield from name_findings(files)
     yield from clock_findings(files, peaks_s)
     yield from cycle_findings(seen, files)
@@ -56,8 +57,6 @@ def unit_findings(files: SessionFiles) -> Iterator[Finding]:
     """Find lengths and times in another unit."""
     if files.preop is not None:
         yield from _heart(files.preop)
-        if files.tool is not None and (key := still_heart_key(files.preop)) is not None:
-            yield finding(Disagreement.HEART_DOES_NOT_BEAT, key)
     if files.sweep is not None:
         if files.sweep.recorded.has_timestamps:
             yield from _stamps(files.sweep.recorded.t_s, "ultrasound", "ultrasound", "register")
@@ -143,6 +142,14 @@ def _recorded_map(probe: ImageMap, sweep: Sweep) -> Iterator[Finding]:
     apart_mm = float(np.linalg.norm(((recorded - probe.matrix) @ corners)[:3], axis=0).max())
     if apart_mm > SAME_IMAGE_MM:
         yield finding(Disagreement.OTHER_IMAGE_MAP, "calibration.probe", name=name, mm=apart_mm)
+
+
+def motion_findings(files: SessionFiles) -> Iterator[Finding]:
+    """Find a heart that does not move under a tool that fixtures guide."""
+    if files.preop is not None and files.tool is not None:
+        key = still_heart_key(files.preop)
+        if key is not None:
+            yield finding(Disagreement.HEART_DOES_NOT_BEAT, key)
 
 
 def name_findings(files: SessionFiles) -> Iterator[Finding]:

@@ -36,12 +36,6 @@ class Disagreement(Enum):
         "the heart is {mm:.0f} mm long; a heart has 60 to 200 mm: check that the file is in mm, and that its "
         "labels or surfaces are those of the heart",
     )
-    HEART_DOES_NOT_BEAT = Rule(
-        True,
-        "the heart is the same in every phase: it does not beat, so that fixtures stand still while the "
-        "patient's heart moves; build the model from every phase (model build --surfaces DIR, --labels "
-        "SERIES, or --image CINE with the labels of one phase)",
-    )
     POSES_NOT_IN_MM = Rule(
         True,
         "every position of {stream} lies within {mm:.2g} mm of the origin, where no marker can be: the poses "
@@ -61,6 +55,12 @@ class Disagreement(Enum):
         False,
         "{stream} moves by {mm:.2g} mm in the whole recording: the tool lies still, its pose is frozen, or "
         "it is in m; check that this is the recording of the tool at work",
+    )
+    HEART_DOES_NOT_BEAT = Rule(
+        True,
+        "the heart is the same in every phase: it does not beat, so that fixtures stand still while the "
+        "patient's heart moves; build the model from every phase (model build --surfaces DIR, --labels "
+        "SERIES, or --image CINE with the labels of one phase)",
     )
     TOOL_IS_PROBE = Rule(
         True, "its poses are those of the ultrasound probe, number for number; give the poses of the tool"

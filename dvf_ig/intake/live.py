@@ -147,17 +147,17 @@ def require_orientation(live: LiveConfig, probe: object, folder: Path) -> None:
         InvalidInputError: they differ, or neither states one and the images come in another one than MF.
     """
     key, stated = "live.calibrated_orientation", live.calibrated_orientation
-    given = probe if isinstance(probe, str) else "a phantom's sweep"
+    source = probe if isinstance(probe, str) else "a phantom's sweep"
     calibrated = read_image_orientation(folder / probe) if isinstance(probe, str) else "MF"
     if None not in (calibrated, stated) and stated != calibrated:
         raise InvalidInputError(
-            f"{key} is {stated}, but calibration.probe ({given}) holds for images in {calibrated}: they "
+            f"{key} is {stated}, but calibration.probe ({source}) holds for images in {calibrated}: they "
             f"would be mirrored; remove {key}",
             key=key,
         )
     if calibrated is None and stated is None and live.image_orientation != "MF":
         raise InvalidInputError(
-            f"images come in {live.image_orientation} (live.image_orientation), and {given} does not state "
+            f"images come in {live.image_orientation} (live.image_orientation), and {source} does not state "
             f"which images it calibrates; calibrate the probe again, or state {key}",
             key=key,
         )

@@ -44,8 +44,12 @@ def session_schema() -> dict[str, Any]:
     schema: dict[str, Any] = SessionConfig.model_json_schema(by_alias=True)
     for name, key in KEYS.items():
         section, _, entry = name.rpartition(".")
-        held = schema["properties"].get(section, {})
-        kinds = [kind["$ref"].rpartition("/")[2] for kind in (held, *held.get("anyOf", ())) if "$ref" in kind]
+        described = schema["properties"].get(section, {})
+        kinds = [
+            kind["$ref"].rpartition("/")[2]
+            for kind in (described, *described.get("anyOf", ()))
+            if "$ref" in kind
+        ]
         for place in [schema["$defs"][kind] for kind in kinds] if section else [schema]:
             if entry in place["properties"]:
                 place["properties"][entry]["description"] = key.note

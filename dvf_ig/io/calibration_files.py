@@ -213,8 +213,8 @@ def read_landmark_map(path: Path | str) -> Rigid:
         return rigid_from_matrix(calibration.target_from_source, calibration.target, calibration.source)
 
 
-def read_hand_eye(path: Path | str, hand: str = "hand", camera: str = "camera") -> Rigid:
-    """Read hand_from_camera of `calibrate hand-eye`: JSON, or PLUS XML with the names `hand` and `camera`.
+def read_hand_eye(path: Path | str) -> Rigid:
+    """Read hand_from_camera of `calibrate hand-eye`: JSON, or PLUS XML with the names hand and camera.
 
     A JSON file states its own frame names.
 
@@ -227,10 +227,10 @@ def read_hand_eye(path: Path | str, hand: str = "hand", camera: str = "camera") 
         if path.suffix.lower() != ".xml":
             calibration = _read(HandEyeFile, path, what, "hand-eye")
             return rigid_from_matrix(calibration.hand_from_camera, calibration.target, calibration.source)
-        definition = read_calibrations(path).get(f"{hand}_from_{camera}")
+        definition = read_calibrations(path).get("hand_from_camera")
         if definition is None:
-            raise InvalidInputError(f"it has no transform {hand}_from_{camera}")
-        return rigid_from_matrix(definition.matrix, hand, camera)
+            raise InvalidInputError("it has no transform hand_from_camera")
+        return rigid_from_matrix(definition.matrix, "hand", "camera")
 
 
 def _refuse(problem: str | None) -> None:

@@ -153,12 +153,12 @@ def _table(path: Path, rate_hz: float | None) -> Table:
     at = next((i for i, column in enumerate(header) if _TIME.fullmatch(column.name)), None)
     if at is None:
         at = next(iter(table.clocks), None)
-    kept = [i for i in range(len(header)) if i != at]
-    names = tuple(header[i].heading for i in kept)
+    columns = [i for i in range(len(header)) if i != at]
+    names = tuple(header[i].heading for i in columns)
     if at is not None:
         times = past_midnight(values[:, at]) if at in table.clocks else values[:, at]
         unit = "s" if at in table.clocks else header[at].unit
-        return _seconds(path, times, header[at], unit, rate_hz), names, values[:, kept]
+        return _seconds(path, times, header[at], unit, rate_hz), names, values[:, columns]
     if None not in (table.rate_hz, rate_hz) and table.rate_hz != rate_hz:
         raise UnreadableFileError(
             f"{path} states {table.rate_hz:g} Hz, but --rate is {rate_hz:g} Hz; omit it"

@@ -13,12 +13,11 @@ from dvf_ig.io import limits
 from dvf_ig.session import Event, RespirationSample, ToolPose
 
 from .devices import DeviceNames, Posed, Role
-from .frames import SAME_S, FramePairing
+from .frames import SAME_S, FramePairing, LiveEvent
 from .igtl import Message, WireError
 from .link import Arrival
 from .samples.field import EcgField
 from .samples.respiration import BreathField
-from .timed import LiveEvent
 
 SETTLE_S = 1.0
 FASTEST_S = 0.25

@@ -13,7 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvf_ig.core import FloatArray, PoseStream
-from dvf_ig.session import TrackedFrame
+from dvf_ig.session import Event, TrackedFrame
+
+
+class LiveEvent(NamedTuple):
+    """Event with the arrival of the message that completed it, by this machine's monotonic clock."""
+
+    arrived_s: float
+    event: Event
+
 
 SAME_S = 5e-4
 """Stamps that differ by less are one."""

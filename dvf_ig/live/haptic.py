@@ -32,7 +32,7 @@ from dvf_ig.guidance.servo.record import deadlines_together
 from dvf_ig.guidance.servo.servo import LATE_NS
 from dvf_ig.session import GuidanceState, ToolPose
 
-from .timed import LiveEvent
+from .frames import LiveEvent
 
 POSES_S = 0.009
 """Poses of the tip reach the session this far apart or further: about as often as it gives a state."""
@@ -61,8 +61,8 @@ class HapticCounts:
         self.forced_ticks += int((size_n > 0.0).sum())
         self.largest_n = max(self.largest_n, float(size_n.max(initial=0.0)))
         # the distance to a path has no sign, and no rate
-        known = record.distance_mm[np.isfinite(record.distance_mm + record.rows["rate_mm_per_cycle"])]
-        self.deepest_mm = max(self.deepest_mm, float(known.max(initial=-np.inf)))
+        finite = record.distance_mm[np.isfinite(record.distance_mm + record.rows["rate_mm_per_cycle"])]
+        self.deepest_mm = max(self.deepest_mm, float(finite.max(initial=-np.inf)))
         for state in SupervisorState:
             self.by_state[state.name] += int((record.state == state).sum())
 

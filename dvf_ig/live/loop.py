@@ -24,11 +24,11 @@ from dvf_ig.session import Event, GuidanceState, Landmark, Rearm, Session, ToolP
 
 from .answers import force_message, last_messages, pose_message, state_messages
 from .events import EventSource
+from .frames import LiveEvent
 from .haptic import HapticTool
 from .link import Inbox, Link
 from .priority import SESSION, schedule_first
 from .record import NO_RECORD, Record
-from .timed import LiveEvent
 
 ANSWERS_HZ = 60.0
 STATE_EVERY_S = 0.01

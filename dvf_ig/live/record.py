@@ -20,7 +20,7 @@ from dvf_ig.intake.session_log.live import (
 )
 from dvf_ig.io.ros.log_file import UNFINISHED, LogWriter, require_log_packages
 from dvf_ig.io.writing.place import failure_reason
-from dvf_ig.session import Event, GuidanceState, Job, ThreadedExecutor, TrackedFrame
+from dvf_ig.session import Event, GuidanceState, Job, ThreadedExecutor, ToolPose, TrackedFrame
 
 from .priority import RECORDING, schedule_first
 
@@ -41,23 +41,18 @@ class Record(Protocol):
     @property
     def problem(self) -> str | None:
         """Problem of the record, as a sentence for the user; None if there is none."""
-        ...
 
     def event(self, event: Event, arrived_s: float | None) -> None:
         """Before it is pushed."""
-        ...
 
     def state(self, state: GuidanceState) -> None:
         """One that the session was asked for."""
-        ...
 
     def answer(self, state: GuidanceState) -> None:
         """Answer that was sent."""
-        ...
 
     def work(self, number: int, refused: int) -> None:
         """Work was found done after it had been asked for `refused` times."""
-        ...
 
 
 class _NoRecord:
@@ -101,6 +96,7 @@ class SessionRecord:
         self._now_s = 0.0
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._write_all, name="dvf-ig record", daemon=True)
+        self._missing = {ToolPose: "pose of the tool", TrackedFrame: "ultrasound"}
         self.lost = 0
         """Events, states and answers that were left out."""
         self.failure: str | None = None
@@ -112,6 +108,11 @@ class SessionRecord:
         return self._bytes_in == 0 and self.lost == 0
 
     @property
+    def missing(self) -> str | None:
+        """First stream that a replay needs of which nothing came; None if none is missing."""
+        return next(iter(self._missing.values()), None)
+
+    @property
     def problem(self) -> str | None:
         if self.failure is not None:
             return f"the record ended, the session goes on: {self.failure}"
@@ -120,6 +121,7 @@ class SessionRecord:
         return None
 
     def event(self, event: Event, arrived_s: float | None) -> None:
+        self._missing.pop(type(event), None)
         image = event.image if isinstance(event, TrackedFrame) else None
         size = SMALL_BYTES if image is None else SMALL_BYTES + image.nbytes
         arrived = float("nan") if arrived_s is None else arrived_s

@@ -17,6 +17,7 @@ from dvf_ig.session import Event, Landmark, Session, SessionHistory, SessionSetu
 from .answers import last_messages
 from .devices import DeviceNames, flips_between
 from .events import EventSource
+from .frames import LiveEvent
 from .haptic import HapticTool
 from .igtl import encode
 from .igtl.codec import checksum
@@ -26,7 +27,6 @@ from .priority import answering_soon
 from .record import NO_RECORD, CountedWork, Record
 from .samples.field import EcgField
 from .samples.respiration import BreathField
-from .timed import LiveEvent
 
 CUT_OFF = "the connection is ended because of a message that broke the protocol; connect again"
 LOOK_EVERY_S = 0.05

@@ -25,8 +25,8 @@ from dvf_ig.core import (
     untold,
 )
 from dvf_ig.core.plausible import heart_problem
+from dvf_ig.core.progress import thread_pool
 from dvf_ig.core.space.frames import require_same_frame
-from dvf_ig.core.threads import thread_pool
 from dvf_ig.preop.spline.fit import axis_solvers, fit_phase, sample_grid
 from dvf_ig.preop.surface.chambers import chambers_from_labels, chambers_from_surfaces
 from dvf_ig.preop.surface.closing import Cap, caps_of, close_surface, describe_caps

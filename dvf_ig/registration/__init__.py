@@ -51,6 +51,7 @@ from .pose_chart import covariance_to_mm as covariance_to_mm
 from .pose_chart import pose_difference as pose_difference
 from .pose_chart import predicted_error_mm as predicted_error_mm
 from .pose_chart import target_errors_mm as target_errors_mm
+from .register import against_touched as against_touched
 from .register import register as register
 from .result import RegistrationResult as RegistrationResult
 from .shape.change import ShapeChange as ShapeChange

@@ -140,9 +140,9 @@ def misfits(beats: tuple[BreathBeat, ...], features: FloatArray) -> FloatArray:
     Returns:
         (m,) χ² over its expected value, times the degrees of freedom.
     """
-    known = np.asarray(np.isfinite(features).all(axis=(0, 2)))
-    table = _Table.of(tuple(beat for beat, here in zip(beats, known, strict=True) if here))
-    tables = [replace(table, features=one[known]) for one in features]
+    finite = np.asarray(np.isfinite(features).all(axis=(0, 2)))
+    table = _Table.of(tuple(beat for beat, here in zip(beats, finite, strict=True) if here))
+    tables = [replace(table, features=one[finite]) for one in features]
     missed = np.array([one.missed(_ridge(one, 0.0)[0]) for one in tables])
     return np.asarray(missed / max(1.0, float(missed.min()) / max(tables[0].fitted_freedom, 1.0)))
 

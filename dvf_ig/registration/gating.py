@@ -183,7 +183,7 @@ def gate_frames(
         breath_valid: (n,) the heart rests, or can be moved to its rest; None if nothing follows the breath.
     """
     near = phase_distance(fractions, model_phase).min(axis=1) <= window
-    kept = np.ones(len(model_phase), dtype=np.bool_)
+    passed = np.ones(len(model_phase), dtype=np.bool_)
     rejected: dict[FrameRejection, int] = {}
     for reason, good in (
         (FrameRejection.INVALID_IMAGE, image_valid),
@@ -191,10 +191,10 @@ def gate_frames(
         (FrameRejection.REPEATED_IMAGE, ~information.repeated),
         (FrameRejection.NOISE_IMAGE, ~information.noise),
         (FrameRejection.UNTRACKED_PROBE, pose_valid),
-        (FrameRejection.BREATH, np.ones_like(kept) if breath_valid is None else breath_valid),
+        (FrameRejection.BREATH, np.ones_like(passed) if breath_valid is None else breath_valid),
         (FrameRejection.IRREGULAR_BEAT, beat_valid),
         (FrameRejection.BETWEEN_PHASES, near),
     ):
-        rejected[reason] = int((kept & ~good).sum())
-        kept &= good
-    return Gated(np.flatnonzero(kept), rejected)
+        rejected[reason] = int((passed & ~good).sum())
+        passed &= good
+    return Gated(np.flatnonzero(passed), rejected)

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 
 from dvf_ig.core import DvfModel, FloatArray, Rigid, TrackedVolume, read_only_arrays
-from dvf_ig.core.threads import thread_pool
+from dvf_ig.core.progress import thread_pool
 from dvf_ig.kernels.compiled import thread_count
 from dvf_ig.registration.boundary.fit import Boundary
 from dvf_ig.registration.boundary.points import BoundaryPoints, boundary_points
@@ -114,27 +114,22 @@ class HeartTarget(Protocol):
     @property
     def channels(self) -> ModelChannels:
         """Channels by which LC2 explains the ultrasound."""
-        ...
 
     @property
     def center_mm(self) -> FloatArray:
         """(3,) centre of the heart box, about which poses turn."""
-        ...
 
     @property
     def surface(self) -> BoundaryTarget | None:
         """The boundary of blood and wall at the phases in use; None if it is not known."""
-        ...
 
     @property
     def covered(self) -> CoveredPart | None:
         """The part of the heart that its images cover; None if they hold all of it."""
-        ...
 
     @property
     def model(self) -> DvfModel | None:
         """The guarded surface, from which the depth of walls is measured; None if it is not known."""
-        ...
 
 
 @read_only_arrays

@@ -63,7 +63,7 @@ def distinct(poses: Sequence[Rigid], center_mm: FloatArray) -> list[int]:
     """
     chosen: list[int] = []
     for k, pose in enumerate(poses):
-        if all(mean_displacement_mm(pose, poses[known], center_mm) > DISTINCT_MM for known in chosen):
+        if all(mean_displacement_mm(pose, poses[other], center_mm) > DISTINCT_MM for other in chosen):
             chosen.append(k)
     return chosen
 

@@ -54,9 +54,7 @@ def register(
     *,
     rng: np.random.Generator,
     clock: Callable[[], float],
-    prior: LandmarkPrior | None = None,
-    landmarks: LandmarkFit | None = None,
-    touched: TouchedSurface | None = None,
+    landmarks: LandmarkPrior | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> RegistrationResult:
     """Register ultrasound to the phase-matched model (docs/theory/registration.md).
@@ -66,9 +64,7 @@ def register(
         start: target_from_source to start from.
         rng: draws the displaced starts and the wrong poses.
         clock: seconds from any origin, for the result's `seconds`; nothing else depends on it.
-        prior: touched landmarks that the pose, or the probe's calibration alone, must also agree with.
-        landmarks: fit of touched landmarks, which rules out a pose far from it.
-        touched: points touched on the heart's surface, which rule out a pose that puts them off it.
+        landmarks: touched landmarks that the pose, or the probe's calibration alone, must also agree with.
         progress: called with the fraction done.
     Returns:
         the most likely pose, its evidence, and whether it may be used.
@@ -78,7 +74,7 @@ def register(
         options = images.options
         images = replace(images, options=replace(options, limits=limits_of_part(options.limits)))
     with SliceThreads() as threads:
-        in_search = prior if prior is not None and prior.in_search else None
+        in_search = landmarks if landmarks is not None and landmarks.in_search else None
         problem = Problem(images, heart, in_search, threads)
         coarse = problem.coarse_lc2()  # section 4: LC2 as a function of the pose
         candidates = find_candidates(  # section 3: many starts by the boundary, optimised on coarse slices
@@ -96,7 +92,7 @@ def register(
         coverage = None if covered is None else covered.imaged_by(shown, fused.pose)
         shape = _change_of_shape(problem, fused, coverage)  # section 5b: is the heart the one in the model?
         report(0.95)
-        evidence = _evidence(problem, coarse, refined, fused, shape, prior, rng)  # trust.md: every check
+        evidence = _evidence(problem, coarse, refined, fused, shape, landmarks, rng)  # trust.md: every check
         inside = refined.inside.score(fused.pose)
         similarity = inside.similarity
         overlap = refined.whole.score(fused.pose).overlap if coverage is None else coverage.share
@@ -152,7 +148,7 @@ def register(
             shape=shape,
         )
     report(1.0)
-    return against_touched(result, landmarks, touched)
+    return result
 
 
 def _evidence(
@@ -321,11 +317,10 @@ def _assessed(
 def against_touched(
     result: RegistrationResult, landmarks: LandmarkFit | None, touched: TouchedSurface | None
 ) -> RegistrationResult:
-    """Compare a pose with what was touched on the patient; it ends in DISAGREEMENT where that lies elsewhere.
+    """Compare a pose with what was touched on the patient; it ends in DISAGREEMENT if that lies elsewhere.
 
     Args:
-        landmarks: fit of touched landmarks, looked for where a change of shape that fixtures follow has taken
-            them; None without any.
+        landmarks: fit of touched landmarks through a change of shape that fixtures follow; None without any.
         touched: points touched on the heart's surface; None without any.
     """
     pose = result.target_from_source

@@ -17,7 +17,7 @@ import numpy as np
 from dvf_ig.cardiac import RetimeMode
 from dvf_ig.core import DvfModel, FloatArray, Progress, Rigid, Scenario, untold
 from dvf_ig.core.summary import Rows, summary_html, summary_text
-from dvf_ig.guidance import FORBIDDEN_SURFACE, FixtureSet
+from dvf_ig.guidance import FORBIDDEN_SURFACE, WITHHOLDING, FixtureSet, SupervisorState
 from dvf_ig.guidance.servo.inputs import VALID_FOR_S
 from dvf_ig.intake.calibrations import Calibrations, calibrate, calibrated
 from dvf_ig.intake.findings import Finding
@@ -28,6 +28,7 @@ from dvf_ig.intake.start import landmarks_start, require_start, start_pose
 from dvf_ig.session import (
     GuidanceState,
     Heart,
+    Rearm,
     RegistrationRecord,
     Session,
     SessionHistory,
@@ -37,10 +38,32 @@ from dvf_ig.session import (
 )
 
 from .events import events_of
-from .operator import SimulatedOperator
 from .preconditions import require_heart_beats, require_tracked_poses, tick_times
 from .repetition import AsRecorded, repeat
 from .ticks import TickRecorder, Ticks
+
+REARM_AFTER_S = 1.0
+"""A recording holds no operator. This one waits so long after the hazards have gone, and between requests."""
+
+
+@dataclass(slots=True)
+class SimulatedOperator:
+    """Watches the state and asks for force again."""
+
+    _clear_since_s: float | None = None
+
+    def action(self, state: GuidanceState) -> Rearm | None:
+        """Choose the action of the operator now."""
+        if state.supervisor is not SupervisorState.LATCHED or state.supervised.hazards & WITHHOLDING:
+            self._clear_since_s = None
+            return None
+        if self._clear_since_s is None:
+            self._clear_since_s = state.now_s
+        if state.now_s - self._clear_since_s < REARM_AFTER_S:
+            return None
+        self._clear_since_s = state.now_s
+        return Rearm(state.now_s)
+
 
 Clock = Callable[[], float]
 """Seconds of computing time, from any origin."""

@@ -45,7 +45,7 @@ def _breaths(scenario: Scenario) -> Iterator[Timed]:
 
 def _frames(scenario: Scenario) -> Iterator[Timed]:
     ultrasound = scenario.ultrasound
-    poses = _matrices(ultrasound.stream("tracker", "probe"))
+    poses = pose_matrices(ultrasound.stream("tracker", "probe"))
     for i, t_s in enumerate(ultrasound.t_s.tolist()):
         shown = ultrasound.images is not None and ultrasound.image_valid[i]
         image = ultrasound.images[i] if shown and ultrasound.images is not None else None
@@ -53,7 +53,7 @@ def _frames(scenario: Scenario) -> Iterator[Timed]:
 
 
 def _tool(tool: PoseStream) -> Iterator[Timed]:
-    for t_s, matrix in zip(tool.t_s.tolist(), _matrices(tool), strict=True):
+    for t_s, matrix in zip(tool.t_s.tolist(), pose_matrices(tool), strict=True):
         yield t_s, ToolPose(t_s, matrix)
 
 
@@ -68,7 +68,7 @@ def _landmarks(scenario: Scenario) -> Iterator[Timed]:
         yield begin_s, Landmark(begin_s, name, mr_mm, tracker_mm)
 
 
-def _matrices(stream: PoseStream) -> list[FloatArray | None]:
+def pose_matrices(stream: PoseStream) -> list[FloatArray | None]:
     """(4, 4) each, read-only; None if the status was not OK."""
     matrices = np.tile(np.eye(4), (len(stream), 1, 1))
     matrices[:, :3, :3], matrices[:, :3, 3] = stream.rotations, stream.translations_mm

@@ -11,7 +11,7 @@ from dvf_ig.core import DvfModel, NoOverlapError, Progress, Rigid, Scenario, unt
 from dvf_ig.intake.calibrations import calibrate
 from dvf_ig.intake.problems import concerning
 from dvf_ig.intake.start import landmark_fit, landmark_prior, require_start, start_pose, touched_surface
-from dvf_ig.registration import RegistrationResult
+from dvf_ig.registration import RegistrationResult, against_touched
 from dvf_ig.session import (
     GatedFrames,
     Heart,
@@ -50,18 +50,18 @@ class PreparedRegistration:
             NoOverlapError: too few frames can be compared with the model.
         """
         scenario = self.scenario
-        return register_frames(
+        result = register_frames(
             self.recording,
             self.frames,
             self.start,
             seed=seed,
             clock=clock,
             warm=warm,
-            prior=landmark_prior(scenario),
-            landmarks=landmark_fit(scenario),
-            touched=touched_surface(scenario, self.recording.heart.model),
+            landmarks=landmark_prior(scenario),
             progress=progress,
         )
+        surface = touched_surface(scenario, self.recording.heart.model)
+        return against_touched(result, landmark_fit(scenario), surface)
 
 
 def prepare_registration(

@@ -171,17 +171,19 @@ def _tip_rows(result: dict[str, Any]) -> list[tuple[str, str, str]]:
 
 def _breathing_rows(result: dict[str, Any]) -> list[tuple[str, str, str]]:
     """Describe what was found about the motion in breathing, if anything was."""
-    found = result["breathing"]
-    if found is None:
+    breath = result["breathing"]
+    if breath is None:
         return []
-    if found["breaths"] is None:
+    if breath["breaths"] is None:
         served = "that nothing follows; no force"
-        if found["by_ecg"]:
+        if breath["by_ecg"]:
             served = "that only the ECG follows; force at end-expiration alone"
-        moved = f"{found['unfollowed_mm']:.1f} mm with breaths, some {found['per_minute']:.0f} a minute"
-        return [("breathing", f"{moved}, {served} from {found['from_s']:.1f} s on", "")]
-    behind = f"{abs(found['latency_s']):.2f} s {'behind' if found['latency_s'] > 0 else 'ahead of'} the heart"
-    text = f"motion learnt from {found['breaths']} breaths, {found['held_out_mm']:.1f} mm off in others"
+        moved = f"{breath['unfollowed_mm']:.1f} mm with breaths, some {breath['per_minute']:.0f} a minute"
+        return [("breathing", f"{moved}, {served} from {breath['from_s']:.1f} s on", "")]
+    behind = (
+        f"{abs(breath['latency_s']):.2f} s {'behind' if breath['latency_s'] > 0 else 'ahead of'} the heart"
+    )
+    text = f"motion learnt from {breath['breaths']} breaths, {breath['held_out_mm']:.1f} mm off in others"
     return [("breathing", f"{text}; what follows it is {behind}", "")]
 
 

@@ -7,9 +7,9 @@ import numpy as np
 from dvf_ig.cardiac.respiration import SurrogateScale, learn_scale
 from dvf_ig.core import DvfModel, FloatArray, ImageMap, Respiration, Scenario, Signal
 from dvf_ig.core.arrays import AnyArray
-from dvf_ig.guidance import Confinement, FixtureOptions, FixtureSet, Gaussian, Law, PathTarget, Sigmoid
+from dvf_ig.guidance import Confinement, FixtureOptions, FixtureSet, Gaussian, Law, PathTarget, Sigmoid, Tool
 from dvf_ig.guidance.device import COMMON_DEVICE
-from dvf_ig.intake.fixtures import DeviceConfig
+from dvf_ig.intake.fixtures import DeviceConfig, ToolShapeConfig
 from dvf_ig.report.viewer import (
     FrameSeries,
     ImageShape,
@@ -20,7 +20,6 @@ from dvf_ig.report.viewer import (
     image_shape,
     scene_payload,
     series_payload,
-    shaft_in_tool,
 )
 from dvf_ig.report.viewer.frames import SENT_COLUMNS
 from dvf_ig.report.viewer.series import FORCE_MR, SHAFT
@@ -44,7 +43,7 @@ def run_payload(run: RunFolder, scenario: Scenario, model: DvfModel) -> dict[str
     """
     model.require_patient(run.result["patient_id"])
     estimates, ultrasound = run.result["estimates"], scenario.ultrasound
-    shape, frames = None, None
+    shape, frames, fixtures = None, None, _fixtures(run)
     if ultrasound.images is not None:
         probe_from_image = ImageMap.from_matrix(estimates["probe_from_image"], "probe")
         rows, columns = ultrasound.images.shape[1:]
@@ -59,7 +58,7 @@ def run_payload(run: RunFolder, scenario: Scenario, model: DvfModel) -> dict[str
             kind="replay",
             title=run.result["scenario"],
             model=model,
-            fixtures=_fixtures(run),
+            fixtures=fixtures,
             image=shape,
             ecg=None if wave is None else (f"ECG {wave.leads[0]}", wave.unit),
             breathing=None if breath is None else ("breathing", "of a breath" if scale is not None else ""),
@@ -68,7 +67,7 @@ def run_payload(run: RunFolder, scenario: Scenario, model: DvfModel) -> dict[str
         )
     )
     series = SeriesInput(
-        ticks=_ticks(run, scenario),
+        ticks=_ticks(run, scenario, fixtures.tool),
         ecg=None if wave is None else SampledSignal(wave.t_s, wave.samples[:, 0]),
         breathing=None if breath is None else _breath(breath, scale),
         r_peaks_s=run.view.r_peaks_s,
@@ -91,7 +90,8 @@ def _fixtures(run: RunFolder) -> FixtureSet:
     parts = [_fixture(*one) for one in apart]
     stated = run.result.get("device")
     device = COMMON_DEVICE if stated is None else DeviceConfig.model_validate(stated).limits()
-    return FixtureSet(tuple(parts), run.result["fixtures_cap_n"], device=device)
+    tool = ToolShapeConfig.model_validate(run.result.get("tool") or {}).shape()
+    return FixtureSet(tuple(parts), run.result["fixtures_cap_n"], device=device, tool=tool)
 
 
 def _fixture(
@@ -107,15 +107,16 @@ def _fixture(
     return FixtureOptions(law, described.get("blend", "force"), path, described["name"], structure)
 
 
-def _ticks(run: RunFolder, scenario: Scenario) -> dict[str, AnyArray]:
+def _ticks(run: RunFolder, scenario: Scenario, tool: Tool) -> dict[str, AnyArray]:
     """Return the table's columns, and force and direction of the shaft in the model's frame."""
     ticks = dict(run.ticks)
     rotation = run.view.pose_at(ticks["t_s"])[:, :, :3]
     force = np.column_stack([ticks[f"force_tracker_{axis}_n"] for axis in "xyz"])
     force_mr = np.einsum("nij,nj->ni", rotation, force)
-    turns, _, tracked = tool_of(scenario).at_many(ticks["t_s"])
-    in_tool = shaft_in_tool(np.array(run.result["estimates"]["tip_mm"]))
-    shaft_mr = np.einsum("nij,nj->ni", rotation, turns @ in_tool)
+    turns, places, tracked = tool_of(scenario).at_many(ticks["t_s"])
+    tip_mm = np.array(run.result["estimates"]["tip_mm"])
+    shaft = tool.handle_direction(tip_mm, turns @ tip_mm + places, turns)
+    shaft_mr = np.einsum("nij,nj->ni", rotation, shaft)
     shaft_mr[~tracked] = np.nan
     for vector in (force_mr, shaft_mr):
         vector[np.isnan(ticks["tip_mr_x_mm"])] = np.nan

@@ -160,7 +160,7 @@ class ArrivedUltrasound:
                 seed=self.seed,
                 clock=self.clock,
                 warm=request.warm,
-                prior=request.prior,
+                landmarks=request.prior,
             )
         except _FAILURES as error:
             return request.record(frames, failure=str(error))

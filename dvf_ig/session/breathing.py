@@ -203,9 +203,9 @@ class BreathingTracker:
 
     def _follow_ecg(self, motion: Oscillation, now_s: float) -> bool:
         """Let the ECG follow the breath if it shows that rate; whether it does."""
-        known = [beat for beat in self._beats if np.isfinite(beat[1]).all()]
-        t_s, values = np.array([t_s for t_s, _ in known]), np.array([values for _, values in known])
-        shown = breathing_in_beats(t_s, values) if known else None
+        beats = [beat for beat in self._beats if np.isfinite(beat[1]).all()]
+        t_s, values = np.array([t_s for t_s, _ in beats]), np.array([values for _, values in beats])
+        shown = breathing_in_beats(t_s, values) if beats else None
         if shown is None or abs(60.0 / shown.fitted.period_s - motion.per_minute) > SAME_RATE_PER_MIN:
             return False
         self._from_ecg, self._locked_s = BeatClock(t_s, values, shown), now_s

@@ -197,11 +197,11 @@ class LearntMotion:
     def frames(self, event_s: FloatArray) -> FrameBreathing:
         """Return breathing at the moments of frames."""
         features = self.features(event_s)
-        known, xi = np.zeros(len(event_s), dtype=np.bool_), np.zeros((len(event_s), 6))
+        valid, xi = np.zeros(len(event_s), dtype=np.bool_), np.zeros((len(event_s), 6))
         if self._model is not None:
-            known = self._model.knows(features)
-            xi[known] = self._xi_mm(self._model, features[known])
-        return FrameBreathing(event_s, features, self.rests(features), xi, known, self.learnt)
+            valid = self._model.knows(features)
+            xi[valid] = self._xi_mm(self._model, features[valid])
+        return FrameBreathing(event_s, features, self.rests(features), xi, valid, self.learnt)
 
     def add_beat(self, measurement: BeatMeasurement, frames: FrameBreathing) -> None:
         """Learn from a beat that was compared with a pose after its frames were moved by `frames`.
@@ -260,11 +260,11 @@ class LearntMotion:
             return None
         t_s = onsets_s[:-1, None] + np.diff(onsets_s)[:, None] * np.arange(COURSE_POINTS) / COURSE_POINTS
         features = self.features(t_s.ravel()).reshape(*t_s.shape, -1)
-        known = np.isfinite(features).all(axis=(1, 2))
-        if not known.any():
+        finite = np.isfinite(features).all(axis=(1, 2))
+        if not finite.any():
             return None
         beats = tuple(one.beat for one in self._beats)
-        return FollowedBreath(self.model, beats, self._rest, t_s[known], features[known].mean(axis=0))
+        return FollowedBreath(self.model, beats, self._rest, t_s[finite], features[finite].mean(axis=0))
 
     @property
     def latency_s(self) -> float:
@@ -292,8 +292,8 @@ class LearntMotion:
         if self.model is None or not end_s - begin_s < LONGEST_BREATH_S:
             return
         features = self.features(np.arange(begin_s, end_s, 0.1))
-        known = self.model.knows(features[np.isfinite(features).all(axis=1)])
-        outside = len(known) > 0 and known.mean() < KNOWN_SHARE
+        familiar = self.model.knows(features[np.isfinite(features).all(axis=1)])
+        outside = len(familiar) > 0 and familiar.mean() < KNOWN_SHARE
         self._unknown_breaths = self._unknown_breaths + 1 if outside else 0
 
     def _learn(self) -> bool:

@@ -18,7 +18,7 @@ from dvf_ig.core import (
     read_only_arrays,
     require_same_frame,
 )
-from dvf_ig.core.threads import thread_pool
+from dvf_ig.core.progress import thread_pool
 from dvf_ig.kernels.compiled import thread_count
 from dvf_ig.preop import (
     CHAMBER_SURFACES,

@@ -24,12 +24,10 @@ from dvf_ig.registration import (
     SWEEP,
     USUAL_PLACEMENT,
     VOLUME_SMOOTHING_MM,
-    LandmarkFit,
     LandmarkPrior,
     Level,
     ProbePoses,
     RegistrationResult,
-    TouchedSurface,
     UltrasoundImages,
     boundary_points,
     channels_from_mr,
@@ -124,9 +122,7 @@ def register_frames(
     seed: int,
     clock: Callable[[], float],
     warm: bool = False,
-    prior: LandmarkPrior | None = None,
-    landmarks: LandmarkFit | None = None,
-    touched: TouchedSurface | None = None,
+    landmarks: LandmarkPrior | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> RegistrationResult:
     """Register gated frames to the model.
@@ -134,7 +130,7 @@ def register_frames(
     Args:
         start: pose to begin at; `warm` relies on it and skips displaced starts.
         seed: of the displaced starts.
-        prior, landmarks, touched: see `registration.register`.
+        landmarks: see `registration.register`.
     Raises:
         InvalidInputError: the recording has no images.
         NoOverlapError: too few frames passed the gate; says why.
@@ -145,9 +141,7 @@ def register_frames(
         start,
         rng=np.random.default_rng(seed),
         clock=clock,
-        prior=prior,
         landmarks=landmarks,
-        touched=touched,
         progress=progress,
     )
 
@@ -168,8 +162,8 @@ def images_of_frames(
         for pitch in (COARSE_PITCH_MM, FINE_PITCH_MM)
     )
     boundary = None if heart.surface is None else boundary_points(fine.slices)
-    known = heart.beats_update_pose or heart.covered is not None
-    options = SWEEP if known else replace(SWEEP, kind=None)
+    follows = heart.beats_update_pose or heart.covered is not None
+    options = SWEEP if follows else replace(SWEEP, kind=None)
     return UltrasoundImages(
         coarse,
         fine,
@@ -236,8 +230,7 @@ def register_gated_volumes(
     mr: VolumeSeries | None,
     seed: int,
     clock: Callable[[], float],
-    prior: LandmarkPrior | None = None,
-    landmarks: LandmarkFit | None = None,
+    landmarks: LandmarkPrior | None = None,
 ) -> RegistrationResult:
     """Register gated volumes to the model's phases nearest to theirs.
 
@@ -247,7 +240,7 @@ def register_gated_volumes(
         mr: the 4-D grey levels; None if the model alone is known.
         seed: of the displaced starts.
         clock: seconds from any origin, for the result's `seconds`.
-        prior, landmarks: see `registration.register`.
+        landmarks: see `registration.register`.
     Raises:
         InvalidInputError: no volume, or nothing insonified.
         NoOverlapError: at the start pose no volume reaches the model.
@@ -259,7 +252,6 @@ def register_gated_volumes(
         start,
         rng=np.random.default_rng(seed),
         clock=clock,
-        prior=prior,
         landmarks=landmarks,
     )
 

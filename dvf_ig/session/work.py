@@ -52,11 +52,9 @@ class Job(Protocol[R_co]):
 
     def done(self) -> bool:
         """Check whether `result` may be taken."""
-        ...
 
     def result(self) -> R_co:
         """Return the result of the work, or raise its exception."""
-        ...
 
 
 class Executor(Protocol):
@@ -132,13 +130,11 @@ class UltrasoundSource(Protocol):
 
     def register(self, request: RegistrationRequest, known_s: float) -> Job[RegistrationRecord]:
         """Register frames recorded by `known_s`."""
-        ...
 
     def beat(
         self, peaks: tuple[RPeak, ...], known_s: float, tested: PoseEstimate | None, *, in_use: bool
     ) -> Job[ComparedBeat]:
         """Compare the beat that the last R peak ended with an estimate, unless that is None."""
-        ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)

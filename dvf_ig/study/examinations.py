@@ -50,7 +50,7 @@ def trial(_: Settings, seed: int) -> Line:
     line: Line = {}
     seen: SeenPart | None = None
     for name in EXAMS:
-        exam = examination(anatomy, name, child_rng(spec.seeds.anatomy, "preop"))
+        exam = examination(anatomy, anatomy.reference, name, child_rng(spec.seeds.anatomy, "preop"))
         built = _built(exam)
         line[name] = _scores(anatomy, exam, built)
         seen = built.model.seen
@@ -78,15 +78,17 @@ def _scores(anatomy: PhantomAnatomy, exam: Examination, built: CineModel) -> dic
 
     The mean of all breath-holds is no slice's shift, and is added to the truth.
     """
-    held = np.concatenate([exam.sax.slice_shift_mm, *(view.slice_shift_mm for view in exam.lax)]).mean(axis=0)
+    shift_mm = np.concatenate([exam.sax.slice_shift_mm, *(view.slice_shift_mm for view in exam.lax)]).mean(
+        axis=0
+    )
     model, base = built.model, built.base
     es_phase = _es_phase(anatomy, model.timing)
-    scores = _distances(anatomy, model, es_phase, held)
+    scores = _distances(anatomy, model, es_phase, shift_mm)
     if model.seen is None or base is None or built.phases is None:
         raise TypeError("a stack has a seen part, a descent and phases")
     # the point of the long axis in the basal slice's plane
     axis, height = anatomy.long_axis_mm, base.ends_mm[1]
-    low, high = (axis + held) @ model.seen.normal
+    low, high = (axis + shift_mm) @ model.seen.normal
     point = axis[:1] + (height - low) / (high - low) * (axis[1:] - axis[:1])
     true = anatomy.deformed(point, float(model.timing.fractions[es_phase])) - point
     scores["descent_mm"] = float(base.base_mm[es_phase])
@@ -99,7 +101,7 @@ def _scores(anatomy: PhantomAnatomy, exam: Examination, built: CineModel) -> dic
     scores["es_sd"] = float((built.phases.es - true_es)[blood].std())
     scores["es_sd_by_index"] = float(true_es[blood].std())
     if built.shifts is not None:
-        true_mm = (exam.sax.slice_shift_mm - held) @ exam.sax.image.grid.direction
+        true_mm = (exam.sax.slice_shift_mm - shift_mm) @ exam.sax.image.grid.direction
         left = built.shifts.sax_mm @ exam.sax.image.grid.direction - true_mm
         scores["shift_left_mm"] = np.linalg.norm(left[labelled, :2], axis=1).tolist()
         scores["shift_before_mm"] = np.linalg.norm(true_mm[labelled, :2], axis=1).tolist()
@@ -131,9 +133,9 @@ def _distances(anatomy: PhantomAnatomy, model: DvfModel, es_phase: int, held: Fl
     for name, phase in (("ed", 0), ("es", es_phase)):
         vertices = anatomy.surface_vertices(float(model.timing.fractions[phase])) + held
         truth = Mesh(model.frame, vertices, anatomy.surface_triangles)
-        found = check_surface(model, phase, truth, points=POINTS, rng=np.random.default_rng(0))
-        scores[f"{name}_whole_mm"] = float(found.whole_mm.mean())
-        scores[f"{name}_seen_mm"] = float(found.seen_mm.mean())
+        check = check_surface(model, phase, truth, points=POINTS, rng=np.random.default_rng(0))
+        scores[f"{name}_whole_mm"] = float(check.whole_mm.mean())
+        scores[f"{name}_seen_mm"] = float(check.seen_mm.mean())
     return scores
 
 

@@ -30,11 +30,12 @@ from dvf_ig.live.player import play
 from dvf_ig.live.serve import LiveOptions, SessionThread, live_session
 from dvf_ig.live.summary import LiveSummary
 from dvf_ig.replay import Replay, events_of, run_replay
-from dvf_ig.replay.operator import SimulatedOperator
+from dvf_ig.replay.engine import SimulatedOperator
 from dvf_ig.replay.result.score import pose_errors_mm
 from dvf_ig.session import EcgSource, GuidanceState, RegistrationRecord, Session, SessionHistory, SessionSetup
-from dvf_ig.study.driver import Driver, Result, Rows, Study
-from dvf_ig.study.options import option
+
+from .driver import Driver, Result, Rows, Study
+from .options import option
 
 
 @dataclass(frozen=True, kw_only=True)

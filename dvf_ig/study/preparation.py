@@ -225,8 +225,13 @@ def preparation_trial(settings: Settings, number: int) -> Line:
     scenario = way.prepare(_recorded(seed, settings["seconds"]))
     model = cached_model(scenario.preop).model
     said = list(_sentences(scenario, model))
-    found = next((one for one in said if re.search(way.named, one)), "")
-    line = {"way": name, "scenario_seed": seed, "named": bool(found), "cause": found or (said or [""])[0]}
+    sentence = next((one for one in said if re.search(way.named, one)), "")
+    line = {
+        "way": name,
+        "scenario_seed": seed,
+        "named": bool(sentence),
+        "cause": sentence or (said or [""])[0],
+    }
     try:
         replay = run_replay(scenario, model=model)
     except DvfIgError as error:

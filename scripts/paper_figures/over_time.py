@@ -4,8 +4,6 @@ As printed, F = αF(Vᵢ) + (1−α)F(Vᵢ₊₁) with α = (t−tᵢ)/T_d gives
 time and jumps at every volume; F = (1−α)F(Vᵢ) + αF(Vᵢ₊₁) is continuous. The paper has no such figure.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Draw one slice of the heart: Ren 2008, Figs 3 (MR), 4 (distance), 5, 11 (potentials), 16 (ultrasound)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

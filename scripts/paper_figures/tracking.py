@@ -1,7 +1,5 @@
 """Draw errors of tracking the beating surface: Ren 2008, Figs 14 (automatic) and 15 (manual)."""
 
-from __future__ import annotations
-
 import numpy as np
 from matplotlib.figure import Figure
 

@@ -358,7 +358,7 @@ def test_ctrl_c_does_not_wait_for_threads() -> None:
     code = (
         "import os, signal, sys, threading, time\n"
         "from dvf_ig.cli import main\n"
-        "from dvf_ig.core.threads import thread_pool\n"
+        "from dvf_ig.core.progress import thread_pool\n"
         "def work():\n"
         "    with thread_pool(2) as pool:\n"
         "        waited_for = pool.map(time.sleep, [3600.0, 3600.0, 3600.0])\n"

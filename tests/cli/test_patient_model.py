@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from dvf_ig.cli.patient_model import patient_model
+from dvf_ig.cli.session_argument import patient_model
 from dvf_ig.core import InvalidInputError, Preop, SurfaceSeries
 from dvf_ig.io import model_digest, write_model
 

@@ -18,7 +18,6 @@ from dvf_ig.cli.main import app
 from dvf_ig.core import DvfModel, FloatArray, Rigid, TrackedSequence
 from dvf_ig.io import write_sequence, write_transform
 from dvf_ig.registration import target_errors_mm
-from dvf_ig.registration.register import against_touched
 from dvf_ig.replay.page.registration_page import ShownInput
 
 POSE = random_pose(np.random.default_rng(4))
@@ -67,9 +66,7 @@ def lab(files: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     )
     monkeypatch.setattr(
         "dvf_ig.replay.registration.register_frames",
-        lambda recording, _frames, start, *, landmarks, touched, **_: against_touched(
-            registration(start, recording.heart.center_mm), landmarks, touched
-        ),
+        lambda recording, _frames, start, **_: registration(start, recording.heart.center_mm),
     )
     monkeypatch.setattr(
         "dvf_ig.replay.page.registration_inputs.frames_shown",

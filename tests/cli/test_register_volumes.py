@@ -184,7 +184,7 @@ def test_landmarks_are_start_and_prior_and_times_need_the_ecg(lab: Path, tmp_pat
     start = Rigid.from_matrix(payload["start"], "mr", "tracker")
     prior = prior_from_landmarks(marked, felt)
     assert prior is not None
-    wanted = expected(lab, mr=False, start=start, prior=prior, landmarks=lambda _: start)
+    wanted = expected(lab, mr=False, start=start, landmarks=prior)
     np.testing.assert_allclose(found.matrix, wanted.matrix, atol=1e-9)
     assert np.linalg.norm(start.apply(felt.points).xyz_mm - marked.points.xyz_mm, axis=1).max() < 1.5
 

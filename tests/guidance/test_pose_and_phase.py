@@ -152,33 +152,6 @@ def test_the_distance_is_as_uncertain_as_pose_and_phase_make_it(ball):
     assert np.isnan(STILL.evaluate(evaluator, tip, t_s).sigma_mm).all(), "an unknown covariance is not zero"
 
 
-def test_the_tool_s_orientation_goes_along(shell_points):
-    tracker_from_tool = Rigid.from_rotation_vector([0.2, 0.9, -0.3], [5.0, 0.0, 1.0], "tracker", "tool")
-    t = np.linspace(9.6, 11.0, 9)
-    found = MOVING.at(tips(shell_points[:9]), t, tracker_from_tool=tracker_from_tool.matrix)
-    for k, t_s in enumerate(t.tolist()):
-        expected = MOTION.at(t_s).rotation @ tracker_from_tool.rotation
-        np.testing.assert_allclose(found.mr_from_tool[k], expected, atol=1e-12)
-    assert MOVING.at(tips(shell_points[:9]), t).mr_from_tool.shape == (0, 3, 3)
-    lost = np.tile(np.eye(3), (2, 1, 1))
-    lost[1] = np.nan
-    assert MOVING.at(tips(shell_points[:2]), 9.6, tracker_from_tool=lost).status.tolist() == [0, Status.FAULT]
-
-
-@pytest.mark.parametrize("shape", ["(3, 3)", "(4, 4)", "(n, 3, 3)", "(n, 4, 4)"])
-def test_force_in_the_device_s_frame_is_a_free_vector(ball, shell_points, shape):
-    device = Rigid.from_rotation_vector([0.2, 0.9, -0.3], [500.0, 0.0, -100.0], "tracker", "device")
-    given_map = device.rotation if "3, 3" in shape else device.matrix
-    if "n" in shape:
-        given_map = np.broadcast_to(given_map, (len(shell_points), *given_map.shape))
-    args = (Evaluator(ball, Sigmoid()), tips(shell_points), 9.8)
-    in_tracker, in_device = STILL.evaluate(*args), STILL.evaluate(*args, tracker_from_device=given_map)
-    np.testing.assert_allclose(in_device.force_n, in_tracker.force_n @ device.rotation, atol=1e-12)
-    np.testing.assert_allclose(in_device.gradient, in_tracker.gradient @ device.rotation, atol=1e-12)
-    assert np.array_equal(in_device.distance_mm, in_tracker.distance_mm)
-    assert (in_tracker.frame, in_device.frame) == ("tracker", "device")
-
-
 def test_a_withheld_pose_gives_no_force_from_its_moment_on(ball, shell_points):
     tip = tips(shell_points[:4])
     t = np.array([11.0, np.nextafter(11.1, 0.0), 11.1, 11.15])
@@ -228,17 +201,6 @@ def test_the_tool_s_status_is_kept(ball, shell_points):
     samples = STILL.evaluate(Evaluator(ball, Sigmoid()), tip, 9.8, given_status)
     assert samples.status.tolist() == [Status.OK, Status.STALE_TOOL, Status.FAULT, Status.NO_POSE]
     assert (np.linalg.norm(samples.force_n, axis=1) > 0).tolist() == [True, False, False, False]
-
-
-def test_an_unknown_device_orientation_is_a_fault(ball, shell_points):
-    device = np.tile(np.eye(3), (3, 1, 1))
-    device[1:] = np.nan
-    given_status = np.array([Status.OK, Status.OK, Status.STALE_TOOL])
-    samples = STILL.evaluate(
-        Evaluator(ball, Sigmoid()), tips(shell_points)[:3], 9.8, given_status, tracker_from_device=device
-    )
-    assert samples.status.tolist() == [Status.OK, Status.FAULT, Status.STALE_TOOL]
-    assert not samples.force_n[1:].any()
 
 
 def test_the_bound_tick_leaves_what_it_was_not_given(ball):
@@ -291,8 +253,6 @@ def test_a_model_of_another_frame_is_refused(ball):
 
 def test_refusals(ball):
     evaluator = Evaluator(ball, Sigmoid())
-    with pytest.raises(InvalidInputError, match=r"tracker_from_device has shape \(2, 3, 3\)"):
-        STILL.evaluate(evaluator, np.zeros((3, 3)), 9.8, tracker_from_device=np.zeros((2, 3, 3)))
     with pytest.raises(InvalidInputError, match="times has shape"):
         STILL.evaluate(evaluator, np.zeros((3, 3)), np.zeros(2))
     with pytest.raises(InvalidInputError, match="input status has shape"):

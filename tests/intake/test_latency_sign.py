@@ -5,7 +5,7 @@ import pytest
 
 from dvf_ig.core import ImageMap, PoseStream, Rigid
 from dvf_ig.intake.ecg_delay import ImageChange
-from dvf_ig.intake.latency_sign import REVERSED_LOG_RATIO, reversed_log_ratio
+from dvf_ig.intake.heart_in_images import REVERSED_LOG_RATIO, reversed_log_ratio
 
 FRAME_S, SHAPE = 0.08, (80, 60)
 IMAGE = ImageMap(Rigid.identity("probe", "image"), np.array([0.5, 0.5]))

@@ -2,6 +2,8 @@
 
 import json
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -85,6 +87,31 @@ def toy_patient(monkeypatch: pytest.MonkeyPatch) -> None:
     serve_toy(monkeypatch)
 
 
+@contextmanager
+def sending(*names: str) -> Iterator[int]:
+    """Send poses, and images if they are named, every 10 ms; the port."""
+    with listen("127.0.0.1", 0, None) as server:
+        stop = threading.Event()
+
+        def send() -> None:
+            n = 0
+            while not stop.wait(0.01):
+                n += 1
+                pose, image = np.eye(4), np.full((1, 24, 24), 100, dtype=np.uint8)
+                pose[0, 3] = 0.01 * n
+                for name in names:
+                    content = Image(image, np.eye(4)) if name == IMAGE else Transform(pose)
+                    server.send([Message(name, 1000.0 + 0.01 * n, content)])
+
+        sender = threading.Thread(target=send)
+        sender.start()
+        try:
+            yield server.port
+        finally:
+            stop.set()
+            sender.join()
+
+
 @pytest.mark.usefixtures("toy_patient")
 def test_serve_ends_after_its_time_and_says_what_it_did() -> None:
     done = run("serve", "x", "--listen", "--port", 0, "--seconds", 0.3, "--page", 0, "--json")
@@ -98,30 +125,33 @@ def test_serve_ends_after_its_time_and_says_what_it_did() -> None:
 
 
 @pytest.mark.usefixtures("toy_patient")
+@pytest.mark.parametrize(
+    ("sent", "seconds", "missing"), [((), 0.1, "pose of the tool"), ((TOOL,), 1.5, "ultrasound")]
+)
+def test_serve_says_that_a_record_without_tool_or_ultrasound_cannot_be_replayed(
+    tmp_path: Path, sent: tuple[str, ...], seconds: float, missing: str
+) -> None:
+    pytest.importorskip("mcap", reason="session logs need mcap")
+    pytest.importorskip("rosbags", reason="session logs need rosbags")
+    with sending(*sent) as port:
+        done = run("serve", "x", "--port", port, "--seconds", seconds, "-o", tmp_path / "run")
+    assert done.exit_code == 0, done.stderr
+    record = tmp_path / "run" / "session.mcap"
+    assert f"{record} can be neither replayed nor viewed, because no {missing} came" in done.stderr
+    refused = run("replay", record, "-o", tmp_path / "again")
+    assert refused.exit_code == 3
+    assert not (tmp_path / "again").exists()
+
+
+@pytest.mark.usefixtures("toy_patient")
 @pytest.mark.usefixtures("blank_pictures")
 def test_serve_leaves_what_view_shows_and_refuses_a_folder_with_a_record(tmp_path: Path) -> None:
     """Poses of the tool alone are sent: there are states, and no force."""
     pytest.importorskip("mcap", reason="session logs need mcap")
     pytest.importorskip("rosbags", reason="session logs need rosbags")
     out = tmp_path / "run"
-    with listen("127.0.0.1", 0, None) as server:
-        stop = threading.Event()
-
-        def send() -> None:
-            n = 0
-            while not stop.wait(0.01):
-                n += 1
-                pose, image = np.eye(4), np.full((1, 24, 24), 100, dtype=np.uint8)
-                pose[0, 3] = 0.01 * n
-                stamp_s = 1000.0 + 0.01 * n
-                server.send([Message(name, stamp_s, Transform(pose)) for name in (TOOL, PROBE)])
-                server.send([Message(IMAGE, stamp_s, Image(image, np.eye(4)))])
-
-        sender = threading.Thread(target=send)
-        sender.start()
-        done = run("serve", "x", "--port", server.port, "--seconds", 1.5, "-o", out, "--json")
-        stop.set()
-        sender.join()
+    with sending(TOOL, PROBE, IMAGE) as port:
+        done = run("serve", "x", "--port", port, "--seconds", 1.5, "-o", out, "--json")
     assert done.exit_code == 0, done.stderr
     assert json.loads(done.stdout)["record"] == {"folder": str(out), "lost": 0, "failure": None}
     assert "no force was given: no registration was in use in 100% of the ticks" in done.stderr
@@ -298,24 +328,8 @@ def test_kinds_of_ecg_are_told_apart() -> None:
 @pytest.mark.usefixtures("blank_pictures")
 def test_serve_drives_a_simulated_device_and_says_how_its_force_ended() -> None:
     """The hand follows the poses of the tool that are sent; without a registration there is no force."""
-    with listen("127.0.0.1", 0, None) as server:
-        stop = threading.Event()
-
-        def send() -> None:
-            n = 0
-            while not stop.wait(0.01):
-                n += 1
-                pose = np.eye(4)
-                pose[0, 3] = 0.01 * n
-                server.send([Message(TOOL, 1000.0 + 0.01 * n, Transform(pose))])
-
-        sender = threading.Thread(target=send)
-        sender.start()
-        done = run(
-            "serve", "x", "--port", server.port, "--device", "simulated:omni", "--seconds", 2.0, "--json"
-        )
-        stop.set()
-        sender.join()
+    with sending(TOOL) as port:
+        done = run("serve", "x", "--port", port, "--device", "simulated:omni", "--seconds", 2.0, "--json")
     assert done.exit_code == 0, done.stderr
     assert "simulated PHANToM Omni gives no force: the session has ended" in done.stderr
     result = json.loads(done.stdout)

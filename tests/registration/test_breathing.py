@@ -10,13 +10,14 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from data_synth.breathing.breaths import BreathSpec, draw_breaths
-from data_synth.breathing.motion import Breathing, breathing_of
+from data_synth.breathing.motion import breathing_of
 from data_synth.breathing.recorded import recorded_breathing
 from dvf_ig.cardiac.respiration.breath_clock import BreathClock
 from dvf_ig.core import HEART_RADIUS_MM, FloatArray, InvalidInputError, Rigid
 from dvf_ig.registration import BeatMeasurement, BreathBeat, OscillationWatch, learn_breathing
 from dvf_ig.registration.tracking.pose_estimate import MEAN_SQUARE_OF_COORDINATES
 from dvf_ig.registration.unfollowed_breathing import Oscillation
+from dvf_ig.study.breathing import true_xi_mm
 
 WARM_S, BREATH_S, BEAT_S, AHEAD_S = 20.0, 60.0 / 14.0, 0.86, 0.06
 NOISE_MM = 1.0 / np.sqrt(MEAN_SQUARE_OF_COORDINATES.sum())
@@ -24,14 +25,6 @@ NOISE_MM = 1.0 / np.sqrt(MEAN_SQUARE_OF_COORDINATES.sum())
 AXES = np.concatenate([np.eye(3), -np.eye(3), np.ones((1, 3)) / np.sqrt(3), -np.ones((1, 3)) / np.sqrt(3)])
 VENTILATED = BreathSpec("ventilated", excursion_mm=10.0)
 HOME = Rigid.identity("mr", "tracker")
-
-
-def true_xi_mm(breathing: Breathing, t_s: FloatArray) -> FloatArray:
-    """ξ that takes the heart to its rest, about the origin."""
-    turn, shift = breathing.mr_from_rest(t_s)
-    back = np.swapaxes(turn, 1, 2)
-    turns = HEART_RADIUS_MM * Rotation.from_matrix(back).as_rotvec()
-    return np.hstack([turns, -np.einsum("nij,nj->ni", back, shift)])
 
 
 def learnt(breaths: int, seed: int) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -18,7 +18,6 @@ from dvf_ig.registration import (
     BLOOD,
     WALL,
     HeartChannels,
-    LandmarkFit,
     LandmarkPrior,
     Level,
     RegistrationOptions,
@@ -47,8 +46,7 @@ def _register(
     start: Rigid,
     *,
     seed: int = 0,
-    prior: LandmarkPrior | None = None,
-    landmarks: LandmarkFit | None = None,
+    landmarks: LandmarkPrior | None = None,
     options: RegistrationOptions = QUICK,
 ) -> RegistrationResult:
     return register(
@@ -57,7 +55,6 @@ def _register(
         start,
         rng=np.random.default_rng(seed),
         clock=perf_counter,
-        prior=prior,
         landmarks=landmarks,
     )
 
@@ -160,7 +157,7 @@ def test_slices_at_the_edge_of_the_model_or_far_from_it_are_refused(away_mm: flo
     for shift in ([away_mm, 0, 0], [0, -away_mm, 0], [0, 0, away_mm]):
         away = toy_pose().perturbed_left(np.zeros(3), shift, CENTER_MM)
         prior = _eight_landmarks(away) if touched else None
-        result = _register(levels, away, prior=prior, options=RegistrationOptions(starts=1))
+        result = _register(levels, away, landmarks=prior, options=RegistrationOptions(starts=1))
         assert not result.stop.usable
         told = "the probe's and not the tool's" in result.sentence
         assert told is (result.stop is Stop.LOW_OVERLAP)
@@ -176,7 +173,7 @@ def test_slices_that_show_nothing_are_refused(part: str, touched: bool) -> None:
         for level in _levels(speckle=0.3)
     )
     prior = _eight_landmarks(toy_pose()) if touched else None
-    result = _register((coarse, fine), toy_pose(), prior=prior, options=RegistrationOptions(starts=1))
+    result = _register((coarse, fine), toy_pose(), landmarks=prior, options=RegistrationOptions(starts=1))
     assert not result.stop.usable
 
 
@@ -229,7 +226,7 @@ def test_landmarks_hold_the_pose_where_the_image_says_nothing() -> None:
     mr, tracker = _touched(0.2)
     start = start_from_landmarks(mr, tracker).mr_from_tracker
     prior = prior_from_landmarks(mr, tracker)
-    result = _register(_levels(speckle=0.0, matching=False), start, prior=prior)
+    result = _register(_levels(speckle=0.0, matching=False), start, landmarks=prior)
     assert _tre(result.target_from_source).mean() < 1.5
     assert result.stop is Stop.POOR_MATCH
 
@@ -237,7 +234,9 @@ def test_landmarks_hold_the_pose_where_the_image_says_nothing() -> None:
 @pytest.mark.parametrize(("off_mm", "stop"), [(3.0, Stop.CONVERGED), (6.0, Stop.DISAGREEMENT)])
 def test_landmarks_elsewhere_rule_a_pose_out(off_mm: float, stop: Stop) -> None:
     elsewhere = toy_pose().perturbed_left(np.zeros(3), np.array([off_mm, 0.0, 0.0]), CENTER_MM)
-    result = _register(_levels(speckle=0.3), toy_pose(), landmarks=lambda _: elsewhere)
+    result = register_module.against_touched(
+        _register(_levels(speckle=0.3), toy_pose()), lambda _: elsewhere, None
+    )
     assert result.stop is stop
     assert result.landmarks_mm == pytest.approx(off_mm, abs=0.6)
     assert (result.tre_bound_mm, result.touched) == (None, None)

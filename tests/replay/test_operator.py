@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import pytest
 
 from dvf_ig.guidance import Hazard, SupervisorState
-from dvf_ig.replay.operator import REARM_AFTER_S, SimulatedOperator
+from dvf_ig.replay.engine import REARM_AFTER_S, SimulatedOperator
 from dvf_ig.session import Rearm
 
 LATCHED, OK = SupervisorState.LATCHED, SupervisorState.OK

@@ -20,6 +20,7 @@ from typer.testing import CliRunner
 from dvf_ig.cli.main import app
 from dvf_ig.core import DvfModel, Landmarks, Points, UnreadableFileError
 from dvf_ig.guidance import FixtureOptions, FixtureSet, Sigmoid
+from dvf_ig.guidance.tool import POINT
 from dvf_ig.intake import cached_model
 from dvf_ig.replay import Replay
 from dvf_ig.replay.page.replay_page import _overlays
@@ -29,6 +30,7 @@ from dvf_ig.replay.run_folder import read_run, read_ticks
 from dvf_ig.replay.view import _fixtures
 from dvf_ig.replay.view_file import read_view_file, write_view_file
 from dvf_ig.report.viewer import RegistrationView, live_page, registration_payload, viewer_html
+from dvf_ig.report.viewer.scene import tool_payload
 
 NEEDS_BROWSER = pytest.mark.skipif(chromium() is None, reason=MISSING)
 
@@ -101,15 +103,21 @@ def test_the_folder_reads_back(replay: Replay, written: Path, run: Path) -> None
     assert (run / "view.json").stat().st_size < 100_000
 
 
-def test_the_device_of_a_run_comes_back(run: Path) -> None:
-    """Without it, a run with more than 4 N could not be shown."""
+def test_device_and_tool_of_a_run_come_back(run: Path) -> None:
+    """Without its device, a run with more than 4 N could not be shown."""
     folder = read_run(run)
     assert folder.result["device"] is None
     device = {"name": "omega.3", "continuous_force_n": 12.0, "stiffness_n_per_m": 3000.0}
-    strong = replace(folder, result=folder.result | {"device": device, "fixtures_cap_n": 9.0})
+    fulcrum = {"point_mm": [10.0, 20.0, 30.0], "length_mm": 350.0}
+    tool = {"diameter_mm": 5.0, "shaft_mm": 60.0, "axis": None, "fulcrum": fulcrum}
+    stated = {"device": device, "fixtures_cap_n": 9.0, "tool": tool}
+    strong = replace(folder, result=folder.result | stated)
     validate(strong.result)
     found = _fixtures(strong)
     assert (found.joint_cap_n, found.device.name, found.device.stiffness_n_per_m) == (9.0, "omega.3", 3000.0)
+    assert (found.tool.diameter_mm, found.tool.shaft_mm) == (5.0, 60.0)
+    assert tool_payload(found.tool) == {"diameter_mm": 5.0, "shaft_mm": 60.0}
+    assert _fixtures(folder).tool is POINT
 
 
 @pytest.mark.parametrize(

@@ -23,7 +23,6 @@ from dvf_ig.core import (
     VolumeSeries,
 )
 from dvf_ig.registration import channels_from_mr
-from dvf_ig.registration.register import against_touched
 from dvf_ig.session import Heart, model_phase_at, register_gated_volumes
 
 RR_S = 0.6
@@ -92,10 +91,9 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[SimpleNamespace]:
     """Registrations end where they began; what they were asked."""
     calls: list[SimpleNamespace] = []
 
-    def register(images: Any, heart: Any, start: Rigid, *, landmarks: Any, **options: Any) -> Any:
+    def register(images: Any, heart: Any, start: Rigid, **options: Any) -> Any:
         calls.append(SimpleNamespace(images=images, heart=heart, start=start, **options))
-        ended = replace(any_result(), target_from_source=start, stop=Stop.CONVERGED)
-        return against_touched(ended, landmarks, None)
+        return replace(any_result(), target_from_source=start, stop=Stop.CONVERGED)
 
     monkeypatch.setattr("dvf_ig.session.ultrasound_registration.register", register)
     return calls
@@ -144,14 +142,3 @@ def test_volumes_that_miss_the_model_at_the_start_are_refused(asked: list[Simple
     assert not asked
     near = toy_pose().perturbed_left(np.zeros(3), np.array([100.0, 0.0, 0.0]), CENTER_MM)
     register_gated_volumes([at(0.4)], heart, near, mr=None, seed=0, clock=clock)
-
-
-@pytest.mark.parametrize(("off_mm", "stop"), [(3.0, Stop.CONVERGED), (6.0, Stop.DISAGREEMENT)])
-def test_landmarks_elsewhere_rule_the_pose_out(
-    asked: list[SimpleNamespace], off_mm: float, stop: Stop
-) -> None:
-    touched = toy_pose().perturbed_left(np.zeros(3), np.array([off_mm, 0.0, 0.0]), CENTER_MM)
-    result = register_gated_volumes(
-        [at(0.4)], toy_beating_heart(), toy_pose(), mr=None, seed=0, clock=clock, landmarks=lambda _: touched
-    )
-    assert result.stop is stop

@@ -12,8 +12,8 @@ from dvf_ig.core import PhaseForecast, PhaseState, Points, PoseMotion, RetimingC
 from dvf_ig.guidance import DeviceLimits, Fixtures, FixtureSet, Hazard, PoseAndPhase, SupervisorState
 from dvf_ig.guidance.devices import HeldDevice
 from dvf_ig.guidance.servo import SentForce, ServoInputs
+from dvf_ig.live.frames import LiveEvent
 from dvf_ig.live.haptic import HapticTool
-from dvf_ig.live.timed import LiveEvent
 from dvf_ig.session import ToolPose
 
 NEVER_NS = 10**15

@@ -10,9 +10,9 @@ from .breath_clock import BreathReading as BreathReading
 from .breath_clock import BreathState as BreathState
 from .qrs_gain import QrsGain as QrsGain
 from .qrs_gain import beat_values as beat_values
-from .relearning import RELEARN_BREATHS as RELEARN_BREATHS
-from .relearning import RelearningClock as RelearningClock
 from .surrogate import SurrogateScale as SurrogateScale
 from .surrogate import learn_scale as learn_scale
+from .tracking import RELEARN_BREATHS as RELEARN_BREATHS
 from .tracking import BreathTrack as BreathTrack
+from .tracking import RelearningClock as RelearningClock
 from .tracking import track_breathing as track_breathing

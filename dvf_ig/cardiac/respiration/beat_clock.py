@@ -67,11 +67,11 @@ def breathing_in_beats(t_s: FloatArray, values: FloatArray) -> BreathInBeats | N
         return None
     _, axes = np.linalg.eigh(np.cov((values @ columns).T).reshape(columns.shape[1], -1))
     about_s = strongest_period_s(t_s, _clipped(values @ columns))
-    found = []
+    beats = []
     for direction in (*columns.T, columns @ axes[:, -1]):
         along = _clipped(values @ direction)
-        found.append(BreathInBeats(direction, fit_quasi_periodic(t_s, along, about_s)))
-    best = max(found, key=lambda one: one.fitted.gain)
+        beats.append(BreathInBeats(direction, fit_quasi_periodic(t_s, along, about_s)))
+    best = max(beats, key=lambda one: one.fitted.gain)
     return best if best.fitted.gain >= LEAST_GAIN else None
 
 
@@ -180,10 +180,10 @@ class BeatClock:
     def features(self, t_s: FloatArray) -> FloatArray:
         """Compute (n, 4) rows [1, ρ, L₀.₃ρ, L₀.₇ρ]; NaN before the first beat and beyond the forecast."""
         out = np.full((len(t_s), 4), np.nan)
-        known = (t_s >= self._table[0, 0]) & (t_s <= self._table[-1, 0])
-        out[known, 0] = 1.0
+        inside = (t_s >= self._table[0, 0]) & (t_s <= self._table[-1, 0])
+        out[inside, 0] = 1.0
         for k in (1, 2, 3):
-            out[known, k] = np.interp(t_s[known], self._table[:, 0], self._table[:, k])
+            out[inside, k] = np.interp(t_s[inside], self._table[:, 0], self._table[:, k])
         return out
 
     def tells(self, t_s: FloatArray) -> BoolArray:
@@ -201,8 +201,8 @@ class BeatClock:
 
     def _usual_rows(self) -> FloatArray:
         past = self._table[self._table[:, 0] <= self._latest_s]
-        told = past[:, 5] == 0.0
-        return np.asarray(past[told, 1:4] if told.any() else past[:, 1:4])
+        usable = past[:, 5] == 0.0
+        return np.asarray(past[usable, 1:4] if usable.any() else past[:, 1:4])
 
     def _foreign(self, value: float) -> bool:
         rho = (value - self._middle - self._origin) * self._per_unit
@@ -230,9 +230,9 @@ class BeatClock:
 
     def _extend(self, from_s: float) -> None:
         """Compute the table again from a time on, until AHEAD_S after the latest beat."""
-        kept = self._table[self._table[:, 0] < from_s]
-        kept = kept[kept[:, 0] >= self._latest_s - KEEP_S]
-        begin_s = float(kept[-1, 0]) + STEP_S if len(kept) else from_s
+        table = self._table[self._table[:, 0] < from_s]
+        table = table[table[:, 0] >= self._latest_s - KEEP_S]
+        begin_s = float(table[-1, 0]) + STEP_S if len(table) else from_s
         t_s = np.arange(begin_s, self._latest_s + AHEAD_S, STEP_S)
         if self._beats:
             mean, sigma = self._fitted.predict(*self._arrays(), t_s)
@@ -242,11 +242,11 @@ class BeatClock:
         columns = [t_s, rho]
         for k, tau_s in enumerate(LAG_S):
             share = 1.0 - math.exp(-STEP_S / tau_s)
-            start = float(kept[-1, 2 + k]) if len(kept) else float(rho.mean())
+            start = float(table[-1, 2 + k]) if len(table) else float(rho.mean())
             columns.append(lfilter([share], [1.0, share - 1.0], rho, zi=[(1.0 - share) * start])[0])
         columns.append(UNDERSTATED * abs(self._per_unit) * sigma)
-        self._table = np.vstack([kept, np.column_stack([*columns, np.zeros(len(t_s))])])
-        new = self._table[len(kept) :]
+        self._table = np.vstack([table, np.column_stack([*columns, np.zeros(len(t_s))])])
+        new = self._table[len(table) :]
         new[:, 5] = (new[:, 4] > MOST_SIGMA) | (not self._breathes_as_usual())
         self._count_onsets()
 

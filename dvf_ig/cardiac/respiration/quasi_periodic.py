@@ -50,14 +50,14 @@ class QuasiPeriodic:
     def predict(self, t_s: FloatArray, values: FloatArray, at_s: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Compute the periodic part and its standard deviation at (m,) times from (n,) samples."""
         across = self._periodic(at_s[:, None] - t_s)
-        mean, known = self._conditioned(t_s, values, across)
-        return mean, np.sqrt(self.variance * np.maximum(1.0 - known, 0.0))
+        mean, explained = self._conditioned(t_s, values, across)
+        return mean, np.sqrt(self.variance * np.maximum(1.0 - explained, 0.0))
 
     def forecast(self, t_s: FloatArray, values: FloatArray, at_s: float) -> tuple[float, float]:
         """Forecast a sample, drift and noise included, with its standard deviation."""
         apart = np.array([at_s - t_s])
-        mean, known = self._conditioned(t_s, values, self._periodic(apart) + _drift(apart))
-        return float(mean[0]), math.sqrt(self.variance * (2.0 + self.noise - float(known[0])))
+        mean, explained = self._conditioned(t_s, values, self._periodic(apart) + _drift(apart))
+        return float(mean[0]), math.sqrt(self.variance * (2.0 + self.noise - float(explained[0])))
 
     def _conditioned(
         self, t_s: FloatArray, values: FloatArray, across: FloatArray

@@ -6,8 +6,43 @@ import numpy as np
 
 from dvf_ig.core import FloatArray, IntArray, Progress, Respiration, read_only_arrays, untold
 
-from .breath_clock import BreathClockOptions
-from .relearning import RelearningClock
+from .breath_clock import BreathClock, BreathClockOptions
+
+RELEARN_BREATHS = 5
+"""Ordinary breaths in a row by a new scale, after which it replaces one by which no breath is ordinary."""
+
+
+class RelearningClock:
+    """A `BreathClock`, and while it finds no ordinary breath a second one that begins to learn.
+
+    Attributes:
+        clock: the one in use; its features begin anew when `changes` counts up.
+        changes: how often breathing has changed for good.
+    """
+
+    def __init__(self, options: BreathClockOptions | None = None) -> None:
+        self._options = options
+        self.clock = BreathClock(options)
+        self.changes = 0
+        self._next: BreathClock | None = None
+
+    def push(self, t_s: FloatArray, values: FloatArray) -> None:
+        """Add samples (n,), (n, columns); see `BreathClock.push`."""
+        for k in range(len(t_s)):
+            self._push(t_s[k : k + 1], values[k : k + 1])
+
+    def _push(self, t_s: FloatArray, values: FloatArray) -> None:
+        self.clock.push(t_s, values)
+        if not self.clock.astray:
+            self._next = None
+            return
+        if self._next is None or self._next.astray:
+            self._next = BreathClock(self._options)
+        self._next.push(t_s, values)
+        if self._next.ordinary_breaths >= RELEARN_BREATHS:
+            self.clock, self._next = self._next, None
+            self.changes += 1
+
 
 IRREGULAR = 0.3
 """Standard deviation of the length of breaths over its mean, beyond which they have no rate."""

@@ -54,9 +54,11 @@ def _draw(folder: Path, kind: str, output: Path) -> None:
         raise InvalidInputError(
             f"-o draws the slices of a folder with all DICOM series of an examination; {folder} is: {kind}"
         )
-    found = read_dicom_examination(folder)
-    reasons = [f"{one.series or 'without a name'} ({one.images}): {one.reason}" for one in found.left_out]
-    write_slices_picture(output, found.sax, found.views, found.names, reasons)
+    examination = read_dicom_examination(folder)
+    reasons = [
+        f"{one.series or 'without a name'} ({one.images}): {one.reason}" for one in examination.left_out
+    ]
+    write_slices_picture(output, examination.sax, examination.views, examination.names, reasons)
 
 
 def _rows(facts: dict[str, Any]) -> list[tuple[str, str]]:

@@ -2,14 +2,13 @@
 
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 from typer import Argument, Option
 
 from dvf_ig.cli import shell
 
-from .export import export
 from .output import file_megabytes, model_payload, model_rows, phase_rows
 
 if TYPE_CHECKING:
@@ -17,7 +16,7 @@ if TYPE_CHECKING:
     from dvf_ig.preop import ModelCheck
 
     from .request import BuildRequest
-
+from dvf_ig.cli.shell import JsonFlag, command, emit, out_folder, wrote
 
 OutputOption = Annotated[Path, shell.out_file("Model file to write (.npz).")]
 MarginOption = Annotated[float, Option("--margin-mm", help="Box margin around the heart in mm.")]
@@ -35,7 +34,6 @@ app = typer.Typer(
     help="Build a dynamic fixture from pre-operative data, check it, export its surface.",
     no_args_is_help=True,
 )
-app.command("export")(export)
 
 
 @app.command("build")
@@ -250,3 +248,62 @@ def _warn_of_assumptions(model: "DvfModel") -> None:
         )
     if model.timing.rr_assumed:
         shell.warn(f"the RR interval is assumed: {model.timing.rr_s:g} s")
+
+
+CONTENT = {"vtp": "surface", "stl": "surface", "nrrd": "signed distance in mm, positive inside"}
+
+
+@app.command("export")
+def export(
+    model_file: Annotated[Path, Argument(metavar="MODEL", help="Model file.")],
+    out: Annotated[Path, out_folder("Folder to write into.")],
+    form: Annotated[
+        Literal["vtp", "stl", "nrrd"],
+        Option(
+            "--format",
+            help="Surface: vtp (every digit) or stl (32-bit floats). nrrd: image of the signed distance.",
+        ),
+    ] = "vtp",
+    as_json: JsonFlag = False,
+) -> None:
+    """Write the surface that the model was fitted to, or its distance: mm, LPS (tagged so for 3D Slicer).
+
+    One file a phase. Where slices show a part of the surface only, VTP files flag the cells of the rest as
+    "unseen". The distance is that of the splines, on every half knot of the model's box.
+    """
+    with command():
+        from dvf_ig.io import files_together, output_folder, read_model
+
+        model = read_model(model_file)
+        with output_folder(out), files_together(out) as new:
+            kind = "_distance" if form == "nrrd" else ""
+            files = [out / f"{model.surface_name}{kind}_{i:03d}.{form}" for i in range(model.phases)]
+            for phase, path in enumerate(files):
+                _write_phase(model, phase, new / path.name, form)
+        for path in files:
+            wrote(path, model.frame)
+        result = {
+            "files": [path.name for path in files],
+            "content": CONTENT[form],
+            "phase_fractions": list(model.timing.fractions),
+            "surface": model.surface_name,
+            "patient_id": model.patient_id,
+            "frame": model.frame,
+            "space": "LPS",
+        }
+        rows = [
+            (path.name, f"phase {i}, at {fraction:.3f} RR")
+            for i, (path, fraction) in enumerate(zip(files, model.timing.fractions, strict=True))
+        ]
+        emit(result, rows, as_json=as_json)
+
+
+def _write_phase(model: "DvfModel", phase: int, path: Path, form: str) -> None:
+    from dvf_ig.io import write_mesh, write_volume
+    from dvf_ig.preop import distance_volume
+
+    if form == "nrrd":
+        write_volume(distance_volume(model, phase), path)
+    else:
+        flags = {} if model.seen is None else {"unseen": model.unseen(phase)}
+        write_mesh(model.reference[phase], path, flags)

@@ -100,19 +100,19 @@ def _images(request: BuildRequest, path: Path) -> tuple[BuildRequest, VolumeSeri
     if not request.examination:
         views = tuple(read_volume_series(view) for view in request.views)
         return request, read_volume_series(path, request.timing), views
-    found = read_dicom_examination(path)
-    for one in found.left_out:
+    examination = read_dicom_examination(path)
+    for one in examination.left_out:
         warn(f"left out {one.images} images of {one.series or 'a series without a name'}: {one.reason}")
     typer.echo(
-        f"short-axis stack: {found.sax.grid.shape[2]} slices, {len(found.sax.timing)} phases; "
-        f"long-axis views: {', '.join(found.names) or 'none'}",
+        f"short-axis stack: {examination.sax.grid.shape[2]} slices, {len(examination.sax.timing)} phases; "
+        f"long-axis views: {', '.join(examination.names) or 'none'}",
         err=True,
     )
-    request = replace(request, patient=request.patient or found.patient_id or None)
+    request = replace(request, patient=request.patient or examination.patient_id or None)
     if request.timing is None:
-        return request, found.sax, found.views
-    timing = read_timing(request.timing, folder=path, phases=len(found.sax.timing), image=path.name)
-    return request, VolumeSeries(found.sax.grid, found.sax.values, timing), found.views
+        return request, examination.sax, examination.views
+    timing = read_timing(request.timing, folder=path, phases=len(examination.sax.timing), image=path.name)
+    return request, VolumeSeries(examination.sax.grid, examination.sax.values, timing), examination.views
 
 
 def _sized(
@@ -377,15 +377,15 @@ def _shift_sentence(shifts: "SliceShifts") -> str:
 
 def _summary_rows(result: "CineModel") -> list[tuple[str, ...]]:
     quality, budget, shifts = result.quality, result.budget, result.shifts
-    found = [] if shifts is None else [("slice shifts", _shift_sentence(shifts))]
+    rows = [] if shifts is None else [("slice shifts", _shift_sentence(shifts))]
     if result.phases is not None:
         es = result.phases.es
         common = f"aligned to {result.phases.common_es:.2f}"
-        found.append(
+        rows.append(
             ("end-systole", f"at {es.min():.2f} to {es.max():.2f} of the slices' own cycles, {common}")
         )
     return [
-        *found,
+        *rows,
         (
             "closure error",
             f"{quality.closure_mean_mm:.2f} mm mean, {quality.closure_p95_mm:.2f} p95 over the organ, "

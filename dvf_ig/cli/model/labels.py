@@ -111,13 +111,13 @@ def check_with_surfaces(
     for name, phase in (("end_diastole", model.ed_phase), ("end_systole", es_phase)):
         other = int(nearest_phase(series.timing.fractions, fractions[phase : phase + 1])[0])
         rng = np.random.default_rng(seed)
-        found = check_surface(model, phase, series.phase(other), points=points, rng=rng)
-        parts = {"whole_mm": _spread(found.whole_mm), "seen_mm": _spread(found.seen_mm)}
+        check = check_surface(model, phase, series.phase(other), points=points, rng=rng)
+        parts = {"whole_mm": _spread(check.whole_mm), "seen_mm": _spread(check.seen_mm)}
         payload[name] = {"phase": phase, "surface_phase": other, **parts}
         shown = "" if model.seen is None else "; of the part that slices show "
-        shown += "" if model.seen is None else _spread_text(found.seen_mm)
+        shown += "" if model.seen is None else _spread_text(check.seen_mm)
         at = f"{name.replace('_', '-')} to {series.name}"
-        rows.append((at, f"{_spread_text(found.whole_mm)}, both directions{shown}"))
+        rows.append((at, f"{_spread_text(check.whole_mm)}, both directions{shown}"))
     return payload, rows
 
 

@@ -101,8 +101,8 @@ class BuildRequest:
     def patient_id(self, source: Path) -> str:
         from dvf_ig.io import dicom_patient_id, is_dicom_folder
 
-        known = self.patient or self.examination or not is_dicom_folder(source)
-        recorded = "" if known else dicom_patient_id(source)
+        identified = self.patient or self.examination or not is_dicom_folder(source)
+        recorded = "" if identified else dicom_patient_id(source)
         return self.patient or recorded or source.name.split(".")[0]
 
     def model_options(self) -> "ModelOptions":

@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from typer import Argument, Option
 
-from dvf_ig.cli.patient_model import patient_model
-from dvf_ig.cli.session_argument import SESSION, ModelOption, read_agreeing
+from dvf_ig.cli.session_argument import SESSION, ModelOption, patient_model, read_agreeing
 from dvf_ig.cli.shell import JsonFlag, SeedOption, ThreadsOption, command, emit, progress, warn
 
 from .output import files_of, output_of_register, payload_of, require_usable, rows_of
@@ -58,12 +57,12 @@ def _register_volumes(
 
     from dvf_ig.intake.start import landmark_fit, landmark_prior, landmarks_start, start_pose
     from dvf_ig.io import read_gated_volumes
+    from dvf_ig.registration import against_touched
     from dvf_ig.replay.page.registration_inputs import volumes_shown
     from dvf_ig.session import build_heart, register_gated_volumes
 
     heart, mr = build_heart(files.heart, model), files.heart.mr
     pose = start_pose(files.start, heart, seed)
-    landmarks = landmark_fit(files.start) if landmarks_start(files.start) else None
     volumes = read_gated_volumes(files.volumes, _model_phases(files, model))
     result = register_gated_volumes(
         volumes,
@@ -72,9 +71,10 @@ def _register_volumes(
         mr=mr,
         seed=seed,
         clock=perf_counter,
-        prior=landmark_prior(files.start),
-        landmarks=landmarks,
+        landmarks=landmark_prior(files.start),
     )
+    if landmarks_start(files.start):
+        result = against_touched(result, landmark_fit(files.start), None)
     about = ", ".join(dict.fromkeys(file.path.name for file in files.volumes))
     return result, volumes_shown(result, volumes, heart, mr, about=about)
 

@@ -122,8 +122,8 @@ def serve(
             options = replace(options, device=limits_of(hardware, options.device))
         ready = live_setup(files, model, fixture_options.with_margin(options, margin), mode, seed)
         typer.echo(ready.origin, err=True)
-        for found in ready.findings:
-            warn(f"{found.key}: {found.sentence}")
+        for finding in ready.findings:
+            warn(f"{finding.key}: {finding.sentence}")
         _serve(ready, live, page, seconds, out, hardware, as_json=as_json)
 
 
@@ -139,7 +139,7 @@ def _serve(
 ) -> None:
     """Run the session, and print and write what it did."""
     from dvf_ig.core import OutputError
-    from dvf_ig.live.record import NO_RECORD
+    from dvf_ig.live.record import LOG, NO_RECORD
     from dvf_ig.live.summary import LiveSummary
     from dvf_ig.session import SessionHistory, no_force
 
@@ -148,11 +148,11 @@ def _serve(
     summary, history = LiveSummary(), SessionHistory(REMEMBERED if out is None else None)
     if out is None:
         result = _run_session(ready, live, page, seconds, summary, history, NO_RECORD, hardware)
-        failure = None
+        failure = missing = None
     else:
         with recorded_session(out, ready) as record:
             result = _run_session(ready, live, page, seconds, summary, history, record, hardware)
-        failure = record.failure
+        failure, missing = record.failure, record.missing
         result["record"] = {"folder": str(out), "lost": record.lost, "failure": failure}
     last = history.last_registration
     reason = None if last is None else last.reason
@@ -162,10 +162,10 @@ def _serve(
     if silent is not None:
         warn(f"no force was given: {silent}")
     if out is not None and failure is None:
-        if summary.answers:
+        if missing is None:
             write_logged_run(out, ready, history)
         else:
-            warn("no pose of the tool came, so that there is nothing to replay or to view")
+            warn(f"{out / LOG} can be neither replayed nor viewed, because no {missing} came")
     if failure is not None:
         raise OutputError(failure)
 

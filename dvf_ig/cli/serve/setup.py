@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dvf_ig.cli.patient_model import patient_model
 from dvf_ig.cli.run_outputs import run_files, write_run
+from dvf_ig.cli.session_argument import patient_model
 from dvf_ig.cli.shell import warn, wrote
 
 if TYPE_CHECKING:
@@ -127,7 +127,7 @@ def write_logged_run(out: Path, ready: "LiveSetup", history: "SessionHistory") -
         return
     ticks = recorded_ticks(live)
     seconds = float(ticks.t_s[-1] - ticks.t_s[0])
-    done = Replay(
+    replay = Replay(
         recordings.scenario,
         ready.setup,
         ready.calibrations,
@@ -138,8 +138,8 @@ def write_logged_run(out: Path, ready: "LiveSetup", history: "SessionHistory") -
         seconds,
         seconds,
     )
-    result = result_of(done)
-    files = write_run(done, result, out, out / LOG, None)
+    result = result_of(replay)
+    files = write_run(replay, result, out, out / LOG, None)
     wrote(out / LOG)
     for name, frame in files.items():
         wrote(out / name, frame)

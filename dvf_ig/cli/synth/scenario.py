@@ -114,6 +114,6 @@ def _with_options(spec_file: Path | None, options: dict[str, Any]) -> "SpecFile"
     if spec_file is not None and options["preset"] is not None:
         raise typer.BadParameter("--preset and --spec both state the disturbances; change them in the file")
     file = read_spec(spec_file) if spec_file is not None else SpecFile()
-    given = {key: options[key] for key in SpecFile.model_fields if options.get(key) is not None}
-    paths = {key: str(value) for key, value in given.items() if isinstance(value, Path)}
-    return file.model_copy(update=given | paths)
+    stated = {key: options[key] for key in SpecFile.model_fields if options.get(key) is not None}
+    paths = {key: str(value) for key, value in stated.items() if isinstance(value, Path)}
+    return file.model_copy(update=stated | paths)

@@ -54,9 +54,11 @@ class Warp:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "origin_mm", frozen_floats(self.origin_mm, "origin of a warp", (3,)))
-        held = frozen(self.coefficients, "coefficients of a warp", (*[COEFFICIENTS] * 3, 4), np.float32)
-        object.__setattr__(self, "coefficients", held)
-        if not (self.knot_mm > 0.0 and np.isfinite(held).all()):
+        coefficients = frozen(
+            self.coefficients, "coefficients of a warp", (*[COEFFICIENTS] * 3, 4), np.float32
+        )
+        object.__setattr__(self, "coefficients", coefficients)
+        if not (self.knot_mm > 0.0 and np.isfinite(coefficients).all()):
             raise InvalidInputError("a warp needs a positive pitch of its knots and finite coefficients")
 
     @classmethod

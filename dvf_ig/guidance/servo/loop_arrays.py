@@ -95,8 +95,8 @@ class LoopArrays:
     def unused(self) -> "LoopArrays":
         """Copy for a loop that has not run, in which nothing has been published."""
         numbers = np.zeros_like(self.numbers)
-        kept = [kernel.LATE_NS, kernel.SILENT_NS, kernel.WATCHED]
-        numbers[kept] = self.numbers[kept]
+        columns = [kernel.LATE_NS, kernel.SILENT_NS, kernel.WATCHED]
+        numbers[columns] = self.numbers[columns]
         return replace(
             self,
             counter=shared.new_counter(),

@@ -66,12 +66,12 @@ def cine_facts(path: Path) -> Facts:
 
 def examination_facts(path: Path) -> Facts:
     """Facts about a folder of all series of an examination: stack, views, and what is left out."""
-    found = read_dicom_examination(path)
-    sax = found.sax
+    examination = read_dicom_examination(path)
+    sax = examination.sax
     middle = sax.grid.to_mm((np.array(sax.grid.shape) - 1.0) / 2.0)
     ends = sax.grid.to_mm(np.array([[0.0, 0.0, 0.0], [0.0, 0.0, sax.grid.shape[2] - 1.0]]))
     views = {}
-    for number, (name, view) in enumerate(zip(found.names, found.views, strict=True)):
+    for number, (name, view) in enumerate(zip(examination.names, examination.views, strict=True)):
         normal = view.grid.direction[:, 2]
         turn = float(np.degrees(np.arccos(min(abs(float(normal @ sax.grid.direction[:, 2])), 1.0))))
         views[f"{number + 1} {name}"] = {
@@ -83,7 +83,7 @@ def examination_facts(path: Path) -> Facts:
             "off_the_stack_s_middle_mm": float((middle - view.grid.origin_mm) @ normal),
         }
     return {
-        "patient_id": found.patient_id,
+        "patient_id": examination.patient_id,
         "short_axis": {
             "slices": sax.grid.shape[2],
             "pitch_mm": float(sax.grid.spacing_mm[2]),
@@ -95,7 +95,7 @@ def examination_facts(path: Path) -> Facts:
         "long_axis": views,
         "left_out": {
             f"{number + 1} {one.series or 'without a name'}": {"images": one.images, "reason": one.reason}
-            for number, one in enumerate(found.left_out)
+            for number, one in enumerate(examination.left_out)
         },
     }
 

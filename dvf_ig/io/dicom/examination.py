@@ -125,7 +125,7 @@ def _cines(images: Sequence[CineImage]) -> tuple[list[_Slices], list[LeftOut]]:
     by_series: dict[str, list[CineImage]] = defaultdict(list)
     for image in images:
         by_series[image.series].append(image)
-    kept: list[CineImage] = []
+    chosen: list[CineImage] = []
     left_out = []
     for members in by_series.values():
         parts = _by_geometry(members)
@@ -134,8 +134,8 @@ def _cines(images: Sequence[CineImage]) -> tuple[list[_Slices], list[LeftOut]]:
             reason = f"{phases:.0f} images a slice; needed {LEAST_PHASES} or more times of the cycle"
             left_out.append(LeftOut(_Slices(tuple(members)).name, len(members), reason))
         else:
-            kept += members
-    return _by_geometry(kept), left_out
+            chosen += members
+    return _by_geometry(chosen), left_out
 
 
 def _by_geometry(images: Sequence[CineImage]) -> list[_Slices]:
@@ -257,11 +257,11 @@ def _series(
     flat = [image for row in rows for image in row]
     files = list(dict.fromkeys(image.path for image in flat))
     columns, height, slices = grid.shape
-    held = [image for image in every if image.path in set(files)]
-    limits.require_count(4 * columns * height * len(held), limits.VOXEL_BYTES, "bytes of images")
-    held.sort(key=lambda image: files.index(image.path))
-    stored = read_pixels(files, len(held), columns, height)
-    at = {(image.path, image.frame): i for i, image in enumerate(held)}
+    images = [image for image in every if image.path in set(files)]
+    limits.require_count(4 * columns * height * len(images), limits.VOXEL_BYTES, "bytes of images")
+    images.sort(key=lambda image: files.index(image.path))
+    stored = read_pixels(files, len(images), columns, height)
+    at = {(image.path, image.frame): i for i, image in enumerate(images)}
     pixels = stored[[at[image.path, image.frame] for image in flat]]
     for path in files:
         record_file(path)

@@ -274,9 +274,9 @@ def _count_column(table: Table) -> int | None:
     for i, column in enumerate(table.columns or ()):
         if column.name.lower() in _COUNT_NAMES:
             return i
-    counted = table.values.shape[1] > 1 and bool((np.diff(table.values[:, 0]) == 1).all())
+    numbered = table.values.shape[1] > 1 and bool((np.diff(table.values[:, 0]) == 1).all())
     timed = 0 in table.clocks or (table.columns is not None and _is_time(table.columns[0]))
-    return 0 if counted and not timed else None
+    return 0 if numbered and not timed else None
 
 
 def _even_times(

@@ -66,7 +66,7 @@ def recorded_poses(path: Path, target: str | None = None, source: str | None = N
         if not path.exists():
             raise FileNotFoundError(path)
         if path.suffix.lower() in SEQUENCE_SUFFIXES:
-            return _from_sequence(path, read_sequence(path), target, source)
+            return _from_sequence(read_sequence(path), target, source)
         times, matrices = _read_folder(path) if path.is_dir() else _read_table(path)
         limits.require_times(times, "its column of times")
         valid = np.isfinite(matrices).all(axis=(1, 2)) & ~identities(matrices)
@@ -93,9 +93,7 @@ def usable(stream: PoseStream) -> PoseStream:
     return stream
 
 
-def _from_sequence(
-    path: Path, sequence: TrackedSequence, target: str | None, source: str | None
-) -> PoseStream:
+def _from_sequence(sequence: TrackedSequence, target: str | None, source: str | None) -> PoseStream:
     frames = {stream.target for stream in sequence.poses.values()}
     tools = sorted({stream.source for stream in sequence.poses.values()} - {"reference"})
     if source is None:

@@ -1,4 +1,4 @@
-"""A wall's force on the shaft of a tool, where it reaches deepest.
+"""Forbidden regions on the shaft of a tool, where it reaches deepest.
 
 The shaft is sampled at s_j = j·pitch from the tip on, the tip being s_0. With d* the largest of the distances
 d_j, the force is that of the deepest place, or a mean of several that reach about equally deep:
@@ -23,10 +23,16 @@ from dvf_ig.core import FloatArray
 from dvf_ig.kernels import status as code
 from dvf_ig.kernels.compiled import inlined, kernel
 from dvf_ig.kernels.dynamic import distance_at, force_at
-from dvf_ig.kernels.fixture_field import Output, no_output
-from dvf_ig.kernels.vectors import Vector, dot
+from dvf_ig.kernels.fixture_field import LAW, Output, no_output
+from dvf_ig.kernels.place import pose_at
+from dvf_ig.kernels.pose_and_phase import rotated_by
+from dvf_ig.kernels.vectors import Vector, dot, vector_at
 from dvf_ig.kernels.warp import known_share, output_through, warp_at
 from dvf_ig.kernels.worst_phase import worst_phase_force
+
+from .borrowed import borrowed_from
+from .parts import note_field
+from .tip import surface_coefficients
 
 PITCH_MM = 5.0
 """Largest distance between two samples: 0.16 mm at a radius of 20 mm."""
@@ -35,6 +41,8 @@ BAND_MM = 0.5
 STEEPEST = 1.25
 """Largest change of distance per mm: of a fitted field, and through a change of shape, it is not just 1."""
 SURE_SHARE = 1e-9
+SHORTEST_MM = 1.0
+"""A tip closer to the trocar has no direction towards it."""
 
 
 @inlined
@@ -178,3 +186,97 @@ def wall_on_shaft(
         (gx / total, gy / total, gz / total),
         rate / total,
     ), met / total
+
+
+@inlined
+def keeps_out(bound: Any, i: int) -> bool:
+    """Whether fixture `i` is a forbidden region, which acts on the whole tool; others act on the tip."""
+    return bool(bound.settings[0].fixtures.forbidden[i] != 0.0 and bound.packed[i, LAW + 1] > 0.0)
+
+
+@kernel
+def find_shaft(tool: Any, inputs: Any, xyz: FloatArray, shaft: FloatArray) -> int:
+    """Write the axis from the tip to the handle and the length to the trocar; OK if it is known."""
+    if tool.trocar == 0:
+        shaft[0], shaft[1], shaft[2] = inputs.tool_axis[0], inputs.tool_axis[1], inputs.tool_axis[2]
+        shaft[3] = math.inf
+        size = dot(vector_at(shaft, 0), vector_at(shaft, 0))
+        return code.OK if 0.99 < size < 1.01 else code.STALE_TOOL
+    for k in range(3):
+        shaft[k] = tool.trocar_mm[k] - xyz[k]
+    shaft[3] = math.sqrt(dot(vector_at(shaft, 0), vector_at(shaft, 0)))
+    if not shaft[3] >= SHORTEST_MM:
+        return code.OUT_OF_VOLUME
+    for k in range(3):
+        shaft[k] /= shaft[3]
+    return code.OK
+
+
+@inlined
+def wall_of_shaft(
+    bound: Any, scratch: Any, inputs: Any, t_s: float, place: Vector, phi: float, i: int
+) -> tuple[Output, float]:
+    """Wall `i` on the shaft in `scratch`, and how far above the tip it is met; phi as of `wall_on_shaft`."""
+    p = inputs.pose_and_phase
+    return wall_on_shaft(
+        surface_coefficients(bound, i),
+        bound.packed[i],
+        bound.settings[0].tool,
+        place,
+        rotated_by(pose_at(p, t_s), vector_at(scratch.shaft, 0)),
+        scratch.shaft[3],
+        phi,
+        (scratch.warps, p, t_s),
+        scratch.depths,
+    )
+
+
+@kernel
+def on_shaft(
+    bound_at: Any, scratch_at: Any, inputs: Any, t_s: float, place: Vector, phi: float, first: Output
+) -> tuple[Output, float]:
+    """Put the forces of forbidden regions on the shaft in place of those on the tip.
+
+    Args:
+        bound_at, scratch_at: of `servo_tick`.
+        first: output of `forces_on_tip` at the tip.
+    Returns:
+        output of the first fixture within reach, and how far above the tip it is met.
+    """
+    bound, scratch = borrowed_from(bound_at), borrowed_from(scratch_at)
+    of, met_mm, begun = bound.settings[0].fixtures, 0.0, False
+    for i in range(len(bound.packed)):
+        if not keeps_out(bound, i):
+            begun = begun or of.far_outside[i] == 0
+            continue
+        output, at_mm = wall_of_shaft(bound, scratch, inputs, t_s, place, phi, i)
+        if output[0] == code.OUT_OF_VOLUME and of.far_outside[i] != 0:
+            continue
+        if output[0] != code.OK:
+            return output, 0.0
+        scratch.forces[i, 0], scratch.forces[i, 1], scratch.forces[i, 2] = output[1]
+        if of.others != 0:
+            axis = rotated_by(pose_at(inputs.pose_and_phase, t_s), vector_at(scratch.shaft, 0))
+            note_field(scratch.fields, i, at_tip(output[3], axis, 1.0 - at_mm / scratch.shaft[3]), output[4])
+        if not begun:
+            first, met_mm, begun = output, at_mm, True
+    return first, met_mm
+
+
+@inlined
+def take_gradient(sample: Any, shaft: FloatArray, met_mm: float, gradient: Vector) -> None:
+    """Set the gradient by the tip's place of a distance met above the tip, if it is."""
+    if met_mm > 0.0:
+        gradient = at_tip(gradient, vector_at(shaft, 0), 1.0 - met_mm / shaft[3])
+    sample.gradient[0], sample.gradient[1], sample.gradient[2] = gradient
+
+
+@inlined
+def met_place(scratch: Any, xyz: FloatArray, met_mm: float) -> FloatArray:
+    """Place (3,) of the tool that meets the first fixture, tracker frame."""
+    if met_mm == 0.0:
+        return xyz
+    place: FloatArray = scratch.vectors[7]
+    for k in range(3):
+        place[k] = xyz[k] + met_mm * scratch.shaft[k]
+    return place

@@ -16,9 +16,10 @@ from dvf_ig.kernels.laws import LARGEST_FORCE_N, direction_certainty
 
 from . import supervision
 from .borrowed import borrowed, borrowed_from
-from .fixtures import cross_to_walls, fixtures_force
+from .fixtures import fixtures_force
 from .lever import force_on_hand, force_on_tip, lever_in_range, softening, tip_of_hand
 from .passivity import control, mean_velocity, note_sent, observe
+from .phase_loss import cross_to_walls
 from .supervision import supervise
 from .tissue import tissue_force
 

@@ -27,7 +27,8 @@ from dvf_ig.kernels.pose_and_phase import distance_rate_and_sigma
 from dvf_ig.kernels.vectors import Vector, dot
 from dvf_ig.kernels.warp import known_share, mixed, spline_at, through_warp, warp_at
 
-from .fixtures import clear, in_model
+from .fixtures import clear
+from .tip import in_model
 
 TEXTURE_MM = 3.0
 """Wavelength of texture, a sum of three waves along the axes of the material."""

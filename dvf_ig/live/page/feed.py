@@ -142,7 +142,7 @@ class PageFeed:
         self._told_s = answer.state.now_s
         batches, peaks, marks = _taken(self._ecg), _taken(self._peaks), _taken(self._marks)
         state = answer.state
-        event = state_event(state, answer.sent)
+        event = state_event(state, self._setup.fixtures.tool, answer.sent)
         reasons = state.reasons if answer.sent is None else answer.sent.hazards.sentences
         event["reasons"] = [*reasons, *([REARM] if answer.supervisor is SupervisorState.LATCHED else [])]
         if self._ended:

@@ -23,11 +23,9 @@ class Feed(Protocol):
 
     def scene(self) -> tuple[bytes, bytes]:
         """Return scene.json in two parts."""
-        ...
 
     def next_event(self) -> str | None:
         """Return what is new since the last call as JSON, or None."""
-        ...
 
 
 MOST_WATCHERS = 4

@@ -91,5 +91,7 @@ class LslBreath:
 
 def finite_samples(t_s: FloatArray, values: FloatArray) -> list[RespirationSample]:
     """Make events of (n,) times and (n, channels) values; missing values are left out."""
-    known = np.isfinite(values).all(axis=1)
-    return [RespirationSample(t, value) for t, value in zip(t_s[known].tolist(), values[known], strict=True)]
+    finite = np.isfinite(values).all(axis=1)
+    return [
+        RespirationSample(t, value) for t, value in zip(t_s[finite].tolist(), values[finite], strict=True)
+    ]

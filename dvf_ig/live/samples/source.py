@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Protocol
 
 from dvf_ig.intake.live import BreathStreamConfig, EcgStreamConfig, EcgTailConfig, LiveConfig
-from dvf_ig.live.timed import LiveEvent
+from dvf_ig.live.frames import LiveEvent
 from dvf_ig.session import EcgSamples, RespirationSample
 
 from .lsl import LslEcg
@@ -28,7 +28,6 @@ class SampleReader(Protocol):
 
     def read(self) -> Sequence[EcgSamples | RespirationSample]:
         """Return samples since the last call, stamped by this machine's monotonic clock; may wait."""
-        ...
 
 
 @contextmanager

@@ -28,8 +28,8 @@ from dvf_ig.core import (
     read_only_arrays,
     untold,
 )
+from dvf_ig.core.progress import thread_pool
 from dvf_ig.core.space.frames import require_same_frame
-from dvf_ig.core.threads import thread_pool
 
 from .consistency import LIMIT_MM, Stiffened, inverse_index, made_consistent
 from .demons import DemonsOptions, DisplacementField, match_images_by_demons

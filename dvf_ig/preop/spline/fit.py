@@ -36,9 +36,9 @@ TOLERANCE = 0.05
 MAX_ITERATIONS = 40
 
 
-def cubic_basis(cells: int, samples_per_knot: int = SAMPLES_PER_KNOT) -> BandedRows:
+def cubic_basis(cells: int) -> BandedRows:
     """Build the (cells·s + 1, cells + 3) values of the cubic B-splines at u = 0, 1/s, …, cells."""
-    u = np.arange(cells * samples_per_knot + 1) / samples_per_knot
+    u = np.arange(cells * SAMPLES_PER_KNOT + 1) / SAMPLES_PER_KNOT
     cell = np.minimum(u.astype(np.int64), cells - 1)
     t = u - cell
     values = np.stack([(1 - t) ** 3, 3 * t**3 - 6 * t**2 + 4, -3 * t**3 + 3 * t**2 + 3 * t + 1, t**3], axis=1)

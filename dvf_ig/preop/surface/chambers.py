@@ -4,7 +4,7 @@ import logging
 from collections.abc import Iterable, Sequence
 
 from dvf_ig.core import Chamber, InvalidInputError, Mesh, SurfaceSeries, VolumeSeries
-from dvf_ig.core.threads import thread_pool
+from dvf_ig.core.progress import thread_pool
 
 from .closing import close_surface
 from .from_labels import surface_of_mask

@@ -16,8 +16,8 @@ from dvf_ig.core import (
     VolumeSeries,
     read_only_arrays,
 )
+from dvf_ig.core.progress import thread_pool
 from dvf_ig.core.space.mesh import enclosed_volume_mm3
-from dvf_ig.core.threads import thread_pool
 from dvf_ig.preop.components import largest_component
 
 SMOOTHING_VOXELS = 1.0
@@ -34,7 +34,6 @@ def surfaces_from_labels(
     labels: VolumeSeries,
     organ_labels: Sequence[int],
     *,
-    smoothing_voxels: float = SMOOTHING_VOXELS,
     threads: int = 2,
 ) -> tuple[Mesh, ...]:
     """Extract the outer surface of the union of some labels: one mesh a phase, mm, outward orientation.
@@ -45,7 +44,6 @@ def surfaces_from_labels(
     Args:
         labels: 4-D label image.
         organ_labels: values that belong to the organ.
-        smoothing_voxels: standard deviation of the Gaussian, in voxels.
         threads: phases at a time; has no influence on the result.
     Raises:
         InvalidInputError: no organ labels, or a phase without any voxel of them.
@@ -54,10 +52,10 @@ def surfaces_from_labels(
         raise InvalidInputError("no organ labels given; name the label values that the surface encloses")
     with thread_pool(threads) as pool:
         masks = pool.map(lambda i: _organ_mask(labels, i, organ_labels), range(len(labels.timing)))
-        return tuple(pool.map(lambda mask: _surface(mask, labels.grid, smoothing_voxels), masks))
+        return tuple(pool.map(lambda mask: _surface(mask, labels.grid), masks))
 
 
-def surface_of_mask(mask: BoolArray, grid: Grid, *, smoothing_voxels: float = SMOOTHING_VOXELS) -> Mesh:
+def surface_of_mask(mask: BoolArray, grid: Grid) -> Mesh:
     """Extract the surface of all components of one mask, smoothed as `surfaces_from_labels` smooths.
 
     Raises:
@@ -67,7 +65,7 @@ def surface_of_mask(mask: BoolArray, grid: Grid, *, smoothing_voxels: float = SM
     if not box:
         raise InvalidInputError("the mask has no voxel inside; there is no surface to extract")
     start = np.array([part.start for part in box[0]])
-    return _surface(_Crop(mask[box[0]], start), grid, smoothing_voxels)
+    return _surface(_Crop(mask[box[0]], start), grid)
 
 
 def border_caps(mesh: Mesh, grid: Grid, axes: int = 3) -> BoolArray:
@@ -103,7 +101,7 @@ def _organ_mask(labels: VolumeSeries, phase: int, organ_labels: Sequence[int]) -
     return _Crop(largest_component(mask), np.array([part.start for part in box[0]]))
 
 
-def _surface(organ: _Crop, grid: Grid, smoothing_voxels: float) -> Mesh:
+def _surface(organ: _Crop, grid: Grid) -> Mesh:
     from skimage.measure import marching_cubes
 
     block = np.maximum(FINEST_VOXEL_MM / grid.spacing_mm, 1.0).astype(np.int64)
@@ -111,7 +109,7 @@ def _surface(organ: _Crop, grid: Grid, smoothing_voxels: float) -> Mesh:
     solid = np.pad(organ.mask, [(int(p), int(p)) for p in padding])
     spacing_mm = grid.spacing_mm * block
     mean_mm = float(np.prod(spacing_mm)) ** (1.0 / 3.0)
-    field = _shrinkage_compensated(_block_means(solid, block), smoothing_voxels * mean_mm / spacing_mm)
+    field = _shrinkage_compensated(_block_means(solid, block), SMOOTHING_VOXELS * mean_mm / spacing_mm)
     if field.max() <= 0.5:
         raise InvalidInputError(
             f"the labelled region has {np.count_nonzero(organ.mask)} voxels, fewer than a surface needs; "

@@ -23,7 +23,7 @@ from dvf_ig.core import (
     nearest_phase,
     read_only_arrays,
 )
-from dvf_ig.core.threads import thread_pool
+from dvf_ig.core.progress import thread_pool
 from dvf_ig.kernels.boundary import foot_point_distance
 from dvf_ig.kernels.compiled import thread_count
 from dvf_ig.registration.lc2.channels import BLOOD

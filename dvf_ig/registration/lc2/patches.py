@@ -190,6 +190,6 @@ def _covered_runs(
     begin = np.maximum(runs[:, FIRST], low[covered[pair]])
     end = np.minimum(runs[:, LAST], high[covered[pair]])
     pixel = runs[:, PIXEL] + begin - runs[:, FIRST]
-    kept = begin < end
-    out = np.column_stack([row[pair], begin, end, pixel])[kept]
-    return np.searchsorted(whose[pair][kept], np.arange(len(owner) + 1)), out
+    nonempty = begin < end
+    out = np.column_stack([row[pair], begin, end, pixel])[nonempty]
+    return np.searchsorted(whose[pair][nonempty], np.arange(len(owner) + 1)), out

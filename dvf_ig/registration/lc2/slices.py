@@ -175,12 +175,12 @@ def slices_of_volume(
         maps[part, :, 0], maps[part, :, 1] = axes_mm[:, columns], axes_mm[:, rows]
         maps[part, :, 2] = origin_mm + chosen[:, None] * axes_mm[:, axis]
     masks = np.isfinite(stack)
-    kept = np.flatnonzero(np.count_nonzero(masks, axis=(1, 2)) >= 0.05 * size * size)
-    if len(kept) == 0:
+    large = np.flatnonzero(np.count_nonzero(masks, axis=(1, 2)) >= 0.05 * size * size)
+    if len(large) == 0:
         raise InvalidInputError("the ultrasound volume has no plane with enough insonified voxels")
     np.copyto(stack, np.float32(0), where=~masks)
     phases, times = np.full(len(stack), model_phase), np.full(len(stack), t_s)
-    return SliceSet(frame, stack, masks, maps, phases, times).subset(kept)
+    return SliceSet(frame, stack, masks, maps, phases, times).subset(large)
 
 
 def joined(sets: Sequence[SliceSet]) -> SliceSet:

@@ -71,10 +71,10 @@ def blocks_of(values: NDArray[np.float32], grid: Grid, edge: int) -> Blocks:
     order = np.argsort(key, kind="stable")
     index, key = index[order], key[order]
     u = values[tuple(index.T)]
-    known, first = np.unique(key, return_index=True)
+    keys, first = np.unique(key, return_index=True)
     first = np.append(first, len(key)).astype(np.int64)
     number: IntArray = np.full(shape, -1, dtype=np.int64)
-    number.ravel()[known] = np.arange(len(known))
+    number.ravel()[keys] = np.arange(len(keys))
     number = np.pad(number, ((0, 1),) * 3, constant_values=-1)
     low = np.stack(np.meshgrid(*(np.arange(n) for n in shape), indexing="ij"), axis=-1).reshape(-1, 3)
     steps = np.stack(np.meshgrid([0, 1], [0, 1], [0, 1], indexing="ij"), axis=-1).reshape(-1, 3)
@@ -93,7 +93,7 @@ def blocks_of(values: NDArray[np.float32], grid: Grid, edge: int) -> Blocks:
     variance = total[:, 2] / total[:, 0] - mean**2
     varies = variance > FLAT
     members, total, mean, variance = members[varies], total[varies], mean[varies], variance[varies]
-    of_block = np.full((len(known), CORNERS), -1, dtype=np.int64)
+    of_block = np.full((len(keys), CORNERS), -1, dtype=np.int64)
     for corner in range(CORNERS):
         there = members[:, corner] >= 0
         of_block[members[there, corner], corner] = np.flatnonzero(there)

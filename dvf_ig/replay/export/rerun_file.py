@@ -51,7 +51,7 @@ def write_rerun(run: ExportedRun, model: DvfModel, ticks: dict[str, AnyArray], p
         _surfaces(rerun, stream, model)
         _poses(rerun, stream, run, frames)
         _ultrasound(rerun, stream, run, frames)
-        _tool(rerun, stream, run, ticks)
+        _tool(rerun, stream, ticks)
         _numbers(rerun, stream, run, ticks)
         stream.flush()
         stream.disconnect()
@@ -122,7 +122,7 @@ def _ultrasound(rerun: Any, stream: Any, run: ExportedRun, frames: ShownFrames) 
     stream.reset_time()
 
 
-def _tool(rerun: Any, stream: Any, run: ExportedRun, ticks: dict[str, AnyArray]) -> None:
+def _tool(rerun: Any, stream: Any, ticks: dict[str, AnyArray]) -> None:
     """Log the tip and the force at it, in the tracker's frame."""
     tip, force = (_rows(ticks, form) for form in ("tip_tracker_{}_mm", "force_tracker_{}_n"))
     step = max(1, round(RATE_HZ / FORCE_HZ))

@@ -12,7 +12,7 @@ from jsonschema.exceptions import best_match
 from dvf_ig.cardiac import frame_period_s
 from dvf_ig.core import InvalidInputError
 from dvf_ig.guidance import Status, summarise_supervision
-from dvf_ig.intake.fixtures import DeviceConfig
+from dvf_ig.intake.fixtures import DeviceConfig, ToolShapeConfig
 from dvf_ig.registration import PairEvidence, RegistrationResult, ShapeChange, least_constrained_direction
 from dvf_ig.replay.engine import Replay
 from dvf_ig.session import RegistrationRecord
@@ -126,6 +126,7 @@ def result_of(replay: Replay) -> dict[str, Any]:
     magnitude = np.linalg.norm(force, axis=1)
     valid = ticks.valid
     device = DeviceConfig.of(replay.setup.device)
+    tool = ToolShapeConfig.of(replay.setup.fixtures.tool)
     out: dict[str, Any] = {
         "schema": SCHEMA,
         "scenario": replay.scenario.name,
@@ -147,6 +148,7 @@ def result_of(replay: Replay) -> dict[str, Any]:
         "fixtures": [one.described() for one in replay.setup.fixtures.fixtures],
         "fixtures_cap_n": replay.setup.fixtures.joint_cap_n,
         "device": None if device is None else device.model_dump(),
+        "tool": None if tool is None else tool.model_dump(mode="json"),
         "retiming": replay.setup.retiming,
         "margin": margin_fields(replay),
         "no_force": _no_force(replay),

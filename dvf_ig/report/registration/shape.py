@@ -56,8 +56,8 @@ def shape_shown(sentence: str, mesh: Mesh, warp: Warp, largest_sigma_mm: float) 
     before = mesh.vertices_mm
     now = warp.patient_places(before)
     outward, sigma_mm = normal_shifts(mesh, now, warp)
-    known = sigma_mm <= largest_sigma_mm
-    return ShapeShown(sentence, before, now, np.asarray(mesh.triangles), outward, known)
+    certain = sigma_mm <= largest_sigma_mm
+    return ShapeShown(sentence, before, now, np.asarray(mesh.triangles), outward, certain)
 
 
 def shape_figure(shape: ShapeShown) -> Figure:

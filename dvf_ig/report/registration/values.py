@@ -1,7 +1,5 @@
 """Content of the page of a registration: plain text, numbers and planes."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum

@@ -1,7 +1,5 @@
 """Build `report.html` of a replay: one self-contained page with its estimates, errors and figures."""
 
-from __future__ import annotations
-
 import html
 from collections.abc import Sequence
 

@@ -1,7 +1,5 @@
 """Content of the page of a replay: arrays over time, and ultrasound frames with the model in them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Interactive viewer: scene, time series and live events as JSON, and the page that shows them."""
 
-from .event import shaft_in_tool as shaft_in_tool
-from .event import state_event as state_event
 from .frames import FrameSeries as FrameSeries
 from .frames import frame_event as frame_event
 from .model import model_payload as model_payload
@@ -18,3 +16,4 @@ from .series import Mark as Mark
 from .series import SampledSignal as SampledSignal
 from .series import SeriesInput as SeriesInput
 from .series import series_payload as series_payload
+from .series import state_event as state_event

@@ -1,7 +1,5 @@
 """Encode ultrasound frames for a page: position in the model's frame, and compressed picture."""
 
-from __future__ import annotations
-
 import base64
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Encode a model alone for the viewer: its surfaces beat."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Encode arrays as text for a page: integers of a step, differences, shuffled bytes, gzip, base64."""
 
-from __future__ import annotations
-
 import base64
 import gzip
 from typing import Any

@@ -1,7 +1,5 @@
 """Build the viewer's page with its data, for writing to a file."""
 
-from __future__ import annotations
-
 import html
 import json
 from collections.abc import Mapping

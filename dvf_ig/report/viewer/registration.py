@@ -1,7 +1,5 @@
 """Encode one registration for the viewer: planes with ultrasound and anatomy, targets with their bound."""
 
-from __future__ import annotations
-
 import base64
 from collections.abc import Sequence
 from dataclasses import dataclass

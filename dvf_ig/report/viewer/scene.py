@@ -10,7 +10,7 @@ import numpy as np
 
 import dvf_ig
 from dvf_ig.core import BoolArray, DvfModel, Fan, FloatArray, Landmarks, Mesh, Tissue, Warp
-from dvf_ig.guidance import HAZARD_RULES, Evaluator, Gaussian, Hazard, Sigmoid, Status, SupervisorState
+from dvf_ig.guidance import HAZARD_RULES, Evaluator, Gaussian, Hazard, Sigmoid, Status, SupervisorState, Tool
 from dvf_ig.guidance.fixtures import FixtureOptions, FixtureSet
 from dvf_ig.guidance.tissue import class_of
 from dvf_ig.kernels.warp import LARGEST_SIGMA_MM
@@ -113,6 +113,7 @@ def scene_payload(scene: SceneInput) -> dict[str, Any]:
         "labels": None if model.tissue is None else labels_payload(model.tissue, scene.warp),
         "fixtures": [] if scene.fixtures is None else [_fixture(one) for one in scene.fixtures.fixtures],
         "fixtures_cap_n": (scene.fixtures or FixtureSet()).joint_cap_n,
+        "tool": None if scene.fixtures is None else tool_payload(scene.fixtures.tool),
         "image": None if scene.image is None else image_payload(scene.image),
         "signals": {"ecg": _signal(scene.ecg), "breathing": _signal(scene.breathing)},
         "words": words(),
@@ -243,6 +244,13 @@ def _fixture(one: FixtureOptions) -> dict[str, Any]:
         described["path_mm"] = one.path.points_mm.round(3).tolist()
         described["path_fractions"] = [0.0] if timing is None else timing.fractions.tolist()
     return described
+
+
+def tool_payload(tool: Tool) -> dict[str, float] | None:
+    """Encode the thickness of a tool, and the length of its shaft that walls act on; None of a point."""
+    if tool.diameter_mm == tool.shaft_mm == 0.0:
+        return None
+    return {"diameter_mm": tool.diameter_mm, "shaft_mm": tool.shaft_mm}
 
 
 def distance_payload(model: DvfModel) -> dict[str, Any]:

@@ -1,7 +1,5 @@
 """Simplify a surface through the cycle to few vertices with constant numbering, for a page to interpolate."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise

@@ -161,7 +161,7 @@ def bench_servo(
     )
 
 
-def burn(seconds: float, often: Callable[[], None], every_s: float = PUBLISH_S) -> None:
+def burn(seconds: float, often: Callable[[], None]) -> None:
     """Pure Python, JSON and garbage collection until the time is over, and `often` now and then.
 
     All of it holds the GIL; the collector runs over many objects that refer to one another.
@@ -172,7 +172,7 @@ def burn(seconds: float, often: Callable[[], None], every_s: float = PUBLISH_S) 
     while (now := time.monotonic()) < end:
         if now >= due:
             often()
-            due = now + every_s
+            due = now + PUBLISH_S
         cycle: dict[str, object] = {str(k): [k, {"squared": k * k}] for k in range(300)}
         cycle["itself"] = cycle
         garbage.append(cycle)

@@ -16,11 +16,12 @@ from data_synth import ScenarioSpec, phantom_scenario
 from dvf_ig.cardiac import stream_recording
 from dvf_ig.core import DvfModel, FloatArray, InvalidInputError, Scenario, TriggerTimes, read_only_arrays
 from dvf_ig.intake.calibrations import calibrate
+from dvf_ig.replay.engine import SimulatedOperator
 from dvf_ig.replay.events import ECG_CHUNK, Timed, events_of
-from dvf_ig.replay.operator import SimulatedOperator
 from dvf_ig.session import EcgSamples, InlineExecutor, Session, ToolPose, TrackedFrame, build_heart
 from dvf_ig.session.setup import SessionSetup, beat_source_of
-from dvf_ig.study.bench.timing import Row, row
+
+from .timing import Row, row
 
 MIN_BEATS = 10
 """Fewest R peaks of a recording that is repeated."""

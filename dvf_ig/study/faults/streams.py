@@ -19,7 +19,7 @@ from data_synth import EcgSpec, child_rng, synthetic_ecg
 from data_synth.signals.rhythm import Beats, RhythmSpec, beat_series
 from data_synth.signals.tracker import TrackerSpec, sampling_times, tracked
 from dvf_ig.cardiac import RPeak
-from dvf_ig.core import Grid, ImageMap, Points, PoseStream, Rigid, Stop, mean_displacement_mm
+from dvf_ig.core import Grid, ImageMap, Points, Rigid, Stop, mean_displacement_mm
 from dvf_ig.core.arrays import FloatArray, read_only_arrays
 from dvf_ig.registration import (
     Evidence,
@@ -32,6 +32,7 @@ from dvf_ig.registration import (
 )
 from dvf_ig.registration.images import RegistrationOptions
 from dvf_ig.registration.tracking.pose_estimate import BeatMeasurement, PoseEstimate
+from dvf_ig.replay.events import pose_matrices
 from dvf_ig.session import BeatEvaluation, GatedFrames, Heart, RegistrationRecord, RegistrationRequest
 from dvf_ig.session.arrived_ultrasound import FrameBuffer
 from dvf_ig.session.beat_evaluation import BEAT_COMPUTE_S, ComparedBeat, evaluation_of
@@ -324,7 +325,7 @@ def _tool(spec: InterventionSpec, fast: float, rng: np.random.Generator) -> Arri
     stamps = ((1.0 + fast) * stamp_s).tolist()
     return [
         (arrived_s, ToolPose(t_s, matrix))
-        for arrived_s, t_s, matrix in zip(arrived, stamps, _matrices(stream), strict=True)
+        for arrived_s, t_s, matrix in zip(arrived, stamps, pose_matrices(stream), strict=True)
     ]
 
 
@@ -345,16 +346,8 @@ def _frames(spec: InterventionSpec, fast: float, rng: np.random.Generator) -> Ar
     stamps = ((1.0 + fast) * stamp_s).tolist()
     return [
         (arrived_s, TrackedFrame(t_s, pixel, matrix))
-        for arrived_s, t_s, matrix in zip(arrived, stamps, _matrices(stream), strict=True)
+        for arrived_s, t_s, matrix in zip(arrived, stamps, pose_matrices(stream), strict=True)
     ]
-
-
-def _matrices(stream: PoseStream) -> list[FloatArray | None]:
-    """(4, 4) each, read-only; None if the status was not OK."""
-    matrices = np.tile(np.eye(4), (len(stream), 1, 1))
-    matrices[:, :3, :3], matrices[:, :3, 3] = stream.rotations, stream.translations_mm
-    matrices.setflags(write=False)
-    return [m if valid else None for m, valid in zip(matrices, stream.valid.tolist(), strict=True)]
 
 
 def _late(least_s: float, n: int, rng: np.random.Generator) -> FloatArray:

@@ -294,7 +294,7 @@ def gamma_regression(x: FloatArray, ratio: FloatArray, weight: FloatArray) -> tu
 def _ranges(statistics: Sequence[dict[str, float]], hearts: int) -> dict[str, Any]:
     """Ranges with their margin, and the largest share of like hearts outside of any (by exchangeability)."""
     names = list(statistics[0])
-    values = np.array([[held[name] for name in names] for held in statistics])
+    values = np.array([[row[name] for name in names] for row in statistics])
     low, high = values.min(axis=0), values.max(axis=0)
     margin = RANGE_MARGIN * np.maximum(high - low, 1e-9)
     return {

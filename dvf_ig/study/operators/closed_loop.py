@@ -15,11 +15,10 @@ from scipy.interpolate import CubicSpline
 from data_synth.heart.motion import MotionPreset
 from data_synth.operator.contact import MovingSurface
 from data_synth.operator.contact_sites import Site
-from data_synth.operator.felt_force import LearntForce
 from data_synth.operator.fulcrum import Fulcrum
 from data_synth.operator.held_instrument import HeldInstrument, Stylus
 from data_synth.operator.operator_spec import OperatorSpec, drawn_operator
-from data_synth.operator.simulated_operator import RATE_HZ, SimulatedOperator
+from data_synth.operator.simulated_operator import RATE_HZ, LearntForce, SimulatedOperator
 from data_synth.seeds import child_rng
 from dvf_ig.core import DvfModel, FloatArray, Rigid, read_only_arrays
 from dvf_ig.guidance import (
@@ -391,7 +390,6 @@ class Player(Protocol):
 
     def step(self, aim: Aim) -> float:
         """Act until the next step; return the seconds in which the supervisor withheld the force."""
-        ...
 
 
 class SimulatedPlayer:

@@ -50,25 +50,23 @@ class TrackingSettings:
     seed: int = seed_option(1)
 
 
+SHOWN_CYCLES = 3
 STYLES = {"force": "-", "distance": "--", "periodic": ":"}
 PAPER_MEAN_MM = 0.29
 """Mean error of automatic tracking in Ren 2008."""
 
 
-def tracking_figure(
-    tracks: Sequence[StylusRun], *, motion: str, cycle_s: float, shown_cycles: int = 3
-) -> Figure:
+def tracking_figure(tracks: Sequence[StylusRun], *, motion: str, cycle_s: float) -> Figure:
     """Above, the first cycles where the surface moves most; below, the error of everything that followed.
 
     Args:
         tracks: one for each stylus, at least one, all of the same length.
         motion: how the surface moves.
         cycle_s: length of a cycle.
-        shown_cycles: how many cycles are drawn.
     """
     from matplotlib.figure import Figure
 
-    shown = tracks[0].t_s < shown_cycles * cycle_s
+    shown = tracks[0].t_s < SHOWN_CYCLES * cycle_s
     figure = Figure(figsize=(11.0, 8.0), layout="constrained")
     layout = [["motion", "motion"], ["error", "error"], ["cycles", "spread"]]
     axes: dict[str, Axes] = figure.subplot_mosaic(layout)

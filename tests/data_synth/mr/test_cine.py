@@ -16,7 +16,7 @@ from data_synth.heart.motion import InverseMotion
 from data_synth.heart.reference import CHANNELS, ReferenceMap, tissue_at
 from data_synth.heart.tissue import FIRST_OUTSIDE, Tissue, bssfp_signal
 from data_synth.mr.cine import FWHM_PER_SIGMA, coil_shading, measured
-from data_synth.mr.stack import StackCine, StackProtocol, short_axis_cine, stack_cine, stack_grid
+from data_synth.mr.stack import StackCine, StackProtocol, stack_cine, stack_grid
 from data_synth.surfaces.anatomy import depth_grid
 from data_synth.surfaces.closing import closed_series
 from dvf_ig.core import CycleTiming, FloatArray, Grid, IntArray, InvalidInputError, SurfaceSeries
@@ -27,7 +27,19 @@ STILL = InverseMotion(np.zeros((2, 2, 2, 2, 3), dtype=np.float32), np.full(3, -5
 
 @pytest.fixture(scope="module")
 def stack(anatomy: PhantomAnatomy) -> StackCine:
-    return short_axis_cine(anatomy, np.random.default_rng(3), COARSE)
+    return examined(anatomy, 3, COARSE)
+
+
+def examined(anatomy: PhantomAnatomy, seed: int, protocol: StackProtocol) -> StackCine:
+    """A stack over the ventricles, from below the apex to above the mitral plane."""
+    pose = anatomy.mr_from_heart
+    local = pose.inverse().apply_array(anatomy.ed_vertices_mm)
+    low, high = local.min(axis=0) - 14.0, local.max(axis=0) + 14.0
+    apex, base = pose.inverse().apply_array(anatomy.long_axis_mm)
+    low[2], high[2] = apex[2] - 0.5 * protocol.pitch_mm, base[2] + protocol.pitch_mm
+    grid = stack_grid(pose.rotation, pose.apply_array(low), high - low, protocol)
+    timing, rng = (anatomy.rr_s, anatomy.es_fraction), np.random.default_rng(seed)
+    return stack_cine(anatomy.reference, anatomy.resting_motion, grid, timing, rng, protocol)
 
 
 def exact_labels(anatomy: PhantomAnatomy, points: FloatArray, phase: float) -> IntArray:
@@ -118,9 +130,7 @@ def test_coil_shading_is_smooth_and_bounded() -> None:
 
 def test_stack_is_reproducible_and_impossible_ones_are_refused(anatomy: PhantomAnatomy) -> None:
     short = StackProtocol(phases=2, in_plane_mm=6.0, pitch_mm=30.0)
-    one, two, three = (
-        short_axis_cine(anatomy, np.random.default_rng(s), short).image.values for s in (1, 1, 2)
-    )
+    one, two, three = (examined(anatomy, s, short).image.values for s in (1, 1, 2))
     assert np.array_equal(one, two)
     assert not np.array_equal(one, three)
     with pytest.raises(InvalidInputError, match="thickness <= pitch"):

@@ -18,7 +18,7 @@ def coarse(anatomy: PhantomAnatomy) -> Examination:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(module, "PIXEL_MM", 5.0)
         patch.setattr(module, "PHASES", (3, 3))
-        return examination(anatomy, "sax+lax", np.random.default_rng(4))
+        return examination(anatomy, anatomy.reference, "sax+lax", np.random.default_rng(4))
 
 
 def test_slices_run_from_the_apex_to_the_mitral_plane(anatomy: PhantomAnatomy, coarse: Examination) -> None:
@@ -37,7 +37,7 @@ def test_seven_slices_leave_apex_and_base_out(
     anatomy: PhantomAnatomy, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(module, "PIXEL_MM", 5.0)
-    grid = examination(anatomy, "sax7", np.random.default_rng(4), 3).sax.image.grid
+    grid = examination(anatomy, anatomy.reference, "sax7", np.random.default_rng(4), 3).sax.image.grid
     apex, base = anatomy.long_axis_mm
     axis, length = (base - apex) / np.linalg.norm(base - apex), np.linalg.norm(base - apex)
     assert grid.shape[2] == 7

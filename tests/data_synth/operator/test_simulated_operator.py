@@ -6,10 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from data_synth.operator.felt_force import LearntForce
 from data_synth.operator.held_instrument import HandDynamics, HeldInstrument, Stylus
 from data_synth.operator.operator_spec import OperatorSpec, drawn_operator
-from data_synth.operator.simulated_operator import RATE_HZ, SimulatedOperator
+from data_synth.operator.simulated_operator import RATE_HZ, LearntForce, SimulatedOperator
 from dvf_ig.core import FloatArray, InvalidInputError
 
 SIGHT = np.array([0.0, 0.0, 1.0])

@@ -11,10 +11,8 @@ from data_synth.heart.anatomy import PhantomAnatomy
 from data_synth.heart.motion_report import MotionReport
 from data_synth.heart.tissue import Tissue
 from data_synth.realism import gates as realism
-from data_synth.realism.gates import Gate
-from data_synth.realism.heart import heart_gates
+from data_synth.realism.gates import Gate, heart_gates, real_pair_gates
 from data_synth.realism.motion import EARLY_SYSTOLE, beating_gates, block_matching_gates
-from data_synth.realism.scan import real_pair_gates
 from data_synth.ultrasound.probe import SectorProbe
 from dvf_ig.core import FloatArray
 

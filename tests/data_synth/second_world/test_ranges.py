@@ -33,7 +33,6 @@ TABLES = {
     "data_synth.heart.mismatch",
     "data_synth.ultrasound.presets",
     "data_synth.ultrasound.image_faults",
-    "data_synth.ultrasound.volume_faults",
     "data_synth.mr.cine",
     "data_synth.mr.stack",
     "data_synth.scenario.presets",

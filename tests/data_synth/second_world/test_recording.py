@@ -13,7 +13,7 @@ from data_synth.heart import anatomy
 from data_synth.heart.outline import outline
 from data_synth.heart.tissue import Tissue
 from data_synth.second_world import tissue_fields
-from data_synth.second_world.changed_heart import vertex_areas
+from data_synth.second_world.changed_heart import best_rigid, vertex_areas
 from data_synth.second_world.cine import examine, segmented
 from data_synth.second_world.drawn import Drawn
 from data_synth.second_world.echo_images import drawn_display, echo_images
@@ -29,7 +29,6 @@ from data_synth.second_world.recording import (
     SecondWorldSpec,
     second_world_recording,
 )
-from data_synth.second_world.rigid_fit import best_rigid
 from data_synth.second_world.sweeps import sweep
 from data_synth.ultrasound.volume import MatrixProbe
 from dvf_ig.cli.synth.commands import app
@@ -92,7 +91,7 @@ def test_tissue_rides_on_the_motion_of_the_surface(room: OperatingRoom) -> None:
 def test_the_true_pose_is_the_best_rigid_one_of_the_moving_surface(room: OperatingRoom) -> None:
     phases = (np.arange(16) / 16).tolist()
     then = np.concatenate(
-        [room.heart.contracting(1.0).push_forward(room.heart.ed_vertices_mm, p) for p in phases]
+        [room.heart.resting_motion.push_forward(room.heart.ed_vertices_mm, p) for p in phases]
     )
     now = np.concatenate([room.changed.surface_vertices(p) for p in phases])
     weights = np.tile(vertex_areas(room.heart.ed_vertices_mm, room.heart.triangles), 16)

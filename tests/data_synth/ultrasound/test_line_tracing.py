@@ -7,7 +7,7 @@ import pytest
 
 from data_synth.heart.anatomy import PhantomAnatomy
 from data_synth.heart.motion import ES_FRACTION, PullBack
-from data_synth.ultrasound.line_tracing import COARSE, TOLERANCE_MM, traced_lines
+from data_synth.ultrasound.scan_lines import COARSE, TOLERANCE_MM, traced_lines
 from dvf_ig.core import FloatArray, InvalidInputError
 
 STEP_MM = 0.29

@@ -5,9 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from data_synth.ultrasound.image_faults import CLUTTER_DB, CLUTTER_DECAY_MM, ImageSpec
+from data_synth.ultrasound.image_faults import CLUTTER_DB, CLUTTER_DECAY_MM, ImageSpec, degraded_pyramid
 from data_synth.ultrasound.volume import MatrixProbe
-from data_synth.ultrasound.volume_faults import degraded_pyramid
 
 ARRAY = MatrixProbe(sector=replace(MatrixProbe().sector, lines=24, samples=128), tall=24)
 FLAT_DB = np.full((ARRAY.tall, ARRAY.sector.lines, ARRAY.sector.samples), -10.0, dtype=np.float32)

@@ -305,3 +305,20 @@ def test_a_tool_is_described_as_it_is_read():
     np.testing.assert_array_equal(read.axis, [0.0, 0.0, -1.0])
     np.testing.assert_array_equal(read.fulcrum.point_mm, TROCAR)
     assert FixturesConfig.of(FixtureSet()).tool is None
+
+
+@pytest.mark.parametrize(
+    ("tool", "expected"),
+    [
+        (Tool(), [0.6, 0.0, 0.8]),
+        (Tool(5.0, 60.0, np.array([0.0, 2.0, 0.0])), [-1.0, 0.0, 0.0]),
+        (Tool(5.0, 60.0, fulcrum=Fulcrum(np.array([0.0, 20.0, 3.0]), LENGTH_MM)), [0.0, 1.0, 0.0]),
+    ],
+)
+def test_a_shaft_is_drawn_towards_sensor_axis_or_fulcrum(tool: Tool, expected: list[float]) -> None:
+    """The tool is turned by 90° about z: its x is the tracker's y, its y the tracker's −x."""
+    turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    tip_mm, at = np.array([0.0, 60.0, -80.0]), np.array([[0.0, 10.0, 3.0]])
+    np.testing.assert_allclose(tool.handle_direction(tip_mm, at, turn[None])[0], expected, atol=1e-12)
+    alone = Tool().handle_direction(np.zeros(3), at, turn[None])[0]
+    np.testing.assert_allclose(alone, [0.0, 0.0, 1.0])

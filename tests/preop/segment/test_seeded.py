@@ -16,8 +16,8 @@ from dvf_ig.core import (
 )
 from dvf_ig.io import read_seeds
 from dvf_ig.preop import dice, segment_from_seeds
+from dvf_ig.preop.cine_model import surface_budget
 from dvf_ig.preop.segment.seeded import SegmentOptions
-from dvf_ig.preop.surface.budget import surface_budget
 
 OUTER, INNER = 20.0, 12.0
 

@@ -44,6 +44,7 @@ from dvf_ig.guidance import (
     Sigmoid,
     Status,
     SupervisorState,
+    Tool,
 )
 from dvf_ig.report.viewer import (
     SceneInput,
@@ -251,7 +252,7 @@ def test_an_event_says_what_the_state_says(monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.setattr("dvf_ig.session.arrived_ultrasound.compare_beat", compare_known)
     with Session(toy_setup()) as session:
         states = run(session, toy_streams(13.0).merged(), [5.0, *ticks(12.6, 12.7)])
-    early, state = state_event(states[0]), state_event(states[-1])
+    early, state = state_event(states[0], Tool()), state_event(states[-1], Tool())
     assert list(state) == [*(name for name in STEPS if name not in ("status", "supervisor", "hazards")),
                            "status", "supervisor", "hazards"]  # fmt: skip
     assert early["tip_mr_x_mm"] is None

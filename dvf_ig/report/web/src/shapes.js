@@ -11,7 +11,8 @@ import { bracket } from "./heart.js";
 
 const UP = new Vector3(0, 1, 0);
 const ARROW_MM_PER_N = 70;
-const SHAFT_MM = 130;
+/** A tool of which nothing is stated: radii of ball and shaft, and the shaft's length. */
+const [BALL_MM, STEM_MM, SHAFT_MM] = [2.6, 1.6, 130];
 
 /** Behind the ultrasound plane a surface is solid, before it a veil. */
 export function surfaceMeshes(surface) {
@@ -50,17 +51,19 @@ export function colorPatient(geometry, surface, bySigma) {
   geometry.setAttribute("color", new BufferAttribute(new Float32Array(rgb), 3));
 }
 
-/** A ball at the tip, the shaft behind it; a pale copy shows through what hides them. */
+/** A ball at the tip, the shaft behind it, as thick and long as stated; a pale copy shows through what hides them. */
 export class Tool {
-  constructor() {
+  constructor(stated) {
     const group = (this.group = new Group());
-    const shaft = new CylinderGeometry(1.6, 1.6, SHAFT_MM, 20).translate(0, SHAFT_MM / 2 + 2, 0);
-    const tip = new SphereGeometry(2.6, 24, 16);
+    const [radius, length] = [stated?.diameter_mm / 2 || BALL_MM, stated?.shaft_mm || SHAFT_MM];
+    const stem = stated?.diameter_mm ? radius : STEM_MM;
+    const shaft = new CylinderGeometry(stem, stem, length, 20).translate(0, length / 2, 0);
+    const tip = new SphereGeometry(radius, 24, 16);
     const metal = new MeshLambertMaterial({ color: 0xb9c0c8 });
     const ball = new MeshLambertMaterial({ color: 0xffffff, emissive: 0x333333 });
     const ghost = new MeshBasicMaterial({ color: 0xffffff, transparent: true, opacity: 0.28, depthTest: false, depthWrite: false });
     const hull = new MeshBasicMaterial({ color: 0x111111, side: BackSide });
-    const rim = new Mesh(new SphereGeometry(3.1, 24, 16), hull);
+    const rim = new Mesh(new SphereGeometry(radius + 0.5, 24, 16), hull);
     group.add(new Mesh(shaft, metal), new Mesh(tip, ball), rim);
     for (const shape of [shaft, tip]) {
       const pale = new Mesh(shape, ghost);

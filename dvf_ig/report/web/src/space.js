@@ -41,7 +41,7 @@ export class Space {
     this.changed = heart.surfaces.some((one) => one.role === "patient");
     this.ultrasound = scene.image && this.added(new UltrasoundSheet(scene.image, Boolean(scene.planes)));
     this.paths = (scene.fixtures ?? []).filter((one) => one.path_mm).map((one) => this.added(new TargetPath(one)));
-    this.tool = this.added(new Tool());
+    this.tool = this.added(new Tool(scene.tool));
     this.force = this.added(new ForceArrow());
     this.sides = SIDES.map(([letter, direction]) => ({ mark: sideMark(host, letter), direction: new Vector3(...direction) }));
     this.targets = (scene.targets ?? []).map((one) => this.added(targetMark(one, scene.bound_mm)));
