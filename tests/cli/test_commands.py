@@ -164,7 +164,8 @@ def test_register_writes_a_transform_that_evaluate_reads(
     np.testing.assert_allclose(estimate.matrix, payload["mr_from_tracker"], atol=1e-9)
     page = outline_of((out / "report.html").read_text(encoding="utf-8"))
     assert page.faults == []
-    assert len(page.images) == len({image["src"] for image in page.images}) == 4 * 5
+    pictures = 4 * 5 + (registered.shape is not None)
+    assert len(page.images) == len({image["src"] for image in page.images}) == pictures
     said = " ".join(page.texts)
     assert "This registration may be used" in said
     assert f"{payload['moved_mm']:.1f} mm" in said

@@ -2,7 +2,6 @@
 
 import json
 import shutil
-from itertools import zip_longest
 from pathlib import Path
 
 import numpy as np
@@ -12,8 +11,6 @@ from typer.testing import CliRunner
 
 from dvf_ig.cli.main import app
 from dvf_ig.core import Scenario
-from dvf_ig.intake import read_scenario
-from dvf_ig.replay.events import events_of
 
 
 def test_a_scene_shows_tracked_targets_on_those_of_the_mr(
@@ -40,7 +37,8 @@ def test_a_scene_shows_tracked_targets_on_those_of_the_mr(
     assert errors_mm.max() < 5.0  # the registration's error
 
 
-def test_a_log_holds_the_recordings_events_to_the_last_bit(run: Path, written: Path, tmp_path: Path) -> None:
+def test_a_log_holds_the_recording(run: Path, scenario: Scenario, tmp_path: Path) -> None:
+    """`test_session_log` compares its events to the last bit."""
     pytest.importorskip("rosbags", reason="session logs need rosbags")
     from dvf_ig.intake.session_log.read import read_session_log
 
@@ -49,14 +47,8 @@ def test_a_log_holds_the_recordings_events_to_the_last_bit(run: Path, written: P
     assert done.exit_code == 0, done.output
     assert json.loads(done.stdout)["messages"] > 17_000
     back = read_session_log(log).scenario
-    for (at, one), (when, other) in zip_longest(events_of(read_scenario(written)), events_of(back)):
-        assert at == when
-        assert type(one) is type(other)
-        for name in one.__dataclass_fields__:
-            first, second = getattr(one, name), getattr(other, name)
-            assert np.array_equal(
-                first, second, equal_nan=isinstance(first, np.ndarray) and first.dtype.kind == "f"
-            )
+    np.testing.assert_array_equal(back.ultrasound.images, scenario.ultrasound.images)
+    assert len(back.ecg) == len(scenario.ecg)
 
 
 def test_another_recording_is_refused(run: Path, written: Path, tmp_path: Path) -> None:

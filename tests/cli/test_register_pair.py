@@ -131,7 +131,8 @@ class Registered:
 
 @pytest.fixture(scope="module")
 def registered(files: Path, tmp_path_factory: pytest.TempPathFactory) -> Registered:
-    out, results = tmp_path_factory.mktemp("registered"), []
+    out = tmp_path_factory.mktemp("registered")
+    results: list[RegistrationResult] = []
 
     def keeping(*given: Any, **options: Any) -> RegistrationResult:
         results.append(register_pair(*given, **options))

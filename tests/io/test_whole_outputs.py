@@ -27,7 +27,8 @@ from dvf_ig.io.writing.listing import LISTING
 NAMES = ("a", "b", "c")
 
 
-pytestmark = pytest.mark.usefixtures("in_a_command")
+FORKS = "ignore:.*multi-threaded, use of fork:DeprecationWarning"  # from Python 3.12 on
+pytestmark = [pytest.mark.usefixtures("in_a_command"), pytest.mark.filterwarnings(FORKS)]
 
 
 def write(folder: Path, text: str) -> None:

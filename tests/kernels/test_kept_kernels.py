@@ -13,6 +13,7 @@ from pathlib import Path
 from types import CodeType
 
 import pytest
+from numba.core.caching import NullCache
 from numba.core.ccallback import CFunc
 from numba.core.dispatcher import Dispatcher
 from numba.extending import _Intrinsic
@@ -60,8 +61,9 @@ def twenty_seventh(x):
     return third(ninth(x))
 
 
-def test_a_kernel_that_an_inlined_one_calls_first_is_not_inlined_itself():
+def test_a_kernel_that_an_inlined_one_calls_first_is_not_inlined_itself(monkeypatch):
     """numba gives a function without the flag that of the kernel whose compilation asks for it first."""
+    monkeypatch.setattr(twenty_seventh, "_cache", NullCache())  # compiled here and not by an earlier run
     assert twenty_seventh(54.0) == 2.0
     for compiled, flag in ((third, False), (ninth, True)):
         (part,) = compiled._parts.values()  # type: ignore[attr-defined]
