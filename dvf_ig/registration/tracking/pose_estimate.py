@@ -14,10 +14,10 @@ Tracking: an information filter,
     update   Λ = P⁻¹ + J,   ξ̂ = Λ⁻¹ (J ξ),   P ← Λ⁻¹,
 so that directions which one beat cannot observe keep what earlier beats knew of them. P is how well the pose
 is known against the beats to come. What all beats have in common (calibration, mismatch of the anatomy) no
-beat reduces: S, what the registration that the pose goes back to leaves open beside its noise, is kept
-beside P, and P + S is how well the pose is known against the truth (a consider covariance: Schmidt 1966). A
-later registration is made of frames that the beats have used, with an error of unknown correlation: it is
-fused by covariance intersection of P + S, which keeps both parts (`split_intersection`).
+beat reduces: S, all that the registration leaves open but its noise, is kept as well. P + S is how well
+the pose is known against the truth (a consider covariance: Schmidt 1966). A later registration is made of
+frames that the beats have used, with an error of unknown correlation: it is fused by covariance intersection
+of P + S, which keeps both parts (`split_intersection`).
 """
 
 import math

@@ -160,7 +160,7 @@ def test_the_bound_holds_the_rms_error_over_the_targets_in_95_percent() -> None:
 
 
 def test_a_registrations_error_is_its_covariance_however_large_its_noise_is_said_to_be() -> None:
-    """Its noise is part of it: counted beside it, a stack's bound would pass its limit by that alone."""
+    """Its noise is part of it: counted twice, it alone takes a stack's bound past the limit."""
     root = np.random.default_rng(8).normal(size=(6, 6))
     covariance_mm2 = root @ root.T + 0.1 * np.eye(6)
     noise_mm2 = np.diag([0.01, 0.01, 0.01, 0.01, 25.0, 0.01])
