@@ -8,7 +8,14 @@ from dvf_ig.core import FloatArray, Rigid, read_only_arrays
 from dvf_ig.registration.boundary.fit import Boundary, BoundaryFit, fit_boundary
 from dvf_ig.registration.evidence.covariance import covariance_mm2, placement_covariance_mm2
 from dvf_ig.registration.lc2.slices import SliceSet
-from dvf_ig.registration.shape.blocks import BLOCK_MM, BlockedBoundary, BlockedLc2, BlockedMatch
+from dvf_ig.registration.shape.blocks import (
+    BLOCK_MM,
+    LC2_INFORMATION,
+    LC2_INFORMATION_OF_LABELS,
+    BlockedBoundary,
+    BlockedLc2,
+    BlockedMatch,
+)
 from dvf_ig.registration.shape.fit import pose_and_shape
 
 from .images import Problem
@@ -78,7 +85,9 @@ def _match(
     if seen is not None and boundary is not None:
         points = BlockedBoundary(seen, boundary.offset_mm, problem.center_mm, block_mm=BLOCK_MM)
     information = refined.inside.information / problem.options.times_seen
-    return BlockedMatch(BlockedLc2(refined.inside, block_mm=BLOCK_MM), information, points, chart)
+    covered = problem.heart.covered
+    of_block = LC2_INFORMATION if covered is None or covered.views else LC2_INFORMATION_OF_LABELS
+    return BlockedMatch(BlockedLc2(refined.inside, block_mm=BLOCK_MM), information, points, chart, of_block)
 
 
 def _landmarks(problem: Problem, chart: PoseChart) -> tuple[FloatArray, FloatArray]:

@@ -31,6 +31,10 @@ POINTS_PER_OBSERVATION = 10.0
 not a part of the model; on tuning hearts 1009–1020 a boundary that counts three times as much is 0.05 mm
 worse in calm images and 0.1 mm better in poor ones, both three times as much 0.03 mm worse and 0.05 mm
 better."""
+LC2_INFORMATION_OF_LABELS = 1.0
+"""LC2_INFORMATION against the labels of a stack: LC2 sees the edges that the boundary sees, without their
+offset. From 3 to 1 the mean error over the covered part stays 2.12 mm in 12 threshold hearts and goes from
+1.42 to 1.21 mm in real stacks 002, 003, 008 and 009; χ² of the covariance falls in each of six looked at."""
 
 
 def distinct_rows(rows: IntArray) -> tuple[IntArray, IntArray]:
@@ -190,23 +194,29 @@ class BlockedMatch:
     """
 
     def __init__(
-        self, lc2: BlockedLc2, information: float, boundary: BlockedBoundary | None, chart: PoseChart
+        self,
+        lc2: BlockedLc2,
+        information: float,
+        boundary: BlockedBoundary | None,
+        chart: PoseChart,
+        of_block: float = LC2_INFORMATION,
     ) -> None:
         """Expand LC2 about the pose of a chart.
 
         Args:
             information: number of observations in −n/2·log(1 − S) of all slices.
+            of_block: LC2_INFORMATION, or that of labels.
         """
         self._lc2, self._boundary, self._center_mm = lc2, boundary, chart.center_mm
         cells = lc2.cell if boundary is None else np.vstack([lc2.cell, boundary.cell])
         self.cell, block = distinct_rows(cells)
         self._of_lc2, self._of_boundary = block[: len(lc2.cell)], block[len(lc2.cell) :]
         here, change = _expansion(lc2, chart)
-        self._scale = LC2_INFORMATION * information / (2.0 * max(float(here.cost.sum()), 1e-12))
+        self._scale = of_block * information / (2.0 * max(float(here.cost.sum()), 1e-12))
         own = np.zeros((len(self.cell), 6, 6))
         np.add.at(own, self._of_lc2, self._scale * change)
         self._lc2_curvature = none_negative(own)
-        whole = self._scale / LC2_INFORMATION * change.sum(axis=0)
+        whole = self._scale / of_block * change.sum(axis=0)
         self.curvature: FloatArray = 0.5 * (whole + whole.T)
 
     def __len__(self) -> int:

@@ -14,10 +14,12 @@ Tracking: an information filter,
     update   Λ = P⁻¹ + J,   ξ̂ = Λ⁻¹ (J ξ),   P ← Λ⁻¹,
 so that directions which one beat cannot observe keep what earlier beats knew of them. P is how well the pose
 is known against the beats to come. What all beats have in common (calibration, mismatch of the anatomy) no
-beat reduces: S, what the registration that the pose goes back to leaves open beside its noise, is kept
-beside P, and P + S is how well the pose is known against the truth (a consider covariance: Schmidt 1966). A
-later registration is made of frames that the beats have used, with an error of unknown correlation: it is
-fused by covariance intersection of P + S, which keeps both parts (`split_intersection`).
+beat reduces: the covariance S of the registration that the pose goes back to is kept as well as P, and P +
+S is how well the pose is known against the truth (a consider covariance: Schmidt 1966). S holds the noise
+that P begins with as well; of a heart that is covered in part, whose beats reduce little or none of it, S is
+what it leaves of the covariance. A later registration is made of frames that the beats have used, with an
+error of unknown correlation: it is fused by covariance intersection of P + S, which keeps both parts
+(`split_intersection`).
 """
 
 import math
@@ -175,16 +177,17 @@ class PoseEstimate:
     ) -> "PoseEstimate":
         """From a registration's covariances in rad², mm²: beats improve the noise alone.
 
-        P and S together are the covariance: it holds the noise already, which by itself may be stated larger.
-
         Args:
             matched: where its images match best; None: at the pose.
             change: of the heart's shape at the pose, which fixtures follow.
-            targets_mm: (n, 3) that the error is stated over, target frame; None: of the heart's box.
+            targets_mm: (n, 3) on the covered part of a heart, over which the error is stated, target frame;
+                None: of the box of a heart that is covered as a whole.
         """
         shape = None if change is None else change.estimate
         step = None if matched is None or shape is not None else pose @ matched.inverse()
-        noise, shared = _noise_and_rest(covariance_to_mm(covariance), covariance_to_mm(noise_covariance))
+        noise, shared = covariance_to_mm(noise_covariance), covariance_to_mm(covariance)
+        if targets_mm is not None:
+            noise, shared = _noise_and_rest(shared, noise)
         estimate = cls(pose, noise, center_mm, shared, step, shape)
         if targets_mm is None:
             return estimate

@@ -78,3 +78,18 @@ def test_images_pull_displaced_blocks_back_to_where_they_belong() -> None:
     step = -np.linalg.solve(curvature.sum(axis=0), gradient.sum(axis=0))
     assert np.linalg.norm(shift[0] + step) < 0.4 * np.linalg.norm(shift[0])
     assert np.linalg.eigvalsh(curvature).min() > -1e-9
+
+
+def test_blocks_that_count_less_pull_less_and_leave_the_noise_of_lc2_as_it_is() -> None:
+    chart, blocks = PoseChart(toy_pose(), CENTER_MM), BlockedLc2(metric(), block_mm=BLOCK_MM)
+    half, whole = (
+        BlockedMatch(blocks, metric().information, None, chart, of_block=of_block) for of_block in (1.5, 3.0)
+    )
+    still = np.full((len(whole), 3), 0.5)
+    for less, more in zip(
+        half.similarity_expansion(toy_pose(), still),
+        whole.similarity_expansion(toy_pose(), still),
+        strict=True,
+    ):
+        np.testing.assert_allclose(2.0 * less, more, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(half.curvature, whole.curvature, rtol=1e-12)
