@@ -26,7 +26,7 @@ from dvf_ig.registration.evidence.checks import (
 from dvf_ig.registration.evidence.image_offset import ImageOffset, fit_image_offset, shape_log_ratio
 from dvf_ig.registration.evidence.phase_offset import phase_offset
 from dvf_ig.registration.lc2.lc2 import Lc2, SliceThreads
-from dvf_ig.registration.shape.change import PLAINLY_RIGID_MM, ShapeChange, change_of_shape
+from dvf_ig.registration.shape.change import ShapeChange, change_of_shape
 from dvf_ig.registration.surface_points.touched import TouchedSurface
 
 from .coverage import Coverage
@@ -108,7 +108,7 @@ def register(
             overlap=overlap if coverage is None else inside.overlap,
             information=refined.inside.information,
         )
-        explained = shape is not None and shape.followed is not None
+        explained = shape is not None and shape.needed and shape.followed is not None
         unexplained = evidence.of_changed_shape() if explained else evidence
         stop = _stop(images.options, refined, fused, unexplained, moved_mm=moved_mm, overlap=overlap)
         if shape is not None and shape.refusal is not None and stop in (Stop.CONVERGED, Stop.DISAGREEMENT):
@@ -228,9 +228,8 @@ def _change_of_shape(problem: Problem, fused: Fused, coverage: Coverage | None) 
     model = problem.heart.model
     organ = None if model is None else target_from_model(model)
     offset_mm, center_mm = fused.boundary.offset_mm, problem.center_mm
-    least_mm = PLAINLY_RIGID_MM if coverage is None else 0.0  # of a stack the evidence counts, not the shift
     match = fused.match if coverage is None else None
-    change = change_of_shape(boundary, offset_mm, fused.pose, center_mm, organ, least_mm, match)
+    change = change_of_shape(boundary, offset_mm, fused.pose, center_mm, organ, match)
     if coverage is None or change is None:
         return change
     return replace(change, partly=True) if change.evidence > PART_EVIDENCE * coverage.share else None

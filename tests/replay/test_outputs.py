@@ -157,6 +157,7 @@ def test_the_command_writes_all_files_and_says_what_it_read(
     assert {path.name for path in out.iterdir()} - {LISTING} == {
         "result.json",
         "report.html",
+        "shape.json",
         "view.json",
         *OF_UNCHANGED,
     }

@@ -24,6 +24,7 @@ from dvf_ig.guidance.tool import POINT
 from dvf_ig.intake import cached_model
 from dvf_ig.replay import Replay
 from dvf_ig.replay.page.replay_page import _overlays
+from dvf_ig.replay.result.labels import change_of_shape, last_shown
 from dvf_ig.replay.result.result import validate
 from dvf_ig.replay.run_folder import read_run, read_ticks
 from dvf_ig.replay.view import _fixtures
@@ -228,14 +229,18 @@ def test_the_contour_lies_on_the_models_surface(opened: Page, run: Path, model: 
 
 
 @NEEDS_BROWSER
-def test_labels_in_the_image_are_those_of_the_model(opened: Page, model: DvfModel) -> None:
+def test_labels_in_the_image_are_those_of_the_model(opened: Page, model: DvfModel, replay: Replay) -> None:
     """Looked up by the page as by the model; their contours and properties appear with a key."""
+    shown_last = last_shown(replay)
+    assert shown_last is not None
+    warp = change_of_shape(shown_last)
+    assert warp is not None
     tissue, rng = model.tissue, np.random.default_rng(2)
     assert tissue is not None
     grid = tissue.labels.grid
     places = grid.to_mm(rng.uniform(0.0, np.array(grid.shape) - 1.0, (3000, 3)))
     for phase in (0.0, 0.33):
-        true = tissue.label_at(places, phase, model.timing)
+        true = tissue.label_at(places - warp.at(places)[0], phase, model.timing)
         shown = np.array(opened.run(LABELS, places.tolist(), phase))
         assert (shown == true).mean() > 0.98
         assert len(np.unique(shown)) > 1

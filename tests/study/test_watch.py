@@ -40,8 +40,8 @@ def recording(beats: int, alarms: tuple[str, ...] = ()) -> WatchedRecording:
     watched = []
     for k in range(beats):
         slices = known_beat(RR_S * k, RR_S * (k + 1), HOME)
-        watched.append(WatchedBeat(slices, slices.evaluate_beat(HOME, CENTER, in_use=True), held))
-    return WatchedRecording(CENTER, HOME, tuple(watched), alarms, beats * RR_S, 0.0)
+        watched.append(WatchedBeat(slices, slices.evaluate_beat(HOME, CENTER, in_use=True), held, 0.2))
+    return WatchedRecording(tuple(watched), alarms, beats * RR_S, 0.0)
 
 
 def test_a_displaced_beat_says_what_a_beat_of_the_displaced_heart_says() -> None:

@@ -36,11 +36,8 @@ LEAST_POINTS = 150
 PATCH_MM, PATCH_POINTS = 30.0, 8
 """Edge of a patch of wall whose shift is stated, and the points it needs."""
 LARGEST_RIGID_MM = 1.0
-"""RMS shift of the seen walls up to which fixtures stay rigid: hearts 1.2 mm different, which margins hold,
-show up to 0.85 mm. Followed, a patient's shift is noticed a beat later (docs/decisions/0042)."""
-PLAINLY_RIGID_MM = 0.8
-"""RMS shift of the seen walls by the first fit below which the heart is taken to be rigid: in threshold
-hearts 2101 to 2110, up to 5 mm different, the last fit has between 0.1 mm less and a fifth more."""
+"""RMS shift of the seen walls beyond which a rigid heart will not do: hearts 1.2 mm different, which margins
+hold, show up to 0.85 mm. A smaller change that fixtures cannot follow leaves the heart rigid."""
 ANOTHER_HEART_MM = 3.5
 """RMS shift of the seen walls beyond which the model may be another patient's: load and filling move the
 walls of one heart by up to 5 mm, 3 mm RMS."""
@@ -106,16 +103,19 @@ class ShapeChange:
 
     @property
     def followed(self) -> Warp | None:
-        """The warp that fixtures follow; None if they need not, or cannot."""
-        return self.warp if self.needed and self.refusal is None else None
+        """The warp that fixtures follow; None if they cannot."""
+        return self.warp if self.obstacle is None else None
 
     @property
     def refusal(self) -> str | None:
-        """Why fixtures cannot follow a change that they would have to; None if they can, or need not."""
+        """Why the pose must not be used; None if the change can be followed, or need not be."""
+        return self.obstacle if self.partly or self.needed else None
+
+    @property
+    def obstacle(self) -> str | None:
+        """Why fixtures cannot follow the change; None if they can."""
         if self.partly:
             return "the images cover a part of the heart, and do not show how the rest has changed"
-        if not self.needed:
-            return None
         if self.seen_mm > ANOTHER_HEART_MM:
             return "it has changed by more than load and filling change a heart"
         if self.warp.steepest > LARGEST_SLOPE:
@@ -145,7 +145,6 @@ def change_of_shape(
     pose: Rigid,
     center_mm: FloatArray,
     organ: BoundaryTarget | None = None,
-    least_mm: float = PLAINLY_RIGID_MM,
     match: BlockedMatch | None = None,
 ) -> ShapeChange | None:
     """Estimate the change of shape at a registered pose; None if the boundary shows none.
@@ -155,7 +154,6 @@ def change_of_shape(
     Args:
         offset_mm: of the boundary, see `BoundaryFit`.
         organ: outer surface of the organ, which says where its walls are thin.
-        least_mm: RMS shift of the seen walls by the first fit below which nothing further is computed.
         match: blocks of images, whose LC2 counts beside the boundary; None: the boundary alone.
     """
     modes = modes_of(boundary.target, tuple(center_mm.tolist()))
@@ -165,7 +163,7 @@ def change_of_shape(
     if len(problem) < LEAST_POINTS:
         return None
     about = problem.fit(ABOUT_SCALE_MM, NOISE_FACTORS[0], images=images)
-    if np.linalg.norm(about.state[:6]) > DISTINCT_MM or _rms(problem.shift_mm(about)) < least_mm:
+    if np.linalg.norm(about.state[:6]) > DISTINCT_MM:
         return None
     problem = ShapeProblem(seen, modes, MODES, about)
     if len(problem) < LEAST_POINTS:

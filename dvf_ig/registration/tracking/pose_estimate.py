@@ -68,6 +68,8 @@ MEAN_SQUARE_OF_COORDINATES = np.array([2 / 3 * (TARGET_RADIUS_MM / HEART_RADIUS_
 """Mean square distance over the targets for a unit of each coordinate."""
 PLACES = np.linspace(-1.0, 1.0, 9)
 """Places across and down a plane, in half widths and depths, at which its change of shape is evaluated."""
+THROUGHOUT = np.stack(np.meshgrid(*[np.linspace(-1.0, 1.0, 5)] * 3), axis=-1).reshape(-1, 3)
+"""(n, 3) places throughout a heart, in its radius, at which its change of shape is evaluated."""
 LEAST_VARIANCE_MM2 = 0.1
 LARGEST = 1e12
 """Of any number of a beat, in s, mm and 1/mm²: larger ones are no measurement, and their squares overflow."""
@@ -135,10 +137,12 @@ class PoseEstimate:
         center_mm: (3,) centre of the heart box, target frame.
         shared_mm2: S, of the error that all beats have in common.
         shape_step: the pose is shape_step ∘ that at which images match best, which a change of the heart's
-            shape has pulled aside (`registration.shape`); None if they are the same.
+            shape has pulled aside (`registration.shape`); None if they are the same, or `warp` tells.
         warp: change of the heart's shape at `pose`, and walls: how well it knows those that are guarded;
             None if the last registration found none.
         shape: pose and change of shape together, which beats correct; None if nothing does.
+        matching: the pose that beats move while a change of shape is followed: images match where `warp`
+            takes it; None until a beat has moved it.
         square_of_targets: (6, 6) M, the mean square distance by which ξ moves the targets is ξᵀMξ.
     """
 
@@ -150,6 +154,7 @@ class PoseEstimate:
     warp: Warp | None = None
     walls: GuardedWalls | None = None
     shape: ShapeEstimate | None = None
+    matching: Rigid | None = None
     square_of_targets: FloatArray = field(default_factory=lambda: np.diag(MEAN_SQUARE_OF_COORDINATES))
 
     @classmethod
@@ -170,7 +175,7 @@ class PoseEstimate:
             change: of the heart's shape at the pose, which fixtures follow.
             targets_mm: (n, 3) that the error is stated over, target frame; None: of the heart's box.
         """
-        step = None if matched is None else pose @ matched.inverse()
+        step = None if matched is None or change is not None else pose @ matched.inverse()
         noise, all_errors = covariance_to_mm(noise_covariance), covariance_to_mm(covariance)
         estimate = cls(pose, noise, center_mm, all_errors, step)
         if change is not None:
@@ -182,8 +187,16 @@ class PoseEstimate:
         return replace(estimate, square_of_targets=square)
 
     @property
+    def moved_by_beats(self) -> Rigid:
+        """The pose that beats move: `matching` while a change of shape is followed, else `pose`."""
+        return self.pose if self.matching is None else self.matching
+
+    @property
     def matched_pose(self) -> Rigid:
-        """Where images of a heart at this pose match best."""
+        """Where images of a heart at this pose match best, all over the heart."""
+        if self.warp is not None:
+            throughout = HEART_RADIUS_MM * THROUGHOUT + self.center_mm
+            return self._pulled(throughout, self.warp)[0] @ self.moved_by_beats
         return self.pose if self.shape_step is None else self.shape_step.inverse() @ self.pose
 
     def matched_in(self, view_mm: FloatArray) -> tuple[Rigid, float]:
@@ -203,12 +216,16 @@ class PoseEstimate:
         middle = 0.5 * (left + right)
         across, down = np.meshgrid(PLACES, PLACES)
         places = middle + across.reshape(-1, 1) * (right - left) + down.reshape(-1, 1) * (low - middle)
-        at = self.pose.apply_array(places)
-        shift, variance = self.warp.at(at)
+        pulled, variance_mm2 = self._pulled(self.pose.apply_array(places), self.warp)
+        return pulled @ self.moved_by_beats, max(0.0, variance_mm2 - RIGID_SIGMA_MM**2)
+
+    def _pulled(self, places_mm: FloatArray, warp: Warp) -> tuple[Rigid, float]:
+        """Return the rigid motion nearest to the change of shape at (n, 3) places, and its variance."""
+        shift, variance = warp.at(places_mm)
         weights = np.maximum(variance, LEAST_VARIANCE_MM2) ** -2.0
         weights /= weights.sum()
-        more_mm2 = max(0.0, float(weights @ variance) - RIGID_SIGMA_MM**2)
-        return _nearest_rigid(at, at - shift, weights, self.pose.target) @ self.pose, more_mm2
+        nearest = _nearest_rigid(places_mm, places_mm - shift, weights, self.pose.target)
+        return nearest, float(weights @ variance)
 
     @property
     def total_mm2(self) -> FloatArray:
@@ -249,19 +266,19 @@ class PoseEstimate:
 
         While a change of shape is followed the pose stays: what the heart moves by is a part of the change. A
         beat's own view, compared as a rigid heart's, would draw the walls aside from beat to beat
-        (docs/decisions/0042).
+        (docs/decisions/0042). It moves the place where the next images should match.
 
         Args:
-            offset_information_mm: (6,) Jξ, per mm, with ξ in the coordinates of `PoseChart` about `pose`.
+            offset_information_mm: (6,) Jξ, per mm, with ξ in the coordinates of `PoseChart` about
+                `moved_by_beats`.
             information: (6, 6) J, per mm².
             shape: the change of shape, corrected by the same beat; None if its boundary says nothing of it.
         """
         covariance = np.asarray(np.linalg.inv(np.linalg.inv(self.covariance_mm2) + information))
-        if self.warp is not None:
-            return replace(self, covariance_mm2=covariance)._following(shape)
-        offset = covariance @ offset_information_mm
-        pose = PoseChart(self.pose, self.center_mm).pose(offset)
-        return replace(self, pose=pose, covariance_mm2=covariance)
+        moved = PoseChart(self.moved_by_beats, self.center_mm).pose(covariance @ offset_information_mm)
+        if self.warp is None:
+            return replace(self, pose=moved, covariance_mm2=covariance)
+        return replace(self, matching=moved, covariance_mm2=covariance)._following(shape)
 
     def _following(self, shape: ShapeEstimate | None) -> "PoseEstimate":
         """With another estimate of the change of shape at the pose; the same without one."""
@@ -296,16 +313,19 @@ class PoseEstimate:
             warp=warp,
             walls=registered.walls,
             shape=None,
+            matching=None,
         )
         if shape is not None:
             shape = shape.predicted(beats).at_pose(registered.pose, pose)
             if self.shape is not None:
                 shape = self.shape.at_pose(self.pose, pose).intersected_with(shape)
             there = there._following(shape)
-        if registered.shape_step is self.shape_step:
+        rigid = self.warp is None and warp is None
+        if rigid and registered.shape_step is self.shape_step:
             return there
         reshaped = replace(there, shape_step=registered.shape_step)
-        pulled = PoseChart(there.matched_pose, self.center_mm).coordinates(reshaped.matched_pose)
+        before = there if rigid else self  # a change of shape says as well how far the heart has moved
+        pulled = PoseChart(before.matched_pose, self.center_mm).coordinates(reshaped.matched_pose)
         return replace(reshaped, covariance_mm2=random + np.outer(pulled, pulled))
 
     def sigma_mm(self) -> float:
@@ -355,29 +375,31 @@ class BeatMeasurement:
             )
 
     def of(self, estimate: PoseEstimate, variance_mm2: float) -> "BeatMeasurement":
-        """A measurement where the images should match by an estimate, as one of its pose.
+        """A measurement where the images should match by an estimate, as one of the pose that beats move.
 
         Args:
             variance_mm2: by which each coordinate of that place is uncertain, see `PoseEstimate.matched_in`.
         """
-        if self.pose is estimate.pose:
+        pose = estimate.moved_by_beats
+        if self.pose is pose:
             return self
-        step = estimate.pose @ self.pose.inverse()
-        there = replace(self, pose=estimate.pose, best=step @ self.best)
+        there = replace(self, pose=pose, best=pose @ self.pose.inverse() @ self.best)
         return there if variance_mm2 == 0.0 else there._widened(variance_mm2)
 
     def _widened(self, variance_mm2: float) -> "BeatMeasurement":
-        """The same with a further error of each coordinate, which explains a part of the likelihood ratio."""
+        """The same with a further error of each coordinate.
+
+        It explains a likelihood ratio beyond ½ ξᵀJξ of its information; LC2 far from its optimum has less.
+        """
         widen = np.linalg.inv(np.eye(6) + variance_mm2 * self.information)
         information = widen @ self.information
         xi_mm = np.linalg.pinv(self.information, rcond=1e-9, hermitian=True) @ self.offset_information_mm
-        square = float(xi_mm @ self.offset_information_mm)
-        share = float(xi_mm @ information @ xi_mm) / square if square > 0.0 else 1.0
+        most = 0.5 * float(xi_mm @ information @ xi_mm)
         return replace(
             self,
             offset_information_mm=widen @ self.offset_information_mm,
             information=0.5 * (information + information.T),
-            log_likelihood_ratio=share * self.log_likelihood_ratio,
+            log_likelihood_ratio=min(self.log_likelihood_ratio, most),
         )
 
     @property

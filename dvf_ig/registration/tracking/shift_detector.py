@@ -92,12 +92,12 @@ class ShiftTest:
     @property
     def pose(self) -> Rigid:
         """Where the beats put the heart."""
-        return PoseChart(self.before.pose, self.before.center_mm).pose(self.offset_mm)
+        return PoseChart(self.before.moved_by_beats, self.before.center_mm).pose(self.offset_mm)
 
     @property
     def distance_mm(self) -> float:
         """Mean distance over the heart from the pose before the beats."""
-        return mean_displacement_mm(self.before.pose, self.pose, self.before.center_mm)
+        return mean_displacement_mm(self.before.moved_by_beats, self.pose, self.before.center_mm)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -129,7 +129,7 @@ class ShiftDetector:
         """
         _require_known(begin_s, estimate)
         step = np.zeros(6)
-        if self.compared and self.compared[-1].estimate.pose is not estimate.pose:
+        if self.compared and self.compared[-1].estimate is not estimate:
             before = PoseChart(self.compared[-1].estimate.matched_pose, estimate.center_mm)
             step = before.coordinates(estimate.matched_pose)
         newest = ComparedBeat(begin_s, estimate, measurement, step)

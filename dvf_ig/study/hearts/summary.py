@@ -35,6 +35,9 @@ from dvf_ig.study.statistics import (
 )
 
 COVERAGE = 0.95
+MARGIN_SIGMAS = 1.0
+"""Adaptive margins of this many standard deviations are compared with a fixed one: a wall truly lies further
+out by more at one of six places, so that either leaves something to compare."""
 WALLS = {
     "seen_rigid_mm": "seen wall, rigid, mm",
     "seen_mm": "seen wall, as guided, mm",
@@ -79,6 +82,7 @@ class HeartGroup:
         seconds_median: of one registration.
         change: key of `recordings.CHANGES`, or None; used: of all trials.
         walls: fields of `WallErrors`, each with its median over hearts; those of σ over followed ones.
+        margins: what margins leave of violations; None without walls.
         followed: of all trials.
     """
 
@@ -113,6 +117,23 @@ class HeartGroup:
     used: Share
     followed: Share
     walls: dict[str, Estimate]
+    margins: "Margins | None"
+
+
+@dataclass(frozen=True, slots=True)
+class Margins:
+    """How deep a tool gets into the true wall that stops where a margin ends, at places with a force.
+
+    Attributes:
+        mean_mm: of the margins, which take the same room on average.
+        without_mm, fixed_mm, adaptive_mm: 95th percentile over the places of all hearts of the depth, without
+            a margin, with one for all, and with one of MARGIN_SIGMAS standard deviations of each place.
+    """
+
+    mean_mm: float
+    without_mm: float
+    fixed_mm: float
+    adaptive_mm: float
 
 
 def summarise_hearts(lines: Sequence[Line]) -> list[HeartGroup]:
@@ -171,7 +192,21 @@ def _group(key: tuple[Any, ...], lines: Sequence[Line]) -> HeartGroup:
         used=_share(lines, lambda line: "refused" not in line and line["usable"]),
         followed=_share(measured, lambda line: line["walls"]["followed"]),
         walls={name: _wall_median(measured, name) for name in WALLS},
+        margins=_margins(measured),
     )
+
+
+def _margins(lines: Sequence[Line]) -> Margins | None:
+    outward = np.array([mm for line in lines for mm in line["walls"]["outward_mm"]])
+    sigma = np.array([mm for line in lines for mm in line["walls"]["sigma_mm"]])
+    if not len(outward):
+        return None
+    margins = MARGIN_SIGMAS * sigma
+    mean = float(margins.mean())
+    without, fixed, adaptive = (
+        float(np.percentile(np.maximum(outward - margin, 0.0), 95)) for margin in (0.0, mean, margins)
+    )
+    return Margins(mean, without, fixed, adaptive)
 
 
 def _wall_median(lines: Sequence[Line], name: str) -> Estimate:
@@ -229,12 +264,20 @@ def hearts_table(groups: Sequence[HeartGroup]) -> Rows:
     if any(group.change for group in groups):
         figures |= {"used": lambda g: share_text(g.used), "followed": lambda g: share_text(g.followed)}
         figures |= {label: partial(_wall_text, name) for name, label in WALLS.items()}
+        figures["violation p95 without, fixed, adaptive margin, mm"] = _margins_text
     rows = [(label, *(figure(g) for g in groups)) for label, figure in figures.items()]
     return [("", *(_heading(g) for g in groups)), *rows]
 
 
 def _wall_text(name: str, group: HeartGroup) -> str:
     return estimate_text(group.walls[name])
+
+
+def _margins_text(group: HeartGroup) -> str:
+    if group.margins is None:
+        return "–"
+    of = group.margins
+    return f"{of.without_mm:.2f}, {of.fixed_mm:.2f}, {of.adaptive_mm:.2f} (mean margin {of.mean_mm:.2f})"
 
 
 def _heading(group: HeartGroup) -> str:

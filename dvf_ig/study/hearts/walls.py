@@ -24,6 +24,7 @@ from dvf_ig.session import Heart
 SEEN_MM, UNSEEN_MM = 15.0, 25.0
 PHASES = (0.0, 0.35, 0.7)
 VERTICES_APART = 5
+PLACES = 200
 POINT_PHASES = 50
 """Phases at which the tissue about boundary points is looked up."""
 BESIDE_MM = 2.5
@@ -45,6 +46,8 @@ class WallErrors:
         seen_per_sigma, unseen_per_sigma: of errors over their standard deviations; None unless followed.
         known_mm: over the walls where a force may be given, of which seen_known_share is of the seen ones.
         oracle_rigid_mm, oracle_mm: of the seen walls with true matches: a rigid pose, and modes.
+        outward_mm, sigma_mm: how far the wall truly lies beyond where it is guarded, and its standard
+            deviation, at up to PLACES places where a force may be given.
     """
 
     followed: bool
@@ -59,6 +62,8 @@ class WallErrors:
     seen_known_share: float
     oracle_rigid_mm: float
     oracle_mm: float
+    outward_mm: list[float]
+    sigma_mm: list[float]
 
 
 def measure_walls(
@@ -85,7 +90,10 @@ def measure_walls(
     rigid_mm, _ = wall_errors_mm(heart.model, moved.apply_array(places), phases, None)
     error_mm, variance_mm2 = wall_errors_mm(heart.model, moved.apply_array(places), phases, followed)
     certain = variance_mm2 <= LARGEST_MM2
-    per_sigma = error_mm / np.sqrt(variance_mm2)
+    sigma_mm = np.sqrt(variance_mm2)
+    per_sigma = error_mm / sigma_mm
+    served = np.flatnonzero(certain & np.isfinite(error_mm))
+    some = served[:: max(1, -(-len(served) // PLACES))]
     oracles = [_oracle_mm(heart, at_mm, matched_mm, places, phases, count) for count in (0, MODES)]
     return WallErrors(
         followed=followed is not None,
@@ -100,6 +108,8 @@ def measure_walls(
         seen_known_share=float(certain[seen].mean()),
         oracle_rigid_mm=_rms(oracles[0][seen]),
         oracle_mm=_rms(oracles[1][seen]),
+        outward_mm=(-error_mm[some]).round(3).tolist(),
+        sigma_mm=sigma_mm[some].round(3).tolist(),
     )
 
 

@@ -73,6 +73,13 @@ def test_a_beat_of_a_followed_heart_is_measured_where_the_change_of_shape_in_its
     sure, unsure = there.of(followed, 0.0), there.of(followed, variance_mm2)
     updated = followed.update(unsure.offset_information_mm, unsure.information)
     assert (updated.pose, updated.warp) == (followed.pose, warp)
+    assert sure.of(updated, 0.0).pose is updated.matching
+    again, _ = updated.matched_in(view_mm)
+    np.testing.assert_allclose(
+        PoseChart(pose, CENTER_MM).coordinates(again),
+        updated.covariance_mm2 @ unsure.offset_information_mm,
+        atol=0.05,
+    )
     assert sure.pose is followed.pose
     np.testing.assert_allclose(
         np.linalg.inv(unsure.information),
@@ -84,7 +91,19 @@ def test_a_beat_of_a_followed_heart_is_measured_where_the_change_of_shape_in_its
         np.linalg.solve(sure.information, sure.offset_information_mm),
         rtol=1e-6,
     )
-    assert unsure.log_likelihood_ratio < sure.log_likelihood_ratio
+
+
+def test_an_uncertain_change_of_shape_explains_a_small_offset_and_no_large_one() -> None:
+    measured = measure_beat(beat(TRUTH, 3), TRUTH, CENTER_MM)
+    followed = estimate(PoseChart(TRUTH, CENTER_MM).pose(np.full(6, 0.1)), 0.6)
+
+    def ratio(offset_mm: float, told: float) -> float:
+        offset = measured.information @ np.array([0, 0, 0, 0, offset_mm, 0])
+        there = replace(measured, offset_information_mm=offset, log_likelihood_ratio=told)
+        return there.of(followed, 1.0).log_likelihood_ratio
+
+    assert ratio(1.5, 6.0) < 2.0
+    assert ratio(8.0, 12.0) == 12.0
 
 
 def test_a_registration_that_shares_frames_with_the_beats_leaves_the_tracked_pose_as_certain_as_it_was() -> (

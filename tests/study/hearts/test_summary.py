@@ -59,8 +59,20 @@ def test_a_pose_outside_what_was_calibrated_has_no_probability_and_is_counted() 
     assert group.bound_covers.of == 1
 
 
+WALL_ERRORS: dict[str, Any] = {**dict.fromkeys(WALLS, 1.0), "outward_mm": [1.0], "sigma_mm": [1.0]}
+
+
+def test_margins_that_know_where_the_wall_is_uncertain_leave_less_of_violations() -> None:
+    walls = {**WALL_ERRORS, "outward_mm": [0.5, 2.0], "sigma_mm": [0.5, 1.5], "followed": True}
+    (group,) = summarise_hearts([line(heart, 1.0, change="5mm", walls=walls) for heart in range(3)])
+    assert group.margins is not None
+    assert group.margins.mean_mm == pytest.approx(1.0)
+    assert (group.margins.without_mm, group.margins.fixed_mm) == (2.0, 1.0)
+    assert group.margins.adaptive_mm == pytest.approx(0.5)
+
+
 def test_walls_of_changed_hearts_have_groups_of_their_own() -> None:
-    walls = dict.fromkeys(WALLS, 1.0) | {"followed": True}
+    walls = {**WALL_ERRORS, "followed": True}
     rigid = {**walls, "followed": False, "seen_mm": 2.0, "seen_per_sigma": None, "unseen_per_sigma": None}
     changed = [
         line(1, 1.0, change="5mm", walls=walls),
