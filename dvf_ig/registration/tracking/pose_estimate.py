@@ -384,19 +384,23 @@ class BeatMeasurement:
         return there if variance_mm2 == 0.0 else there._widened(variance_mm2)
 
     def _widened(self, variance_mm2: float) -> "BeatMeasurement":
-        """The same with a further error of each coordinate.
+        """The same with a further error of each coordinate, which explains a part of the likelihood ratio.
 
-        It explains a likelihood ratio beyond ½ ξᵀJξ of its information; LC2 far from its optimum has less.
+        The ratio is widened with the information that it has at its own distance: LC2 far from its optimum
+        rises by less than its curvature there promises.
         """
-        widen = np.linalg.inv(np.eye(6) + variance_mm2 * self.information)
-        information = widen @ self.information
         xi_mm = np.linalg.pinv(self.information, rcond=1e-9, hermitian=True) @ self.offset_information_mm
-        most = 0.5 * float(xi_mm @ information @ xi_mm)
+        promised = 0.5 * float(xi_mm @ self.offset_information_mm)
+        share = min(1.0, self.log_likelihood_ratio / promised) if promised > 0.0 else 1.0
+        information, of_ratio = (
+            np.linalg.solve(np.eye(6) + variance_mm2 * known, known)
+            for known in (self.information, share * self.information)
+        )
         return replace(
             self,
-            offset_information_mm=widen @ self.offset_information_mm,
+            offset_information_mm=information @ xi_mm,
             information=0.5 * (information + information.T),
-            log_likelihood_ratio=min(self.log_likelihood_ratio, most),
+            log_likelihood_ratio=min(self.log_likelihood_ratio, 0.5 * float(xi_mm @ of_ratio @ xi_mm)),
         )
 
     @property

@@ -202,6 +202,14 @@ def test_fixtures_follow_what_the_margins_of_an_unchanged_heart_do_not_hold() ->
     assert replace(change, shared=0.8).followed is None
 
 
+def test_a_small_change_is_followed_if_systole_shows_the_same_as_the_rest_of_the_cycle() -> None:
+    change = _change(1, pressed=1.0)
+    assert change is not None
+    for apart_mm, followed in ((0.4, change.warp), (0.6, None)):
+        small = replace(change, seen_mm=0.9, phases=Halves(0.9, apart_mm))
+        assert (small.followed, small.refusal) == (followed, None)
+
+
 def _off_mm(estimate: ShapeEstimate, motion: Rigid) -> tuple[FloatArray, FloatArray]:
     """(n,) errors of the seen walls of a pressed heart that has moved, and their standard deviations."""
     wall, normal = _on_wall(800, np.random.default_rng(100))
