@@ -48,8 +48,8 @@ LARGEST_APART_MM = 1.0
 different."""
 LARGEST_PHASES_APART_MM = 0.5
 """RMS distance between the seen walls by systole and by the rest of the cycle up to which a small change is
-followed: at most 0.36 in threshold hearts 1.2 mm different (2111 to 2116) whose walls that brings nearer; 0.54
-to 1.12 in four, three of which contract otherwise, whose walls it takes further away."""
+followed: at most 0.36 in threshold hearts 1.2 mm different (2111 to 2116) whose walls that brings nearer;
+0.54 to 1.12 in four, three of which contract otherwise, whose walls it takes further away."""
 HELD_OUT_FRAMES = 4
 """Frames in a row that are held out together."""
 SYSTOLE = (0.15, 0.55)
