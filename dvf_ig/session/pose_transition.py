@@ -412,7 +412,12 @@ def confirms(measurement: BeatMeasurement) -> bool:
 
 def _updated(estimate: PoseEstimate, beat: BeatEvaluation) -> PoseEstimate:
     measured = beat.measurement
-    return estimate.predict(1.0).update(measured.offset_information_mm, measured.information, beat.shape)
+    return estimate.predict(1.0).update(
+        measured.offset_information_mm,
+        measured.information,
+        beat.shape,
+        certain=measured.variance_mm2 == 0.0,
+    )
 
 
 def retry_after(asked_s: float, now_s: float) -> RegisterNext:

@@ -276,24 +276,30 @@ class PoseEstimate:
         offset_information_mm: FloatArray,
         information: FloatArray,
         shape: ShapeEstimate | None = None,
+        *,
+        certain: bool = True,
     ) -> "PoseEstimate":
         """The estimate with one more measurement.
 
         While a change of shape is followed the pose stays: what the heart moves by is a part of the change. A
         beat's own view, compared as a rigid heart's, would draw the walls aside from beat to beat
-        (docs/decisions/0042). It moves the place where the next images should match.
+        (docs/decisions/0042). It moves the place where the next images should match, if it is certain where
+        its own should.
 
         Args:
             offset_information_mm: (6,) Jξ, per mm, with ξ in the coordinates of `PoseChart` about
                 `moved_by_beats`.
             information: (6, 6) J, per mm².
             shape: the change of shape, corrected by the same beat; None if its boundary says nothing of it.
+            certain: the change of shape leaves the place where its images should match no less certain than
+                a rigid heart does.
         """
         covariance = np.asarray(np.linalg.inv(np.linalg.inv(self.covariance_mm2) + information))
         moved = PoseChart(self.moved_by_beats, self.center_mm).pose(covariance @ offset_information_mm)
         if self.shape is None:
             return replace(self, pose=moved, covariance_mm2=covariance)
-        return replace(self, matching=moved, covariance_mm2=covariance, shape=shape or self.shape)
+        matching = moved if certain else self.matching
+        return replace(self, matching=matching, covariance_mm2=covariance, shape=shape or self.shape)
 
     def intersected_with(self, registered: "PoseEstimate", beats: float) -> "PoseEstimate":
         """With a registration of frames that the beats have used; see the module docstring.
@@ -345,6 +351,8 @@ class BeatMeasurement:
         moved_mm: mean distance over the heart between `pose` and `best`.
         overlap: share of the slices inside the model's volume.
         evaluations: effort.
+        variance_mm2: by which a change of shape leaves each coordinate of `pose` less certain than a rigid
+            heart does.
     Raises:
         InvalidInputError: a number that is not finite, or beyond LARGEST; such a beat confirms nothing.
     """
@@ -360,6 +368,7 @@ class BeatMeasurement:
     moved_mm: float
     overlap: float
     evaluations: int
+    variance_mm2: float = 0.0
 
     def __post_init__(self) -> None:
         told = (
@@ -400,6 +409,7 @@ class BeatMeasurement:
             self,
             offset_information_mm=information @ xi_mm,
             information=0.5 * (information + information.T),
+            variance_mm2=variance_mm2,
             log_likelihood_ratio=min(self.log_likelihood_ratio, 0.5 * float(xi_mm @ of_ratio @ xi_mm)),
         )
 

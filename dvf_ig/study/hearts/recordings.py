@@ -98,7 +98,7 @@ REPORTED = HeartList(
     "reported",
     range(3181, 3301),
     range(4081, 4161),
-    range(9409, 9461),
+    range(9417, 9461),
     ("012", "016", "018"),
     range(3251, 3301),
 )

@@ -72,6 +72,9 @@ def test_a_beat_of_a_followed_heart_is_measured_where_the_change_of_shape_in_its
     assert variance_mm2 == pytest.approx(0.81 - RIGID_SIGMA_MM**2, abs=1e-5)
     there = measure_beat(beat(TRUTH, 3), pose, CENTER_MM)
     sure, unsure = there.of(followed, 0.0), there.of(followed, variance_mm2)
+    assert (sure.variance_mm2, unsure.variance_mm2) == (0.0, variance_mm2)
+    still = followed.update(unsure.offset_information_mm, unsure.information, certain=False)
+    assert still.moved_by_beats is followed.pose
     updated = followed.update(unsure.offset_information_mm, unsure.information)
     assert (updated.pose, updated.warp) == (followed.pose, warp)
     assert sure.of(updated, 0.0).pose is updated.matching
