@@ -76,6 +76,7 @@ class Mark:
     bound_mm: float | None = None
 
 
+@read_only_arrays
 @dataclass(frozen=True, slots=True, eq=False)
 class SeriesInput:
     """Everything over time.
