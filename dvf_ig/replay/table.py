@@ -123,7 +123,8 @@ def _bound_rows(result: dict[str, Any]) -> list[tuple[str, str, str]]:
         (
             "pose_bound_mm",
             "bound of the pose",
-            "95 % bound on the RMS error over the heart, median of its updates",
+            "95 % bound on the RMS error over the heart, or of the guarded walls if its shape is followed; "
+            "median of its updates",
         ),
     )
     rows = []
