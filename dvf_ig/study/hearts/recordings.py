@@ -62,7 +62,8 @@ class HeartList:
         second_world: seeds of hearts of the second; it is never tuned on.
         changed: seeds of hearts of the first that have changed since the MR.
         patients: of `acdc-cine`, whose real cines are the MR.
-        stacks: seeds of hearts of the first that are imaged as a short-axis stack alone.
+        stacks: seeds of hearts of the first that are imaged as a short-axis stack, with long-axis cines or
+            without.
     """
 
     name: str
@@ -78,7 +79,7 @@ class HeartList:
         Raises:
             InvalidInputError: the list has none there.
         """
-        first = self.stacks if images == "sweep-of-sax" else self.first_world
+        first = self.stacks if images.startswith("sweep-of-sax") else self.first_world
         seeds = self.second_world if world == "second" else first
         if not seeds:
             raise InvalidInputError(

@@ -40,7 +40,8 @@ def test_an_unknown_list_is_refused_by_name() -> None:
 
 def test_hearts_of_the_second_world_are_reported_alone() -> None:
     assert REPORTED.of_world("second", "sweep-of-sax") == REPORTED.second_world
-    assert REPORTED.of_world("first", "sweep-of-sax").start > REPORTED.of_world("first", "sweep").start
+    for images in ("sweep-of-sax", "sweep-of-sax+lax"):
+        assert REPORTED.of_world("first", images).start > REPORTED.of_world("first", "sweep").start
     with pytest.raises(InvalidInputError, match="no hearts of the second world"):
         heart_list("tuning").of_world("second", "sweep")
 
