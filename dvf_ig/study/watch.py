@@ -343,7 +343,7 @@ def _lag_mm(estimate: PoseEstimate, recorded: PoseEstimate, gone_mm: FloatArray)
 
 
 def _in_model(warp: Warp | None, places_mm: FloatArray) -> FloatArray:
-    return places_mm if warp is None else places_mm - warp.at(places_mm)[0]
+    return places_mm if warp is None else warp.model_places(places_mm)
 
 
 def _after(pose: Pose, beat: DisplacedBeat) -> Pose:

@@ -79,6 +79,10 @@ class Warp:
         ]
         return np.stack(lanes[:3], axis=1), np.maximum(lanes[3], 0.0)
 
+    def model_places(self, patient_mm: FloatArray) -> FloatArray:
+        """(n, 3) places q − m(q) of the model that belong to (n, 3) places q of the patient."""
+        return patient_mm - self.at(patient_mm)[0]
+
     def patient_places(self, model_mm: FloatArray) -> FloatArray:
         """(n, 3) places q of the patient that belong to (n, 3) places q − m(q) of the model."""
         places = model_mm

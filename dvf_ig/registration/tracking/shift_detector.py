@@ -127,11 +127,12 @@ class ShiftDetector:
         Raises:
             InvalidInputError: a time or an estimate that is not finite, which would stay in the window.
         """
-        _require_known(begin_s, estimate)
+        matched = estimate.matched_pose
+        _require_known(begin_s, estimate.covariance_mm2, matched)
         step = np.zeros(6)
         if self.compared and self.compared[-1].estimate is not estimate:
             before = PoseChart(self.compared[-1].estimate.matched_pose, estimate.center_mm)
-            step = before.coordinates(estimate.matched_pose)
+            step = before.coordinates(matched)
         newest = ComparedBeat(begin_s, estimate, measurement, step)
         compared, scatter = (*self.compared, newest), self.scatter
         if len(compared) > WINDOW_BEATS:
@@ -169,8 +170,8 @@ class ShiftDetector:
         return worst
 
 
-def _require_known(begin_s: float, estimate: PoseEstimate) -> None:
-    known = (begin_s, estimate.covariance_mm2, estimate.matched_pose.translation_mm)
+def _require_known(begin_s: float, covariance_mm2: FloatArray, matched: Rigid) -> None:
+    known = (begin_s, covariance_mm2, matched.translation_mm)
     if not all((np.abs(values) <= LARGEST).all() for values in known):
         raise InvalidInputError(
             f"a beat at {begin_s:g} s was compared with a pose that is not known; needed finite numbers "

@@ -203,7 +203,7 @@ def _labels_now(tissue: Tissue, model: DvfModel, warp: Warp | None) -> Volume:
         return labels
     places = labels.grid.centers_mm().reshape(-1, 3)
     ed = float(model.timing.fractions[model.ed_phase])
-    values = tissue.label_at(places - warp.at(places)[0], ed, model.timing)
+    values = tissue.label_at(warp.model_places(places), ed, model.timing)
     return Volume(labels.grid, values.astype(np.uint8).reshape(labels.grid.shape))
 
 

@@ -69,7 +69,7 @@ class Anatomy:
             return None
         there = pose.apply_array(xyz_mm.reshape(-1, 3))
         if self.warp is not None:
-            there = there - self.warp.at(there)[0]
+            there = self.warp.model_places(there)
         values = self.model.tissue.label_at(there, model_phase, self.model.timing)
         return values.astype(np.uint8).reshape(xyz_mm.shape[:2])
 

@@ -48,7 +48,7 @@ def label_fields(replay: Replay) -> dict[str, Any] | None:
             _in_tracker(frames, frame, replay.setup.calibrations.probe_from_image, shape)
         )
         if warp is not None:
-            there = there - warp.at(there)[0]
+            there = warp.model_places(there)
         estimated.append(tissue.label_at(there, float(frames.model_phase[frame]), timing))
         really = truth.mr_from_tracker_at(at_s).apply_array(
             _in_tracker(frames, frame, truth.probe_from_image_at(at_s), shape)
