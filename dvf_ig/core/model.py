@@ -10,7 +10,7 @@ from .errors import InvalidInputError
 from .seen_part import SeenPart
 from .space.frames import check_frame, require_same_frame
 from .space.mesh import Mesh
-from .timing.cycle import CycleTiming
+from .timing.cycle import CycleTiming, nearest_phase
 from .tissue import Tissue
 
 
@@ -145,6 +145,11 @@ class DvfModel:
     @property
     def phases(self) -> int:
         return len(self.timing)
+
+    @property
+    def rest_phase(self) -> int:
+        """Index of the phase nearest to the R peak, from which the heart contracts."""
+        return int(nearest_phase(self.timing.fractions, np.zeros(1))[0])
 
     @property
     def still(self) -> bool:

@@ -1,6 +1,6 @@
 """Tissue of a beating organ: its labels at one phase, and the motion that leads there from every other."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -39,6 +39,11 @@ class Tissue:
         first, second, share = timing.bracket(model_phase)
         before, after = (self.motion[i].at(xyz_mm)[0] for i in (first, second))
         return np.asarray(xyz_mm - (1.0 - share) * before - share * after)
+
+    def contracting(self, contraction: float) -> "Tissue":
+        """Return the tissue of an organ that moves so many times as far."""
+        motion = [replace(warp, coefficients=contraction * warp.coefficients) for warp in self.motion]
+        return replace(self, motion=tuple(motion))
 
     def label_at(self, xyz_mm: FloatArray, model_phase: float, timing: CycleTiming) -> IntArray:
         """Look up (n,) labels at (n, 3) places at a phase of the cycle; 0 outside the labelled box."""

@@ -20,7 +20,7 @@ from dvf_ig.core import (
 from dvf_ig.core.arrays import check_shape
 from dvf_ig.core.space.frames import check_frame, require_same_frame
 from dvf_ig.kernels.dynamic import force_batch
-from dvf_ig.kernels.fixture_field import packed_fixture
+from dvf_ig.kernels.fixture_field import CONTRACTION, packed_fixture
 
 from .blend import BLEND_CODES, Blend
 from .device import COMMON_DEVICE, DeviceLimits
@@ -126,6 +126,8 @@ class Evaluator:
             twice continuously differentiable in phase; half as fast, for it reads four phases).
         device: what the haptic device can render.
         withhold_unseen: give no force where no slice shows the surface.
+        contraction: how many times as far as in the model the heart contracts. A `PoseAndPhase` goes by its
+            own instead.
     Raises:
         InvalidInputError: unknown blend, a law beyond the device's limits, or a forbidden region that is felt
             too far from the surface.
@@ -139,6 +141,7 @@ class Evaluator:
         blend: Blend = "force",
         device: DeviceLimits = COMMON_DEVICE,
         withhold_unseen: bool = True,
+        contraction: float = 1.0,
     ) -> None:
         if blend not in BLEND_CODES:
             raise InvalidInputError(f"unknown blend '{blend}'; choose one of {', '.join(BLEND_CODES)}")
@@ -146,6 +149,7 @@ class Evaluator:
         require_reach(law)
         self.law: Law = device.checked(law)
         self.blend: Blend = blend
+        self._contraction = contraction
         periodic = blend == "periodic"
         coefficients, timing = model.coefficients, model.timing
         self._coefficients = periodic_coefficients(coefficients, timing) if periodic else coefficients.copy()
@@ -172,7 +176,9 @@ class Evaluator:
         """
         require_same_frame(model_from_query.target, self.model.frame, "registered model")
         matrix = np.ascontiguousarray(model_from_query.matrix[:3])
-        return self._coefficients, packed_fixture(*self._constants, matrix)
+        packed = packed_fixture(*self._constants, matrix)
+        packed[CONTRACTION] = self._contraction
+        return self._coefficients, packed
 
     def force(self, xyz_mm: Any, model_phase: Any) -> ForceSamples:
         """Forces in the model's frame.

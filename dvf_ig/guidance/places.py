@@ -44,6 +44,7 @@ class PlacesInModel:
         sigma_model_phase: (n,) one standard deviation.
         covariance_mm2: (n, 3, 3) of the place, by that of the pose, before the warp; NaN if that is unknown.
         wall_variance_mm2: (n,) of a wall there along its normal, by the change of shape.
+        contraction: (n,) how many times as far as in the model the heart contracts (`Evaluator`).
         status: (n,) `Status`: OK, NO_POSE, NO_PHASE or FAULT.
     """
 
@@ -54,6 +55,7 @@ class PlacesInModel:
     sigma_model_phase: FloatArray
     covariance_mm2: FloatArray
     wall_variance_mm2: FloatArray
+    contraction: FloatArray
     status: IntArray
 
     def __len__(self) -> int:

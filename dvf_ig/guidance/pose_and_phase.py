@@ -111,11 +111,13 @@ class PoseAndPhase:
             place[posed] = np.einsum("nij,nj->ni", poses[:, :, :3], xyz[posed]) + poses[:, :, 3]
             velocity[posed] = self.pose.velocity_mm_s(place[posed], t[posed])
         covariance, variance = self._covariance(place), np.where(posed, RIGID_SIGMA_MM**2, np.nan)
+        contraction = np.where(posed, 1.0, np.nan)
         if self.warp is not None:
             pull = self.warp.pull(place[posed], t[posed])
             place[posed] -= pull.m_mm
             velocity[posed] -= np.einsum("nij,nj->ni", pull.slope, velocity[posed]) + pull.rate_mm_s
             variance[posed] = pull.variance_mm2
+            contraction[posed] = self.warp.contraction(t[posed])
         return PlacesInModel(
             xyz_mm=place,
             velocity_mm_s=velocity,
@@ -124,6 +126,7 @@ class PoseAndPhase:
             sigma_model_phase=sigma,
             covariance_mm2=covariance,
             wall_variance_mm2=variance,
+            contraction=contraction,
             status=np.where(finite, status, int(Status.FAULT)),
         )
 

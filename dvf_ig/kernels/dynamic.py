@@ -1,5 +1,8 @@
 """The dynamic virtual fixture in one call (Ren 2008, eqs 1, 4–11): pose, phases, splines, law, blend, force.
 
+A heart that contracts otherwise than the model takes, for the field of each phase, that at its rest and a
+multiple of what differs from it (`contracted`).
+
 Corrected eq. 10: F = (1−α) F(V_i) + α F(V_{i+1}); as printed, the weights are swapped and the force jumps at
 every frame switch (docs/theory/fixtures.md).
 """
@@ -17,14 +20,17 @@ from .fixture_field import (
     BLEND,
     BLEND_DISTANCE,
     BLEND_PERIODIC,
+    CONTRACTION,
     DEPTH,
     PER_KNOT,
     POSE,
     POWERS,
+    REST,
     TIMES,
     WITHOUT_RATE,
     Output,
     cells_of,
+    contracted,
     field_of_phase,
     force_per_gradient,
     force_per_gradient_of_field,
@@ -35,10 +41,10 @@ from .fixture_field import (
 )
 from .lanes import Float64x4, fma, pack, scale, unpack
 from .phase import cubic_in_phase, phase_bracket
-from .spline import cell_value, find_cell
+from .spline import Cell, cell_value, find_cell
 from .vectors import Vector
 from .warp import Slope, warped
-from .worst_phase import force_of_phase, wall_without_phase
+from .worst_phase import field_at_phase, force_of_phase, wall_without_phase
 
 
 @inlined
@@ -47,6 +53,15 @@ def _force_per_gradient_of_blend(f: FloatArray, field: Float64x4) -> float:
     d, gx, gy, gz = unpack(field)
     norm = math.sqrt(gx * gx + gy * gy + gz * gz)
     return force_per_gradient(f, d / norm - f[DEPTH], norm) if norm > 0.0 else 0.0
+
+
+@kernel
+def at_rest(coefficients: NDArray[np.float32], f: FloatArray, cell: Cell) -> Float64x4:
+    """Evaluate (distance, gradient) at rest, from which the heart contracts.
+
+    Not inlined: few hearts need it.
+    """
+    return field_at_phase(coefficients, f, int(f[REST]), cell, len(coefficients))
 
 
 @kernel
@@ -74,6 +89,8 @@ def _periodic_at(
     b = field_of_phase(coefficients, after, cell, per_knot)
     mixed = fma(fma(mixed, weights[2], a), weights[3], b)
     sloped = fma(fma(sloped, slopes[2], a), slopes[3], b)
+    if f[CONTRACTION] != 1.0:
+        mixed, sloped = contracted(f, at_rest(coefficients, f, cell), mixed), scale(f[CONTRACTION], sloped)
     turned = warped(slope, mixed)
     force = scale(_force_per_gradient_of_blend(f, turned), turned)
     return within_seen(f, count, q, phi, output_of(force, mixed, unpack(sloped)[0] / width))
@@ -88,6 +105,9 @@ def _two_fields(
     first, second, alpha, width = phase_bracket(f, TIMES, len(coefficients), phi)
     a = field_of_phase(coefficients, first, cell, f[PER_KNOT])
     b = field_of_phase(coefficients, second, cell, f[PER_KNOT])
+    if f[CONTRACTION] != 1.0:
+        rest = at_rest(coefficients, f, cell)
+        a, b = contracted(f, rest, a), contracted(f, rest, b)
     mixed = fma(scale(1.0 - alpha, a), alpha, b)
     return a, b, mixed, alpha, (unpack(b)[0] - unpack(a)[0]) / width
 
@@ -125,7 +145,10 @@ def field_at(
 
 @kernel
 def distance_at(coefficients: NDArray[np.float32], f: FloatArray, q: Vector, phi: float) -> float:
-    """Evaluate the distance alone at one point, by the fixture's blend; −∞ outside the box, also of NaN."""
+    """Evaluate the distance alone at one point, by the fixture's blend; −∞ outside the box, also of NaN.
+
+    Of a heart that contracts as the model does.
+    """
     status, u, v, w = knot_coordinates(coefficients, f, q, phi)
     if status != code.OK:
         return -math.inf
@@ -144,6 +167,20 @@ def distance_at(coefficients: NDArray[np.float32], f: FloatArray, q: Vector, phi
         + weights[2] * cell_value(coefficients, np.uintp(second), cell)
         + weights[3] * cell_value(coefficients, np.uintp(after), cell)
     )
+
+
+@kernel
+def contracted_by_mm(coefficients: NDArray[np.float32], f: FloatArray, q: Vector, phi: float) -> float:
+    """Compute how far d lies from that at rest, in the model: d'(q, φ) changes by it with the contraction.
+
+    0 outside the box.
+    """
+    status, u, v, w = knot_coordinates(coefficients, f, q, phi)
+    if status != code.OK:
+        return 0.0
+    resting = at_rest(coefficients, f, find_cell(u, v, w, cells_of(coefficients)))
+    by_mm: float = distance_at(coefficients, f, q, phi) - unpack(resting)[0]
+    return by_mm
 
 
 @inlined

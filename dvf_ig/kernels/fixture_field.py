@@ -5,11 +5,11 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from dvf_ig.core import RAMP_MM, FloatArray, SeenPart
+from dvf_ig.core import RAMP_MM, FloatArray, SeenPart, nearest_phase
 
 from . import status as code
 from .compiled import inlined, kernel
-from .lanes import Float64x4, multiply, pack, unpack
+from .lanes import Float64x4, fma, multiply, pack, scale, unpack
 from .laws import LARGEST_FORCE_N, direction_certainty, signed_potential
 from .phase import phase_bracket
 from .spline import Cell, cell_value_gradient, inside_box
@@ -30,7 +30,9 @@ DEPTH = 9
 POSE = 10
 SEEN = 22
 """Number of slabs of the seen part, 0 if all is known; normal of the slices and width of the ramp follow."""
-TIMES = 27
+CONTRACTION, REST = 27, 28
+"""How many times as far as in the model the heart contracts, and the index of the phase that it contracts from."""
+TIMES = 29
 POWERS = 16
 """Count of numbers for each phase that follow the phase times with the periodic blend; bounds of the seen
 slabs, phase after phase, come last."""
@@ -54,6 +56,8 @@ def packed_fixture(
 ) -> FloatArray:
     """Pack all but the coefficients in one array: each array argument lengthens a call from Python.
 
+    The heart contracts as in the model until a kernel says otherwise.
+
     Args:
         origin_mm: (3,); knot_mm: knot pitch.
         fractions: (n,) phase times as fractions of the cycle.
@@ -73,6 +77,7 @@ def packed_fixture(
         [slabs.shape[1]],
         normal,
         [RAMP_MM],
+        [1.0, nearest_phase(fractions, np.zeros(1))[0]],
     ]
     return np.concatenate([*head, fractions, powers.ravel(), slabs.ravel()])
 
@@ -112,6 +117,12 @@ def field_of_phase(coefficients: NDArray[np.float32], phase: int, cell: Cell, pe
     return multiply(
         pack(1.0, per_knot, per_knot, per_knot), cell_value_gradient(coefficients, np.uintp(phase), cell)
     )
+
+
+@inlined
+def contracted(f: FloatArray, at_rest: Float64x4, field: Float64x4) -> Float64x4:
+    """Compute d₀ + g (d − d₀), and its gradient, of a heart that contracts g times as far as the model's."""
+    return fma(scale(1.0 - f[CONTRACTION], at_rest), f[CONTRACTION], field)
 
 
 @inlined

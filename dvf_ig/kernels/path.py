@@ -12,8 +12,8 @@ import math
 from dvf_ig.core import FloatArray
 
 from . import status as code
-from .compiled import inlined
-from .fixture_field import Output, force_per_gradient, no_output
+from .compiled import inlined, kernel
+from .fixture_field import CONTRACTION, REST, Output, force_per_gradient, no_output
 from .phase import phase_bracket
 from .vectors import Vector, dot
 
@@ -62,6 +62,17 @@ def _from_line(start: Vector, along: Vector, share: float, q: Vector) -> Vector:
     )
 
 
+@kernel
+def _contracted(f: FloatArray, resting: Points, phase: Points, work: FloatArray) -> Points:
+    """Write a phase's points, of a heart that contracts otherwise than the model, to `work`."""
+    count = len(resting[0])
+    for axis in range(3):
+        for i in range(count):
+            start = resting[axis][i]
+            work[axis, i] = start + f[CONTRACTION] * (phase[axis][i] - start)
+    return work[0, :count], work[1, :count], work[2, :count]
+
+
 @inlined
 def _squared_distances(
     a: Points, b: Points, alpha: float, q: Vector, square: FloatArray, shares: FloatArray
@@ -105,7 +116,7 @@ def path_force(
         f: packed fixture with the path's law.
         q: point in the path's frame.
         phi: model phase.
-        work: (2, count) or more, working space.
+        work: (8, count) or more, working space.
     """
     if not math.isfinite(q[0] + q[1] + q[2] + phi):
         return no_output(code.FAULT)
@@ -114,6 +125,9 @@ def path_force(
         before, after, alpha, width = phase_bracket(times, first_time, phases, phi)
     a = _phase(points, first_point + count * before, count)
     b = _phase(points, first_point + count * after, count)
+    if phases > 1 and f[CONTRACTION] != 1.0:
+        resting = _phase(points, first_point + count * int(f[REST]), count)
+        a, b = _contracted(f, resting, a, work[2:5]), _contracted(f, resting, b, work[5:8])
     square, shares = work[0, : count - 1], work[1, : count - 1]
     nearest = _squared_distances(a, b, alpha, q, square, shares)
     reach = (nearest + CORNER_MM) * (nearest + CORNER_MM)

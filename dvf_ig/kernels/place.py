@@ -59,10 +59,12 @@ POSE_AND_PHASE = np.dtype(
         ("warp_end_s", _F),
         ("warp_origin_mm", _F, (3,)),
         ("warp_per_mm", _F),
+        ("contraction", _F, (2,)),
     ]
 )
 """Pose, phase and change of shape as functions of time; `turn_per_mm`: radians a mm of the covariance's
-rotation; `warped` is 0 if the heart has kept its shape. Coefficients of warps are apart (`packed_warps`)."""
+rotation; `warped` is 0 if the heart has kept its shape, `contraction` that before and after the motion of the
+warp. Coefficients of warps are apart (`packed_warps`)."""
 
 PLACE = np.dtype(
     [
@@ -123,6 +125,7 @@ def packed_pose_and_phase(
     if warp is not None:
         p["warp_start_s"], p["warp_end_s"] = warp.start_s, warp.end_s
         p["warp_origin_mm"], p["warp_per_mm"] = warp.end.origin_mm, 1.0 / warp.end.knot_mm
+        p["contraction"] = warp.start.contraction, warp.end.contraction
     return packed
 
 

@@ -13,11 +13,11 @@ from dvf_ig.core import FloatArray, IntArray
 
 from . import status as code
 from .compiled import inlined, kernel
-from .dynamic import force_at, force_tick, rotated_back, transformed
-from .fixture_field import POSE, WITHOUT_RATE, no_output
+from .dynamic import contracted_by_mm, force_at, force_tick, rotated_back, transformed
+from .fixture_field import CONTRACTION, POSE, WITHOUT_RATE, no_output
 from .place import Columns, Phase, phase_at, pose_at, status_at
 from .vectors import Vector, cross, dot, vector_at
-from .warp import known_share, output_through, warp_at
+from .warp import contraction_at, known_share, output_through, warp_at
 from .worst_phase import is_wall, wall_without_phase
 
 DISTANCE_RATE = 8
@@ -110,6 +110,7 @@ def _warped_tick(
     q = transformed(fixture, xyz_mm[0], xyz_mm[1], xyz_mm[2])
     at, slope, variance, moving = warp_at(warps, packed, t_s, q)
     share = known_share(variance)
+    fixture[CONTRACTION], per_s = contraction_at(packed, t_s)
     if share == 0.0:
         output = no_output(code.UNSEEN)
     elif status == code.OK:
@@ -117,6 +118,8 @@ def _warped_tick(
     else:
         output = wall_without_phase(coefficients, fixture, at, slope)
     (status, force, d, gradient, rate), by_warp = output_through(output, slope, share, moving)
+    if per_s != 0.0:
+        by_warp -= per_s * contracted_by_mm(coefficients, fixture, at, phase[0])
     out[0], out[1], out[2] = rotated_back(fixture, force)
     out[3] = d
     out[4], out[5], out[6] = rotated_back(fixture, gradient)
@@ -169,6 +172,7 @@ def guided_tick(
     if status == code.OK:
         phase = phase_at(packed, t_s)
     _set_pose(fixture, pose)
+    fixture[CONTRACTION] = 1.0
     if packed.warped != 0.0:
         return _warped_tick(coefficients, fixture, packed, warps, t_s, xyz_mm, phase, status, out)
     status = force_tick(coefficients, fixture, xyz_mm, phase[0], status, out)

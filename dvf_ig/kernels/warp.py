@@ -110,6 +110,24 @@ def warp_at(warps: Any, p: Any, t_s: float, q: Vector) -> tuple[Vector, Slope, f
 
 
 @inlined
+def contraction_at(p: Any, t_s: float) -> tuple[float, float]:
+    """Compute how many times as far as in the model the heart contracts, and how fast that changes (1/s).
+
+    Args:
+        p: POSE_AND_PHASE.
+    """
+    if p.warped == 0.0:
+        return 1.0, 0.0
+    before, after = p.contraction[0], p.contraction[1]
+    if not t_s < p.warp_end_s or before == after:
+        return after, 0.0
+    if not t_s > p.warp_start_s:
+        return before, 0.0
+    per_s = (after - before) / (p.warp_end_s - p.warp_start_s)
+    return before + (t_s - p.warp_start_s) * per_s, per_s
+
+
+@inlined
 def warped(slope: Slope, field: Float64x4) -> Float64x4:
     """Turn (distance, ∇d) at q' into (distance, ∇d') at q."""
     if slope is None:

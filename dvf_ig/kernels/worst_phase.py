@@ -28,10 +28,12 @@ from .fixture_field import (
     LAW,
     PER_KNOT,
     POWERS,
+    REST,
     SEEN,
     TIMES,
     Output,
     cells_of,
+    contracted,
     field_of_phase,
     force_per_gradient,
     force_per_gradient_of_field,
@@ -57,7 +59,7 @@ def is_wall(f: FloatArray) -> bool:
 
 
 @inlined
-def _field_at_phase(
+def field_at_phase(
     coefficients: NDArray[np.float32], f: FloatArray, phase: int, cell: Cell, count: int
 ) -> Float64x4:
     """Evaluate (distance, gradient) at a phase's own time; a periodic spline has three parts there."""
@@ -99,9 +101,10 @@ def worst_phase_force(coefficients: NDArray[np.float32], f: FloatArray, q: Vecto
         return no_output(status)
     cell, count = find_cell(u, v, w, cells_of(coefficients)), len(coefficients)
     outward = 1.0 if f[LAW + 1] > 0.0 else -1.0
+    at_rest = field_at_phase(coefficients, f, int(f[REST]), cell, count)
     most, total, mixed = -math.inf, 0.0, pack(0.0, 0.0, 0.0, 0.0)
     for phase in range(count):
-        field = _field_at_phase(coefficients, f, phase, cell, count)
+        field = contracted(f, at_rest, field_at_phase(coefficients, f, phase, cell, count))
         reach = outward * unpack(field)[0]
         if reach > most:
             shrunk = math.exp((most - reach) / SMOOTHING_MM)
@@ -127,8 +130,10 @@ def _seen_share(
 ) -> float:
     """Compute the share of the force that remains, over all phases with the weights of the wall."""
     count, total, seen = len(coefficients), 0.0, 0.0
+    at_rest = field_at_phase(coefficients, f, int(f[REST]), cell, count)
     for phase in range(count):
-        d, gx, gy, gz = unpack(_field_at_phase(coefficients, f, phase, cell, count))
+        field = contracted(f, at_rest, field_at_phase(coefficients, f, phase, cell, count))
+        d, gx, gy, gz = unpack(field)
         weight = math.exp(-abs(worst_mm - d) / SMOOTHING_MM)
         total += weight
         seen += weight * seen_share(f, count, q, f[TIMES + phase], d, (gx, gy, gz))

@@ -114,6 +114,7 @@ def write_shape(warp: Warp, path: Path) -> None:
         "frame": warp.frame,
         "origin_mm": warp.origin_mm.tolist(),
         "knot_mm": warp.knot_mm,
+        "contraction": warp.contraction,
         "coefficients": base64.b64encode(data).decode("ascii"),
     }
     write_sidecar(path, content, "shape")
@@ -132,7 +133,8 @@ def read_shape(folder: Path) -> Warp | None:
     try:
         data = np.frombuffer(base64.b64decode(content["coefficients"], validate=True), "<f4")
         coefficients = data.reshape(*[COEFFICIENTS] * 3, 4).astype(np.float32)
-        return Warp(content["frame"], np.array(content["origin_mm"]), float(content["knot_mm"]), coefficients)
+        origin_mm, knot_mm = np.array(content["origin_mm"]), float(content["knot_mm"])
+        return Warp(content["frame"], origin_mm, knot_mm, coefficients, float(content["contraction"]))
     except (KeyError, TypeError, ValueError) as exc:
         raise UnreadableFileError(f"{path} is damaged ({exc}); run again") from exc
 

@@ -17,7 +17,8 @@ from dvf_ig.core import (
     Warp,
     WarpMotion,
 )
-from dvf_ig.core.space.warp import CELLS, knots
+from dvf_ig.core.space.pose_motion import UPDATE_MM_PER_S
+from dvf_ig.core.space.warp import CELLS, CONTRACTED_MM, knots
 from dvf_ig.guidance import (
     Evaluator,
     FixtureOptions,
@@ -117,7 +118,68 @@ def test_gradient_and_rate_are_derivatives(ball, shell_points, blend):
 def _pulled_mm(evaluator, transform, tip, t_s):
     """(n,) distance of the model where the warp puts tips, which is not stretched."""
     places = transform.at(tip, t_s)
-    return evaluator.force(places.xyz_mm, places.model_phase).distance_mm
+    return np.array(
+        [
+            Evaluator(evaluator.model, evaluator.law, blend=evaluator.blend, contraction=one)
+            .force(place[None], phase)
+            .distance_mm[0]
+            for place, phase, one in zip(
+                places.xyz_mm, places.model_phase, places.contraction.tolist(), strict=True
+            )
+        ]
+    )
+
+
+def _contracted_ball(ball, contraction):
+    """The model of a heart that contracts so many times as far: blended coefficient by coefficient."""
+    at_rest = ball.coefficients[ball.rest_phase]
+    return replace(ball, coefficients=at_rest + np.float32(contraction) * (ball.coefficients - at_rest))
+
+
+@pytest.mark.parametrize("blend", BLENDS)
+@pytest.mark.parametrize("contraction", [0.5, 1.3])
+def test_a_heart_that_contracts_otherwise_is_its_own_model(ball, shell_points, blend, contraction):
+    """At a known phase and at the worst."""
+    t, tip = times_and_tips(shell_points)
+    other = Evaluator(_contracted_ball(ball, contraction), Sigmoid(), blend=blend)
+    evaluator, transform = Evaluator(ball, Sigmoid(), blend=blend), through(WarpMotion.still(END))
+    contracting = through(WarpMotion.still(replace(END, contraction=contraction)))
+    for status in (Status.OK, Status.NO_PHASE):
+        given = np.full(len(t), int(status))
+        found = contracting.evaluate(evaluator, tip, t, given.copy())
+        expected = transform.evaluate(other, tip, t, given.copy())
+        usual = transform.evaluate(evaluator, tip, t, given.copy())
+        np.testing.assert_array_equal(found.status, expected.status)
+        for name in ("force_n", "distance_mm", "gradient", "rate_mm_per_cycle", "sigma_mm"):
+            np.testing.assert_allclose(getattr(found, name), getattr(expected, name), atol=2e-5)
+        assert np.nanmax(np.abs(found.distance_mm - usual.distance_mm)) > 0.1
+    alone = Evaluator(ball, Sigmoid(), blend=blend, contraction=contraction)
+    places = contracting.at(tip, t)
+    np.testing.assert_allclose(places.contraction, contraction)
+    np.testing.assert_allclose(
+        alone.force(places.xyz_mm, places.model_phase).distance_mm,
+        other.force(places.xyz_mm, places.model_phase).distance_mm,
+        atol=2e-5,
+    )
+
+
+def test_a_contraction_that_changes_moves_the_wall(ball, shell_points):
+    """∂d/∂t holds its part, and no wall moves faster than an update may."""
+    evaluator = Evaluator(ball, Sigmoid(), blend="periodic")
+    end = replace(START, contraction=0.6)
+    motion = WarpMotion.towards(WarpMotion.still(START), end, 10.0)
+    assert motion.end_s == pytest.approx(10.0 + 0.4 * CONTRACTED_MM / UPDATE_MM_PER_S)
+    transform, step = through(motion), 1e-4
+    t, tip = times_and_tips(shell_points, 60)
+    t = 10.0 + (motion.end_s - 10.0) * (t - 9.8)
+    here, out = transform.evaluate(evaluator, tip, t), np.empty(10)
+    tick = transform.bind(evaluator)
+    within = (here.status == Status.OK) & (t < motion.end_s - 0.01) & (t > 10.01)
+    before, after = (_pulled_mm(evaluator, transform, tip, t + sign * step) for sign in (-1, 1))
+    for k in np.flatnonzero(within):
+        assert tick(float(t[k]), tip[k], Status.OK, out) == Status.OK
+        assert out[8] == pytest.approx((after[k] - before[k]) / (2 * step), abs=0.02)
+    assert within.sum() > 20
 
 
 def test_no_change_of_shape_changes_nothing(ball, shell_points):
@@ -165,7 +227,8 @@ def test_the_servo_gives_the_force_of_the_evaluator(ball, shell_points):
     rate_hz, n = 1000.0, 300
     turn = np.linspace(0.0, 1.0, n)
     tip = 14.5 * np.stack([np.cos(turn), np.sin(turn), 0.2 * np.sin(3 * turn)], axis=1)
-    motions = [WarpMotion(START, END, 0.02, 0.08), WarpMotion(END, START, 0.12, 0.18)]
+    end = replace(END, contraction=0.6)
+    motions = [WarpMotion(START, end, 0.02, 0.08), WarpMotion(end, START, 0.12, 0.18)]
     fixtures = Fixtures(ball, FixtureSet((FixtureOptions(Sigmoid(1.2, 0.5), name="wall"),), cap_n=0.6))
     servo = SimulatedServo(fixtures, RecordedDevice(tip, rate_hz))
     evaluator = Evaluator(ball, Sigmoid(1.2, 0.5))
@@ -183,21 +246,26 @@ def test_the_servo_gives_the_force_of_the_evaluator(ball, shell_points):
     assert record.distance_mm.std() > 0.05
 
 
-def test_a_path_moves_with_the_heart_that_has_changed_its_shape(ball):
+@pytest.mark.parametrize("contraction", [1.0, 0.6])
+def test_a_path_moves_with_the_heart_that_has_changed_its_shape(ball, contraction):
     angle = np.linspace(0.0, 2.0, 30)
     curve = 15.0 * np.stack([np.cos(angle), np.sin(angle), 0.2 * angle], axis=1)
-    law, path = Gaussian(4.0, 1.0, 0.4), PathTarget.static("mr", curve)
+    size = 1.0 - 0.15 * np.sin(np.pi * ball.timing.fractions)
+    law, path = Gaussian(4.0, 1.0, 0.4), PathTarget("mr", size[:, None, None] * curve, ball.timing)
     fixtures = Fixtures(ball, FixtureSet((FixtureOptions(law, path=path),)))
     turn = np.linspace(0.2, 1.6, 100)
     tip = 16.5 * np.stack([np.cos(turn), np.sin(turn), 0.2 * turn], axis=1)
-    transform = through(WarpMotion.still(END), Rigid.identity("mr", "tracker"))
+    end = replace(END, contraction=contraction)
+    transform = through(WarpMotion.still(end), Rigid.identity("mr", "tracker"))
     record = SimulatedServo(fixtures, RecordedDevice(tip, 1000.0)).run(
         ServoInputs(transform, 0.0, Rigid.identity("tracker", "device")), 100
     )
     felt_s = record.t_s + 0.5e-3
     ahead = record.xyz_mm + 0.5e-3 * np.gradient(record.xyz_mm, 1e-3, axis=0)
     pull, places = END.slope(ahead), transform.at(ahead, felt_s)
-    plain = PathFixture(path, law).force(places.xyz_mm, places.model_phase)
+    at_rest = path.points_mm[ball.rest_phase]
+    now = replace(path, points_mm=at_rest + contraction * (path.points_mm - at_rest))
+    plain = PathFixture(now, law).force(places.xyz_mm, places.model_phase)
     expected = np.einsum("nji,nj->ni", np.eye(3) - pull, plain.force_n)
     np.testing.assert_allclose(record.field_n[20:-1], expected[20:-1], atol=2e-3)
     assert np.linalg.norm(expected, axis=1).max() > 0.1

@@ -1,5 +1,8 @@
 """A smooth change of the heart's shape as a pull-back, and its motion from one estimate to the next.
 
+A heart that contracts otherwise is g times as far from where it is at the R peak: d'(q, φ) = d₀ + g (d_φ − d₀)
+with d₀ the distance at the R peak's phase and d_φ that at φ, both at q'.
+
 What lies at q at the registered pose belongs to q' = q − m(q) in the model. m and the variance of the wall's
 place along its normal are one cubic spline of four lanes, (m_x, m_y, m_z, σ²), on a grid of CELLS³ cells;
 beyond the grid they are as at its border. `dvf_ig.kernels.warp` is the form for kernels.
@@ -25,6 +28,8 @@ from .rigid import Rigid
 CELLS = 12
 COEFFICIENTS = CELLS + 3
 """Coefficients along each axis; every warp has as many, so that a servo has their place before it starts."""
+CONTRACTED_MM = 15.0
+"""How far walls move at most over the cycle, by which the speed of a change of contraction is bounded."""
 TURNS = 8
 """Steps by which a place of the patient is found from that in the model."""
 RIGID_SIGMA_MM = 0.8
@@ -43,6 +48,7 @@ class Warp:
         origin_mm: (3,) of knot 0; coefficients j to j + 3 belong to the cell after knot j.
         knot_mm: pitch of the knots.
         coefficients: (COEFFICIENTS, COEFFICIENTS, COEFFICIENTS, 4) float32: m in mm, variance in mm².
+        contraction: how many times as far as in the model the heart contracts.
     Raises:
         InvalidInputError: shapes that do not fit, no positive pitch, or numbers that are not finite.
     """
@@ -51,6 +57,7 @@ class Warp:
     origin_mm: FloatArray
     knot_mm: float
     coefficients: NDArray[np.float32]
+    contraction: float = 1.0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "origin_mm", frozen_floats(self.origin_mm, "origin of a warp", (3,)))
@@ -58,17 +65,23 @@ class Warp:
             self.coefficients, "coefficients of a warp", (*[COEFFICIENTS] * 3, 4), np.float32
         )
         object.__setattr__(self, "coefficients", coefficients)
-        if not (self.knot_mm > 0.0 and np.isfinite(coefficients).all()):
+        if not (self.knot_mm > 0.0 and np.isfinite(coefficients).all() and math.isfinite(self.contraction)):
             raise InvalidInputError("a warp needs a positive pitch of its knots and finite coefficients")
 
     @classmethod
     def through(
-        cls, frame: str, origin_mm: FloatArray, knot_mm: float, m_mm: FloatArray, variance_mm2: FloatArray
+        cls,
+        frame: str,
+        origin_mm: FloatArray,
+        knot_mm: float,
+        m_mm: FloatArray,
+        variance_mm2: FloatArray,
+        contraction: float = 1.0,
     ) -> "Warp":
         """Interpolate m, (n, 3), and the variance, (n,), given at `knots`."""
         samples = np.column_stack([m_mm, variance_mm2]).reshape(*[CELLS + 1] * 3, 4)
         lanes = [_spline_coefficients(samples[..., lane]) for lane in range(4)]
-        return cls(frame, origin_mm, knot_mm, np.stack(lanes, axis=-1).astype(np.float32))
+        return cls(frame, origin_mm, knot_mm, np.stack(lanes, axis=-1).astype(np.float32), contraction)
 
     def at(self, places_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
         """(n, 3) m and (n,) variance of the wall's place at (n, 3) places."""
@@ -119,7 +132,7 @@ class Warp:
         """Return no change of shape, on the same knots."""
         coefficients = np.zeros_like(self.coefficients)
         coefficients[..., 3] = RIGID_SIGMA_MM**2
-        return replace(self, coefficients=coefficients)
+        return replace(self, coefficients=coefficients, contraction=1.0)
 
 
 @lru_cache(maxsize=4)
@@ -186,7 +199,8 @@ class WarpMotion:
         else:
             now = target.unwarped()
         apart = np.linalg.norm((target.coefficients - now.coefficients)[..., :3], axis=-1)
-        return cls(now, target, start_s, start_s + float(apart.max()) / UPDATE_MM_PER_S)
+        apart_mm = float(apart.max()) + CONTRACTED_MM * abs(target.contraction - now.contraction)
+        return cls(now, target, start_s, start_s + apart_mm / UPDATE_MM_PER_S)
 
     def at(self, t_s: float) -> Warp:
         """Return the warp at one time."""
@@ -194,7 +208,15 @@ class WarpMotion:
             return self.end
         weight = np.float32(self._weight(t_s))
         mixed = self.start.coefficients + weight * (self.end.coefficients - self.start.coefficients)
-        return replace(self.end, coefficients=mixed)
+        contraction = float(self.contraction(np.array([t_s]))[0])
+        return replace(self.end, coefficients=mixed, contraction=contraction)
+
+    def contraction(self, t_s: FloatArray) -> FloatArray:
+        """(n,) how many times as far as in the model the heart contracts, at (n,) times."""
+        weight = np.array([self._weight(t) for t in t_s.tolist()])
+        return np.asarray(
+            self.start.contraction + weight * (self.end.contraction - self.start.contraction)
+        )
 
     def pull(self, places_mm: FloatArray, t_s: FloatArray) -> "Pull":
         """Evaluate the warps at (n, 3) places and (n,) times."""

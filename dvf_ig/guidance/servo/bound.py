@@ -115,7 +115,7 @@ def bind_fixtures(
         structures,
         np.ascontiguousarray(points.T),
         times,
-        np.zeros((2, settings["fixtures"]["path_points"].max())),
+        np.zeros((8, settings["fixtures"]["path_points"].max())),
         settings,
         *bound_feel(options.feel),
     )
@@ -191,7 +191,8 @@ def _packed(part: Evaluator | PathFixture, fixtures: Fixtures) -> FloatArray:
     still = Rigid.identity(model.frame, model.frame)
     if isinstance(part, Evaluator):
         return part.kernel_arguments(still)[1]
-    origin_mm, knot_mm, fractions = model.origin_mm, model.knot_spacing_mm, model.timing.fractions
+    timing = model.timing if part.target.timing is None else part.target.timing
+    origin_mm, knot_mm, fractions = model.origin_mm, model.knot_spacing_mm, timing.fractions
     powers, matrix = np.zeros((0, 4, 4)), still.matrix[:3]
     return packed_fixture(
         origin_mm, knot_mm, fractions, powers, part.law.parameters, BLEND_PATH, None, matrix

@@ -57,7 +57,7 @@ def fixtures_force(
         return status
     pose, phase = pose_at(inputs.pose_and_phase, t_s), phase_at(inputs.pose_and_phase, t_s)
     m.last_phase, m.phase_known = phase[0], 1
-    widen(bound.packed, bound.settings[0].fixtures, inputs.margin_mm)
+    widen(bound.packed, bound.settings[0].fixtures, inputs, t_s)
     place, variance, by_warp = in_model(pose, xyz), 0.0, 0.0
     if inputs.pose_and_phase.warped == 0.0:
         output = forces_on_tip(bound, place, phase[0], None, scratch.forces, scratch.fields)

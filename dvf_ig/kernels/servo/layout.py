@@ -312,7 +312,7 @@ class Bound(NamedTuple):
         packed: (k, p) fixtures (`packed_fixture`); their margins are written to.
         structures: (m,) coefficients of the further structures, one after the other.
         path_points: (3, m) mm of all paths, phase after phase; path_times: their phases' times.
-        path_work: (2, n) working space of `dvf_ig.kernels.path`, n points of the longest path.
+        path_work: (8, n) working space of `dvf_ig.kernels.path`, n points of the longest path.
         settings: (1,) SETTINGS.
         tissue: (1,) TISSUE; tissue_motion: (n, c, c, 4 c) float32 pull-backs to end-diastole;
             tissue_properties: (x, y, z, 4) float32 stiffness in N/mm, damping in N·s/mm, friction, texture.

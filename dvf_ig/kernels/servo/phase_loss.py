@@ -157,7 +157,7 @@ def cross_to_walls(
         return status
     pose = pose_at(pose_phase, t_s)
     place = in_model(pose, xyz)
-    widen(bound.packed, bound.settings[0].fixtures, inputs.margin_mm)
+    widen(bound.packed, bound.settings[0].fixtures, inputs, t_s)
     if tool.shaft_mm > 0.0:
         shaft_status = find_shaft(tool, inputs, xyz, scratch.shaft)
         if shaft_status != code.OK:

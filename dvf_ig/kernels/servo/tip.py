@@ -9,12 +9,12 @@ from typing import Any
 from dvf_ig.core import FloatArray
 from dvf_ig.kernels import status as code
 from dvf_ig.kernels.compiled import inlined, kernel
-from dvf_ig.kernels.dynamic import force_at, forces_on_surface
-from dvf_ig.kernels.fixture_field import BLEND, BLEND_PERIODIC, DEPTH, LAW, Output, no_output
+from dvf_ig.kernels.dynamic import contracted_by_mm, force_at, forces_on_surface
+from dvf_ig.kernels.fixture_field import BLEND, BLEND_PERIODIC, CONTRACTION, DEPTH, LAW, Output, no_output
 from dvf_ig.kernels.path import path_force
 from dvf_ig.kernels.place import Columns
 from dvf_ig.kernels.vectors import Vector
-from dvf_ig.kernels.warp import Slope, known_share, output_through, warp_at, warped_vector
+from dvf_ig.kernels.warp import Slope, contraction_at, known_share, output_through, warp_at, warped_vector
 from dvf_ig.kernels.worst_phase import worst_phase_force
 
 from .borrowed import borrowed_block
@@ -33,9 +33,11 @@ def in_model(pose: Columns, p: FloatArray) -> Vector:
 
 
 @inlined
-def widen(packed: FloatArray, fixtures: Any, margin_mm: FloatArray) -> None:
-    """Set the laws to those with the published margins."""
+def widen(packed: FloatArray, fixtures: Any, inputs: Any, t_s: float) -> None:
+    """Set the laws to those with the published margins, and the contraction to that at a time."""
+    margin_mm, contraction = inputs.margin_mm, contraction_at(inputs.pose_and_phase, t_s)[0]
     for i in range(len(packed)):
+        packed[i, CONTRACTION] = contraction
         margin = margin_mm[i]
         packed[i, LAW + 1] = fixtures.base_width[i] + fixtures.widen_width[i] * margin
         packed[i, DEPTH] = fixtures.base_depth_mm[i] + fixtures.widen_depth[i] * margin
@@ -158,7 +160,7 @@ def warped_forces_on_tip(
     forces: FloatArray,
     fields: FloatArray,
 ) -> tuple[Output, float, float]:
-    """`forces_on_tip` through the warp, variance of the wall's place, −∂d/∂t by the warp's motion.
+    """`forces_on_tip` through the warp, variance of the wall's place, −∂d/∂t by its motion and contraction's.
 
     The output's distance and gradient are those through the warp (`through_warp`).
     """
@@ -171,6 +173,10 @@ def warped_forces_on_tip(
         for k in range(3):
             forces[i, k] *= share
     output, by_warp = output_through(output, slope, share, moving)
+    per_s, on_surface = contraction_at(inputs.pose_and_phase, t_s)[1], bound.settings[0].fixtures.first
+    if per_s != 0.0 and on_surface < len(bound.packed):
+        of_model, f = surface_coefficients(bound, on_surface), bound.packed[on_surface]
+        by_warp -= per_s * contracted_by_mm(of_model, f, at, phi)
     return output, variance, by_warp
 
 

@@ -17,15 +17,15 @@ from typing import Any
 from dvf_ig.core import FloatArray
 from dvf_ig.kernels import status as code
 from dvf_ig.kernels.compiled import inlined
-from dvf_ig.kernels.dynamic import field_at
-from dvf_ig.kernels.fixture_field import TIMES
-from dvf_ig.kernels.lanes import fma, load_row, pack, unpack
+from dvf_ig.kernels.dynamic import contracted_by_mm, field_at
+from dvf_ig.kernels.fixture_field import CONTRACTION, TIMES
+from dvf_ig.kernels.lanes import fma, load_row, pack, scale, unpack
 from dvf_ig.kernels.laws import direction_certainty
 from dvf_ig.kernels.phase import phase_bracket
 from dvf_ig.kernels.place import phase_at, pose_at, status_at
 from dvf_ig.kernels.pose_and_phase import distance_rate_and_sigma
 from dvf_ig.kernels.vectors import Vector, dot
-from dvf_ig.kernels.warp import known_share, mixed, spline_at, through_warp, warp_at
+from dvf_ig.kernels.warp import contraction_at, known_share, mixed, spline_at, through_warp, warp_at
 
 from .fixtures import clear
 from .tip import in_model
@@ -64,13 +64,21 @@ def _properties(bound: Any, x: Vector) -> tuple[float, float, float, float]:
 
 @inlined
 def _material(bound: Any, foot: Vector, phi: float) -> tuple[Vector, Any]:
-    """Map a place of the model at a phase to the material, with the three rows (0, ∂m_c/∂x…) there."""
+    """Map a place of the model at a phase to the material, with the three rows (0, ∂m_c/∂x…) there.
+
+    A heart that contracts g times as far has moved g times as far.
+    """
     motion, times = bound.tissue_motion, bound.packed[0]
     first, second, alpha, _ = phase_bracket(times, TIMES, len(motion), phi)
     m0, x0, y0, z0 = spline_at(motion, first, bound.tissue[0], foot)
     m1, x1, y1, z1 = spline_at(motion, second, bound.tissue[0], foot)
-    mx, my, mz, _ = unpack(mixed(alpha, m0, m1))
-    slopes = (unpack(mixed(alpha, x0, x1)), unpack(mixed(alpha, y0, y1)), unpack(mixed(alpha, z0, z1)))
+    g = times[CONTRACTION]
+    mx, my, mz, _ = unpack(scale(g, mixed(alpha, m0, m1)))
+    slopes = (
+        unpack(scale(g, mixed(alpha, x0, x1))),
+        unpack(scale(g, mixed(alpha, y0, y1))),
+        unpack(scale(g, mixed(alpha, z0, z1))),
+    )
     return (foot[0] - mx, foot[1] - my, foot[2] - mz), slopes
 
 
@@ -115,6 +123,8 @@ def tissue_force(bound: Any, scratch: Any, inputs: Any, t_s: float, xyz: FloatAr
     pose, phase = pose_at(p, t_s), phase_at(p, t_s)
     at = in_model(pose, xyz)
     variance, by_warp, share = 0.0, 0.0, 1.0
+    contraction, per_s = contraction_at(p, t_s)
+    bound.packed[0, CONTRACTION] = contraction
     if p.warped != 0.0:
         at, slope, variance, moving = warp_at(scratch.warps, p, t_s, at)
         share = known_share(variance)
@@ -122,6 +132,8 @@ def tissue_force(bound: Any, scratch: Any, inputs: Any, t_s: float, xyz: FloatAr
         if status == code.OK:
             distance_mm, gradient = through_warp(slope, d, g)
             by_warp = dot(g, moving)
+            if per_s != 0.0:
+                by_warp -= per_s * contracted_by_mm(bound.linear, bound.packed[0], at, phase[0])
     else:
         status, d, g, rate = field_at(bound.linear, bound.packed[0], at, phase[0])
         distance_mm, gradient = d, g

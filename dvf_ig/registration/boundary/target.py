@@ -5,7 +5,7 @@ the surface of a fixture model (the epicardium). Both are cubic splines of signe
 Samples of the blood's distance serve as spline coefficients unfiltered: that smooths them by 0.58 voxels.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,6 +56,16 @@ class BoundaryTarget:
     def nearest_phase(self, model_phase: FloatArray) -> IntArray:
         """(n,) index of the phase nearest in the cycle."""
         return nearest_phase(self.fractions, model_phase)
+
+    @property
+    def rest(self) -> int:
+        """Index of the phase nearest to the R peak, from which the heart contracts."""
+        return int(nearest_phase(self.fractions, np.zeros(1))[0])
+
+    def contracting(self, contraction: float) -> "BoundaryTarget":
+        """Return the boundary of a heart that contracts so many times as far."""
+        at_rest, share = self.coefficients[self.rest], np.float32(contraction)
+        return replace(self, coefficients=at_rest + share * (self.coefficients - at_rest))
 
 
 def target_from_labels(labels: VolumeSeries, model_phase: FloatArray) -> BoundaryTarget:

@@ -6,6 +6,7 @@ the model. It contains what the registered pose is off by.
 """
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,7 +16,17 @@ from dvf_ig.registration.boundary.target import BoundaryTarget
 from dvf_ig.registration.pose_chart import DISTINCT_MM
 
 from .blocks import BlockedMatch
-from .estimate import LARGEST_SLOPE, MODES, Places, ShapeEstimate, estimate_of, modes_of
+from .estimate import (
+    AS_IN_MODEL,
+    LARGEST_SLOPE,
+    MODES,
+    Contraction,
+    Places,
+    ShapeEstimate,
+    contracting,
+    estimate_of,
+    modes_of,
+)
 from .modes import ShapeModes
 from .posterior import ImagedBlocks, SeenBoundary, ShapePosterior, ShapeProblem
 
@@ -31,6 +42,8 @@ errors of poor images would count as a change of shape."""
 LEAST_EVIDENCE = 20.0
 """Logarithm of the odds against a rigid heart from which its shape counts as changed: up to 16 in ten
 threshold hearts that have not."""
+CONTRACTION_SIGMA = 0.07
+"""Standard deviation of a contraction that was found, as a share of the model's."""
 LEAST_POINTS = 150
 """Points near the model's boundary below which nothing is said of the shape."""
 PATCH_MM, PATCH_POINTS = 30.0, 8
@@ -144,11 +157,15 @@ class ShapeChange:
     @property
     def sentence(self) -> str:
         """Which wall lies elsewhere, and by how much."""
-        way = "out" if self.shift_mm > 0 else "in"
+        way, contraction = "out" if self.shift_mm > 0 else "in", self.estimate.contraction
+        beating = ""
+        if contraction is not AS_IN_MODEL:
+            spread = 1.96 * contraction.sigma
+            beating = f"; it contracts {contraction.factor:.2f} times as far (± {spread:.2f})"
         return (
             f"the heart's shape differs from that in the pre-operative images: the {self.wall} wall lies "
             f"{abs(self.shift_mm):.1f} mm further {way} (± {1.96 * self.sigma_mm:.1f}), the seen walls "
-            f"{self.seen_mm:.1f} mm RMS"
+            f"{self.seen_mm:.1f} mm RMS{beating}"
         )
 
 
@@ -171,23 +188,21 @@ def change_of_shape(
     """
     modes = modes_of(boundary.target, tuple(center_mm.tolist()))
     images = None if match is None else ImagedBlocks(match, pose, modes, MODES)
-    seen = SeenBoundary(boundary, offset_mm, pose, organ)
-    problem = ShapeProblem(seen, modes, MODES)
-    if len(problem) < LEAST_POINTS:
+    fit = _most_likely_change(SeenBoundary(boundary, offset_mm, pose, organ), modes, images)
+    if fit is None:
         return None
-    about = problem.fit(ABOUT_SCALE_MM, NOISE_FACTORS[0], images=images)
-    if np.linalg.norm(about.state[:6]) > DISTINCT_MM:
+    contraction = _contraction(fit)
+    if contraction is not AS_IN_MODEL:
+        contracted = replace(boundary, target=contracting(boundary.target, contraction.factor))
+        fit = _most_likely_change(SeenBoundary(contracted, offset_mm, pose, organ), modes, images)
+        if fit is None:
+            return None
+    elif fit.evidence < LEAST_EVIDENCE:
         return None
-    problem = ShapeProblem(seen, modes, MODES, about)
-    if len(problem) < LEAST_POINTS:
-        return None
-    best, noise = _most_likely(problem, about)
-    evidence = best.log_evidence - problem.fit(0.0, noise).log_evidence
-    if evidence < LEAST_EVIDENCE:
-        return None
-    best = problem.fit(best.scale_mm, noise, best, images=images)
-    estimate = estimate_of(best, noise, problem.level, boundary.target, organ, modes.center_mm)
-    change = _change(estimate, problem, modes, evidence)
+    problem, noise = fit.problem, fit.noise
+    best = problem.fit(fit.best.scale_mm, noise, fit.best, images=images)
+    estimate = estimate_of(best, noise, problem.level, boundary.target, organ, modes.center_mm, contraction)
+    change = _change(estimate, problem, modes, fit.evidence)
     if change.followed is None:
         return change
     frame = np.cumsum(np.diff(problem.model_phase, prepend=0.0) != 0.0)
@@ -198,6 +213,45 @@ def change_of_shape(
     first, last = SYSTOLE
     systole = (problem.model_phase > first) & (problem.model_phase < last)
     return replace(change, phases=_halves(problem, systole, best, noise))
+
+
+class _Fit(NamedTuple):
+    """The most likely change of shape, its noise, and the logarithm of the odds against a rigid heart."""
+
+    problem: ShapeProblem
+    best: ShapePosterior
+    noise: float
+    evidence: float
+
+
+def _most_likely_change(seen: SeenBoundary, modes: ShapeModes, images: ImagedBlocks | None) -> _Fit | None:
+    """Fit at the noise and the scale that are most likely; None if too little is seen, or another pose."""
+    problem = ShapeProblem(seen, modes, MODES)
+    if len(problem) < LEAST_POINTS:
+        return None
+    about = problem.fit(ABOUT_SCALE_MM, NOISE_FACTORS[0], images=images)
+    if np.linalg.norm(about.state[:6]) > DISTINCT_MM:
+        return None
+    problem = ShapeProblem(seen, modes, MODES, about)
+    if len(problem) < LEAST_POINTS:
+        return None
+    best, noise = _most_likely(problem, about)
+    return _Fit(problem, best, noise, best.log_evidence - problem.fit(0.0, noise).log_evidence)
+
+
+def _contraction(fit: _Fit) -> Contraction:
+    """How far the heart contracts, if the boundary shows that it is not as far as in the model.
+
+    A heart that contracts otherwise need not have changed its shape, though it looks like it.
+    """
+    problem, best, noise = fit.problem, fit.best, fit.noise
+    changed = problem.fit(best.scale_mm, noise, best, contraction=True)
+    rigid = problem.fit(0.0, noise, contraction=True)
+    likely = max(changed, rigid, key=lambda one: one.log_evidence)
+    before = max(best.log_evidence, best.log_evidence - fit.evidence)
+    if likely.log_evidence - before < LEAST_EVIDENCE:
+        return AS_IN_MODEL
+    return Contraction(1.0 + float(likely.state[-1]), CONTRACTION_SIGMA)
 
 
 def _most_likely(problem: ShapeProblem, about: ShapePosterior) -> tuple[ShapePosterior, float]:

@@ -11,6 +11,7 @@ right whatever their errors share (covariance intersection: Julier and Uhlmann 1
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -58,8 +59,20 @@ BEAT_POINTS, LEAST_BEAT_POINTS = 150, 30
 """Most points of one beat that count, and the fewest that say something. Beats after beats share more of the
 boundary's error than w holds: with 500 points errors of the walls of threshold sessions 2113 and 2114 are
 1.08 and 1.09 of their standard deviations, with 150 they are 0.89 and 0.97, and no larger."""
+INSIDE = 1e-6
+"""How far within the box of a spline places are that are moved into it, in knots."""
 LARGEST_SLOPE = 0.5
 """Largest ‖Dm‖: 0.43 in threshold hearts 5 mm different, where the wall is right; folds begin at 1."""
+
+
+class Contraction(NamedTuple):
+    """How many times as far as in the model the heart contracts, and the standard deviation of that."""
+
+    factor: float
+    sigma: float
+
+
+AS_IN_MODEL = Contraction(1.0, 0.0)
 
 
 @read_only_arrays
@@ -133,6 +146,7 @@ class ShapeEstimate:
         level: about which o and τ are counted.
         target: boundary of blood in the model; organ: its outer surface, see `SeenBoundary`.
         center_mm: (3,) about which poses turn, target frame.
+        contraction: at which the state explains the boundary; it stays as the registration found it.
         warp: the pull-back m, with the variance of the wall's place along its normal, the pose's included.
         walls: how well it knows those that are guarded.
     """
@@ -143,6 +157,7 @@ class ShapeEstimate:
     target: BoundaryTarget
     organ: BoundaryTarget | None
     center_mm: FloatArray
+    contraction: Contraction
     warp: Warp
     walls: GuardedWalls
 
@@ -164,7 +179,8 @@ class ShapeEstimate:
         Args:
             pose: target_from_source, of the estimate.
         """
-        boundary = Boundary(points.subsampled(BEAT_POINTS), self.target)
+        target = contracting(self.target, self.contraction.factor)
+        boundary = Boundary(points.subsampled(BEAT_POINTS), target)
         seen = SeenBoundary(boundary, self.level.offset_mm, pose, self.organ)
         modes = modes_of(self.target, tuple(self.center_mm.tolist()))
         problem = ShapeProblem(seen, modes, MODES, self.posterior, self.level)
@@ -199,7 +215,8 @@ class ShapeEstimate:
 
     def of(self, posterior: ShapePosterior) -> "ShapeEstimate":
         """Return another state of the same heart at the same pose."""
-        return estimate_of(posterior, self.noise, self.level, self.target, self.organ, self.center_mm)
+        of_heart = self.target, self.organ, self.center_mm
+        return estimate_of(posterior, self.noise, self.level, *of_heart, self.contraction)
 
 
 def estimate_of(
@@ -209,27 +226,46 @@ def estimate_of(
     target: BoundaryTarget,
     organ: BoundaryTarget | None,
     center_mm: FloatArray,
+    contraction: Contraction = AS_IN_MODEL,
 ) -> ShapeEstimate:
     """Evaluate a state on the knots of a warp, and at the walls."""
     center = tuple(center_mm.tolist())
-    warp = _warp(posterior, target, center)
-    walls = _guarded_walls(posterior, target, center)
-    return ShapeEstimate(posterior, noise, level, target, organ, center_mm, warp, walls)
+    warp = _warp(posterior, target, center, contraction)
+    walls = _guarded_walls(posterior, target, center, contraction)
+    return ShapeEstimate(posterior, noise, level, target, organ, center_mm, contraction, warp, walls)
 
 
-def _warp(posterior: ShapePosterior, target: BoundaryTarget, center_mm: tuple[float, ...]) -> Warp:
+@lru_cache(maxsize=2)
+def contracting(target: BoundaryTarget, factor: float) -> BoundaryTarget:
+    """The boundary of a heart that contracts so many times as far, which beats after beats take."""
+    return target if factor == 1.0 else target.contracting(factor)
+
+
+def _warp(
+    posterior: ShapePosterior,
+    target: BoundaryTarget,
+    center_mm: tuple[float, ...],
+    contraction: Contraction,
+) -> Warp:
     """Evaluate a state on the knots of a heart's warps."""
     places, (origin_mm, knot_mm) = _at_knots(target, center_mm), _knots_of(target, center_mm)
     pulled, variance = places.pulled_mm(posterior), places.variance_mm2(posterior)
-    return Warp.through(target.frame, origin_mm, knot_mm, pulled, variance)
+    if contraction.sigma > 0.0:
+        variance = variance + (contraction.sigma * _beaten_at_knots_mm(target, center_mm)) ** 2
+    return Warp.through(target.frame, origin_mm, knot_mm, pulled, variance, contraction.factor)
 
 
 def _guarded_walls(
-    posterior: ShapePosterior, target: BoundaryTarget, center_mm: tuple[float, ...]
+    posterior: ShapePosterior,
+    target: BoundaryTarget,
+    center_mm: tuple[float, ...],
+    contraction: Contraction,
 ) -> GuardedWalls:
     """Evaluate a state at walls whose place is certain enough for a force, or at all if none is."""
     places = _at_walls(target, center_mm)
     columns, alone = places.covariance_along(posterior)
+    if contraction.sigma > 0.0:
+        alone = alone + (contraction.sigma * _beaten_mm(target, _walls_mm(target))) ** 2
     variance = (columns**2).sum(axis=1) + alone
     served = variance <= LARGEST_MM2
     if not served.any():
@@ -263,6 +299,28 @@ def _at_walls(target: BoundaryTarget, center_mm: tuple[float, ...]) -> Places:
     return Places.at(modes, places, _outward(target, places, modes.center_mm))
 
 
+@lru_cache(maxsize=2)
+def _beaten_at_knots_mm(target: BoundaryTarget, center_mm: tuple[float, ...]) -> FloatArray:
+    return _beaten_mm(target, knots(*_knots_of(target, center_mm)))
+
+
+def _beaten_mm(target: BoundaryTarget, places_mm: FloatArray) -> FloatArray:
+    """(n,) how far the distance of the boundary changes most over the cycle at (n, 3) places."""
+    inner = _within_box(target, places_mm)
+    splines = DistanceSplines(target.coefficients, target.knots_from_mm, target.polarity)
+    distance, gradient = np.empty((len(target.fractions), len(inner))), np.empty((len(inner), 3))
+    for phase, of_phase in enumerate(distance):
+        boundary_distances(splines, np.full(len(inner), phase), inner, of_phase, gradient)
+    return np.asarray(np.abs(distance - distance[target.rest]).max(axis=0))
+
+
+def _within_box(target: BoundaryTarget, places_mm: FloatArray) -> FloatArray:
+    """(n, 3) places, or the nearest ones in the box of the boundary's splines."""
+    box = np.array(target.coefficients.shape[1:]) - 3.0
+    inner = np.clip(places_mm @ target.knots_from_mm[:, :3].T + target.knots_from_mm[:, 3], INSIDE, box - INSIDE)
+    return np.asarray((inner - target.knots_from_mm[:, 3]) @ np.linalg.inv(target.knots_from_mm[:, :3]).T)
+
+
 def _knots_of(target: BoundaryTarget, center_mm: tuple[float, ...]) -> tuple[FloatArray, float]:
     """(3,) first knot of a heart's warps, and their pitch."""
     nodes_mm = modes_of(target, center_mm).nodes_mm
@@ -282,9 +340,7 @@ def _walls_mm(target: BoundaryTarget) -> FloatArray:
 
 def _outward(target: BoundaryTarget, places_mm: FloatArray, center_mm: FloatArray) -> FloatArray:
     """(n, 3) normals of the first phase's boundary nearest to places, or away from the centre without one."""
-    box = np.array(target.coefficients.shape[1:]) - 3.0
-    inner = np.clip(places_mm @ target.knots_from_mm[:, :3].T + target.knots_from_mm[:, 3], 0.0, box)
-    inside = (inner - target.knots_from_mm[:, 3]) @ np.linalg.inv(target.knots_from_mm[:, :3]).T
+    inside = _within_box(target, places_mm)
     distance, gradient = np.empty(len(inside)), np.empty((len(inside), 3))
     splines = DistanceSplines(target.coefficients, target.knots_from_mm, target.polarity)
     boundary_distances(splines, np.zeros(len(inside), dtype=np.int64), inside, distance, gradient)

@@ -51,6 +51,8 @@ OUTLIER_MM = 1.25
 REACH_MM = 10.0
 """Points further from the model's boundary than this at the given pose do not count."""
 POINTS = 2500
+CONTRACTION_SIGMA = 0.35
+"""Standard deviation of how much further a heart contracts than in the MR, as a share."""
 STEPS = 6
 """Most steps of a descent with OUTLIER_MM, unless fewer do."""
 FAR = (3.0, 3.0, 3.0)
@@ -178,6 +180,7 @@ class ShapeProblem:
         self._splines = DistanceSplines(
             boundary.target.coefficients, boundary.target.knots_from_mm, boundary.target.polarity
         )
+        self._rest = boundary.target.rest
         places, phases = pose.apply_array(oriented.points), oriented.phases
         pulled = places
         if about is not None:
@@ -221,7 +224,7 @@ class ShapeProblem:
         """Keep some of the points."""
         some = copy(self)
         for name, of_points in vars(self).items():
-            if name not in ("_splines", "level"):
+            if name not in ("_splines", "_rest", "level"):
                 setattr(some, name, of_points[keep])
         return some
 
@@ -238,6 +241,7 @@ class ShapeProblem:
         begin: ShapePosterior | None = None,
         steps: int = STEPS,
         images: ImagedBlocks | None = None,
+        contraction: bool = False,
     ) -> ShapePosterior:
         """Fit at one scale of the change of shape; 0 keeps the heart rigid.
 
@@ -246,14 +250,17 @@ class ShapeProblem:
             begin: fit to begin at.
             steps: most steps with OUTLIER_MM.
             images: whose LC2 counts as well, at steps with OUTLIER_MM; None: the boundary alone.
+            contraction: whether the last of the state is how much further the heart contracts, as a share.
         """
         modes = self._modes if scale_mm > 0 else self._modes[:, :, :0]
         count, rows, variance = modes.shape[2], noise * self._shared, self._variance(scale_mm, noise)
-        prior = np.full(FIXED + count, max(scale_mm, 1e-3) ** -2.0)
+        prior = np.full(FIXED + count + contraction, max(scale_mm, 1e-3) ** -2.0)
         prior[:FIXED] = [POSE_SIGMA_MM**-2] * 6 + [OFFSET_SIGMA_MM**-2, THIN_SIGMA_MM**-2]
-        state, w = np.zeros(FIXED + count), np.zeros(rows.shape[1])
+        prior[FIXED + count :] = CONTRACTION_SIGMA**-2
+        state, w = np.zeros(len(prior)), np.zeros(rows.shape[1])
         if begin is not None:
-            state[: len(begin.state)] = begin.state
+            kept = min(len(begin.state), FIXED + count)
+            state[:kept] = begin.state[:kept]
         far = FAR if begin is None or begin.scale_mm == 0.0 else ()
         for step in range(len(far) + steps):
             outlier = OUTLIER_MM * (far[step] if step < len(far) else 1.0)
@@ -337,12 +344,20 @@ class ShapeProblem:
 
     def _expansion(self, state: FloatArray, modes: FloatArray) -> tuple[FloatArray, FloatArray]:
         """(n,) residual without the shared error, and (n, FIXED + k) its derivative by the state."""
-        pulled = self.places_mm + self._motion @ state[:6] - modes @ state[FIXED:]
+        shape, contraction = np.split(state[FIXED:], [modes.shape[2]])
+        pulled = self.places_mm + self._motion @ state[:6] - modes @ shape
         distance, gradient = self._distance(pulled, self._phases)
+        moved = np.zeros((len(distance), len(contraction)))
+        if len(contraction):
+            at_rest, gradient_at_rest = self._distance(pulled, np.full_like(self._phases, self._rest))
+            moved[:, 0] = distance - at_rest
+            distance = distance + contraction[0] * moved[:, 0]
+            gradient = gradient + contraction[0] * (gradient - gradient_at_rest)
         columns = [
             np.einsum("ni,nip->np", gradient, self._motion),
             -self._offsets,
             -np.einsum("ni,nik->nk", gradient, modes),
+            moved,
         ]
         offset = self._offsets @ (state[6:FIXED] + np.array([self.level.offset_mm, 0.0]))
         residual = distance - self._edge_mm - offset

@@ -67,10 +67,10 @@ class Anatomy:
         """Look up the labels at (rows, columns, 3) positions of the pose's source frame; None without any."""
         if self.model is None or self.model.tissue is None:
             return None
-        there = pose.apply_array(xyz_mm.reshape(-1, 3))
+        there, tissue = pose.apply_array(xyz_mm.reshape(-1, 3)), self.model.tissue
         if self.warp is not None:
-            there = self.warp.model_places(there)
-        values = self.model.tissue.label_at(there, model_phase, self.model.timing)
+            there, tissue = self.warp.model_places(there), tissue.contracting(self.warp.contraction)
+        values = tissue.label_at(there, model_phase, self.model.timing)
         return values.astype(np.uint8).reshape(xyz_mm.shape[:2])
 
     def plane(self, pose: Rigid, xyz_mm: FloatArray, model_phase: float) -> AnatomyPlane:

@@ -39,6 +39,8 @@ def label_fields(replay: Replay) -> dict[str, Any] | None:
         return None
     frames, timing = attempt.frames, replay.heart.model.timing
     warp, shape = change_of_shape(attempt), (images.shape[1], images.shape[2])
+    if warp is not None:
+        tissue = tissue.contracting(warp.contraction)
     estimated: list[IntArray] = []
     true: list[IntArray] = []
     chosen = np.linspace(0, len(frames.used) - 1, FRAMES).astype(int)

@@ -296,9 +296,9 @@ def wall_errors_mm(
         places_mm: (n, 3) where the registered pose puts them, model frame; phases: (n,).
         warp: change of shape that is followed; None: the heart is guarded as rigid.
     """
-    variance_mm2 = np.full(len(places_mm), RIGID_SIGMA_MM**2)
+    variance_mm2, contraction = np.full(len(places_mm), RIGID_SIGMA_MM**2), 1.0
     if warp is not None:
         m_mm, variance_mm2 = warp.at(places_mm)
-        places_mm = places_mm - m_mm
-    wall = Evaluator(model, Sigmoid()).force(places_mm, phases)
+        places_mm, contraction = places_mm - m_mm, warp.contraction
+    wall = Evaluator(model, Sigmoid(), contraction=contraction).force(places_mm, phases)
     return wall.distance_mm / np.linalg.norm(wall.gradient, axis=1), variance_mm2

@@ -98,6 +98,7 @@ def _shape_change(shape: ShapeChange | None) -> dict[str, Any] | None:
         "seen_walls_mm": shape.seen_mm,
         "scale_mm": shape.scale_mm,
         "log_evidence": shape.evidence,
+        "contraction": shape.warp.contraction,
         "steepest": shape.warp.steepest,
         "shared_error": shape.shared,
         "held_out": None if shape.halves is None else _finite(shape.halves.held_out),

@@ -137,7 +137,7 @@ def heart_payload(model: DvfModel, fixtures: FixtureSet | None, warp: Warp | Non
             shown = CycleSurface(organ.vertices_mm, organ.triangles[part])
             surfaces.append(_surface(model.surface_name, role, shown))
     surfaces += [
-        _surface(chamber.name, "blood", _now(cycle_surface(chamber.surfaces, BLOOD_PITCH_MM), warp))
+        _surface(chamber.name, "blood", _now(cycle_surface(chamber.surfaces, BLOOD_PITCH_MM), model, warp))
         for chamber in model.chambers
     ]
     surfaces += [] if warp is None else [_patient_surface(model, organ, warp)]
@@ -150,17 +150,19 @@ def heart_payload(model: DvfModel, fixtures: FixtureSet | None, warp: Warp | Non
     }
 
 
-def _now(surface: CycleSurface, warp: Warp | None) -> CycleSurface:
-    """Move a surface of the MR to where the patient has it."""
+def _now(surface: CycleSurface, model: DvfModel, warp: Warp | None) -> CycleSurface:
+    """Move a surface of the MR to where the patient has it in each phase."""
     if warp is None:
         return surface
-    moved = np.stack([warp.patient_places(vertices) for vertices in surface.vertices_mm])
+    at_rest = surface.vertices_mm[model.rest_phase]
+    contracted = at_rest + warp.contraction * (surface.vertices_mm - at_rest)
+    moved = np.stack([warp.patient_places(vertices) for vertices in contracted])
     return CycleSurface(moved, surface.triangles)
 
 
 def _patient_surface(model: DvfModel, organ: CycleSurface, warp: Warp) -> dict[str, Any]:
     """Encode the organ's surface as the patient has it, with its certain shifts at end-diastole."""
-    moved = _now(organ, warp)
+    moved = _now(organ, model, warp)
     before = Mesh(model.frame, organ.vertices_mm[model.ed_phase], organ.triangles)
     outward, sigma_mm = normal_shifts(before, moved.vertices_mm[model.ed_phase], warp)
     too_uncertain = sigma_mm > LARGEST_SIGMA_MM
@@ -224,7 +226,7 @@ def _fixture_surfaces(
         label = "aim" if aim else f"from {SHARE_OF_CAP * one.law.cap_n:.2g} N"
         evaluator = Evaluator(of, one.law, withhold_unseen=False)
         surface = _through_cycle(fixture_surface(surfaces[of], evaluator, level), of, model)
-        surface = _now(surface, warp)
+        surface = _now(surface, model, warp)
         name = one.name or ("guidance" if aim else "forbidden region")
         out.append(_surface(name, "fixture", surface, level_mm=round(level, 3), label=label, fixture=number))
     return out
@@ -280,6 +282,7 @@ def labels_payload(tissue: Tissue, warp: Warp | None) -> dict[str, Any]:
         warp: change of the heart's shape since the MR, through which the labels are shown.
     """
     grid = tissue.labels.grid
+    tissue = tissue if warp is None else tissue.contracting(warp.contraction)
     return {
         "kinds": [_label_kind(value, name) for value, name in tissue.names],
         "origin_mm": grid.origin_mm.tolist(),
