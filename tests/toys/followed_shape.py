@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from dvf_ig.core import Rigid, Warp
-from dvf_ig.registration.shape.estimate import GuardedWalls
+from dvf_ig.registration.shape.estimate import AS_IN_MODEL, Contraction, GuardedWalls
 
 SURE_WALLS = GuardedWalls(np.eye(6), 0.1, 0.01)
 
@@ -17,6 +17,7 @@ class FollowedShape:
 
     warp: Warp
     walls: GuardedWalls = SURE_WALLS
+    contraction: Contraction = AS_IN_MODEL
 
     def predicted(self, beats: float) -> "FollowedShape":
         return self

@@ -99,7 +99,8 @@ class ShapeChange:
             outward; sigma_mm: its standard deviation.
         shared: mean square of the boundary's shared error after the change, see `ShapePosterior`.
         halves: what every second group of frames shows and the others show; None if fixtures cannot follow.
-        phases: what systole shows and the rest of the cycle shows, of a small change; None if it is large.
+        phases: what systole shows and the rest of the cycle shows, of a small change; None if it is large, or
+            the heart contracts otherwise.
         partly: the heart's images cover it in part, so that nothing shows how the rest has changed.
     """
 
@@ -208,7 +209,7 @@ def change_of_shape(
     frame = np.cumsum(np.diff(problem.model_phase, prepend=0.0) != 0.0)
     odd = frame // HELD_OUT_FRAMES % 2 == 1
     change = replace(change, halves=_halves(problem, odd, best, noise))
-    if change.needed or change.followed is None:
+    if change.needed or change.followed is None or contraction is not AS_IN_MODEL:
         return change
     first, last = SYSTOLE
     systole = (problem.model_phase > first) & (problem.model_phase < last)
