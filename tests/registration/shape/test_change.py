@@ -15,7 +15,7 @@ from dvf_ig.registration.boundary.fit import Boundary
 from dvf_ig.registration.boundary.points import BoundaryPoints
 from dvf_ig.registration.pose_chart import PoseChart, rigid_motion
 from dvf_ig.registration.shape.change import Halves, ShapeChange, change_of_shape
-from dvf_ig.registration.shape.estimate import ShapeEstimate
+from dvf_ig.registration.shape.estimate import AS_IN_MODEL, ShapeEstimate
 from dvf_ig.registration.shape.modes import shape_modes
 
 CENTER = np.array([5.0, -10.0, 20.0])
@@ -30,19 +30,25 @@ PRESSED = CENTER + np.array([24.0, -24.0, 0.0])
 """Where a retractor presses: the front of the left chamber. The right one is fuller."""
 
 
-@lru_cache(maxsize=1)
-def _target() -> BoundaryTarget:
-    """Two ellipsoids of blood, each within a wall of 8 mm."""
+BEATS_MM = 6.0
+"""How far the walls of a beating heart move inwards at systole."""
+
+
+@lru_cache(maxsize=2)
+def _target(*, beating: bool = False) -> BoundaryTarget:
+    """Two ellipsoids of blood, each within a wall of 8 mm; at two phases, the second contracted, if it beats."""
     grid = Grid.axis_aligned("mr", (72, 56, 64), CENTER - np.array([71.0, 55.0, 63.0]), 2.0)
     index = np.stack(np.meshgrid(*(np.arange(n) for n in grid.shape), indexing="ij"), axis=-1)
     places = grid.to_mm(index.reshape(-1, 3).astype(np.float64))
-    labels = np.zeros(len(places), dtype=np.uint8)
-    for label, wall_mm in ((WALL, 8.0), (BLOOD, 0.0)):
-        for middle, radii in CHAMBERS:
-            labels[np.linalg.norm((places - middle) / (radii + wall_mm), axis=1) < 1.0] = label
-    values = np.stack(2 * [labels.reshape(grid.shape)])
+    labels = np.zeros((2, len(places)), dtype=np.uint8)
+    for phase, inward_mm in enumerate((0.0, BEATS_MM if beating else 0.0)):
+        for label, wall_mm in ((WALL, 8.0), (BLOOD, 0.0)):
+            for middle, radii in CHAMBERS:
+                within = np.linalg.norm((places - middle) / (radii + wall_mm - inward_mm), axis=1) < 1.0
+                labels[phase, within] = label
     timing = CycleTiming(np.array([0.0, 0.5]), 0.8)
-    return target_from_labels(VolumeSeries(grid, values, timing), np.zeros(1))
+    used = timing.fractions if beating else np.zeros(1)
+    return target_from_labels(VolumeSeries(grid, labels.reshape(2, *grid.shape), timing), used)
 
 
 def _pressed_mm(places_mm: FloatArray) -> FloatArray:
@@ -54,10 +60,13 @@ def _pressed_mm(places_mm: FloatArray) -> FloatArray:
     return np.asarray(pressed + 0.2 * share * away)
 
 
-def _on_wall(count: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+def _on_wall(
+    count: int, rng: np.random.Generator, inward_mm: float = 0.0
+) -> tuple[FloatArray, FloatArray]:
     """(n, 3) points of the seen part of both chambers, all but their backs, and outward normals."""
     places, normals = [], []
-    for middle, radii in CHAMBERS:
+    for middle, at_rest in CHAMBERS:
+        radii = at_rest - inward_mm
         unit = rng.normal(size=(count // 2, 3))
         unit /= np.linalg.norm(unit, axis=1, keepdims=True)
         unit[unit[:, 1] > 0.6] *= -1.0
@@ -90,6 +99,53 @@ def _boundary(seed: int, *, pressed: float) -> Boundary:
         np.ones(len(seen)),
     )
     return Boundary(points, _target())
+
+
+def _beating_boundary(seed: int, contraction: float) -> Boundary:
+    """Points, to 0.4 mm, of a heart that contracts so many times as far as its model, at both phases."""
+    rng = np.random.default_rng(seed)
+    rest, moved = (_on_wall(1200, rng, inward) for inward in (0.0, contraction * BEATS_MM))
+    wall, normal = (np.concatenate(both) for both in zip(rest, moved, strict=True))
+    seen = wall + rng.normal(scale=0.4, size=(len(wall), 1)) * normal
+    back = POSE.inverse()
+    points = BoundaryPoints(
+        "tracker",
+        back.apply_array(seen),
+        normal @ back.rotation.T,
+        _across(normal) @ back.rotation.T,
+        np.repeat([0.0, 0.5], len(wall) // 2),
+        np.ones(len(wall)),
+    )
+    return Boundary(points, _target(beating=True))
+
+
+@pytest.mark.parametrize("contraction", [0.5, 1.3])
+def test_a_heart_that_contracts_otherwise_is_told_from_one_of_another_shape(contraction: float) -> None:
+    change = change_of_shape(_beating_boundary(1, contraction), 0.0, POSE, CENTER)
+    assert change is not None
+    found = change.estimate.contraction
+    assert found.factor == pytest.approx(contraction, abs=1.96 * found.sigma)
+    assert change.warp.contraction == found.factor
+    assert f"contracts {found.factor:.2f} times as far" in change.sentence
+    assert change.seen_mm < 0.5, "its shape at rest is that of the model"
+    off = change.warp.at(_on_wall(400, np.random.default_rng(2))[0])
+    assert np.sqrt(np.median(off[1])) > found.sigma * BEATS_MM, "in σ, where it is known least"
+
+
+def test_a_heart_that_contracts_as_in_its_model_is_not_said_to_contract_otherwise() -> None:
+    change = change_of_shape(_beating_boundary(1, 1.0), 0.0, POSE, CENTER)
+    assert change is None or change.estimate.contraction is AS_IN_MODEL
+
+
+def test_beats_of_a_heart_that_contracts_otherwise_are_compared_with_how_it_contracts() -> None:
+    boundary = _beating_boundary(1, 0.5)
+    change = change_of_shape(boundary, 0.0, POSE, CENTER)
+    assert change is not None
+    beat = change.estimate.corrected(_beating_boundary(2, 0.5).points, POSE)
+    assert beat.contraction == change.estimate.contraction
+    rest = _on_wall(400, np.random.default_rng(3))[0]
+    assert np.abs(beat.warp.at(rest)[0] - change.warp.at(rest)[0]).max() < 0.5
+    assert beat.walls.variance_mm2 < change.estimate.walls.variance_mm2
 
 
 def _change(seed: int, *, pressed: float) -> ShapeChange | None:
