@@ -31,7 +31,7 @@ POSE = 10
 SEEN = 22
 """Number of slabs of the seen part, 0 if all is known; normal of the slices and width of the ramp follow."""
 CONTRACTION, REST = 27, 28
-"""How many times as far as in the model the heart contracts, and the index of the phase that it contracts from."""
+"""How many times as far as in the model the heart contracts, and the index of its phase at rest."""
 TIMES = 29
 POWERS = 16
 """Count of numbers for each phase that follow the phase times with the periodic blend; bounds of the seen

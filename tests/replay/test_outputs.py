@@ -104,12 +104,12 @@ def test_the_last_pose_in_use_is_the_one_that_is_written(tmp_path: Path) -> None
 
 def test_a_change_of_shape_is_read_as_it_was_written(tmp_path: Path) -> None:
     assert read_shape(tmp_path) is None
-    write_shape(WARP, tmp_path / SHAPE)
+    write_shape(replace(WARP, contraction=0.62), tmp_path / SHAPE)
     read = read_shape(tmp_path)
     assert read is not None
     np.testing.assert_array_equal(read.coefficients, WARP.coefficients)
     np.testing.assert_array_equal(read.origin_mm, WARP.origin_mm)
-    assert (read.frame, read.knot_mm) == ("mr", WARP.knot_mm)
+    assert (read.frame, read.knot_mm, read.contraction) == ("mr", WARP.knot_mm, 0.62)
     content = json.loads((tmp_path / SHAPE).read_text())
     for name, value in (("coefficients", content["coefficients"][:-8]), ("knot_mm", 0.0), ("origin_mm", [1])):
         (tmp_path / SHAPE).write_text(json.dumps({**content, name: value}))

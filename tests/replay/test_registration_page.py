@@ -6,13 +6,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from followed_shape import followed_shape
 from known_patient import registration
 from toy_session import CENTER, HOME
 
-from dvf_ig.core import Stop
+from dvf_ig.core import Stop, Warp
 from dvf_ig.registration import Evidence, RegistrationOptions, RegistrationResult, SurfaceDisagreement
 from dvf_ig.registration.evidence.checks import VOLUME_LIMITS
 from dvf_ig.registration.evidence.phase_offset import SHIFTS, PhaseOffset
+from dvf_ig.registration.shape.change import Halves, ShapeChange
 from dvf_ig.replay.page.registration_checks import checks_of
 from dvf_ig.replay.page.registration_page import ShownInput, registration_page
 from dvf_ig.report.registration import Check, Outcome
@@ -145,6 +147,19 @@ def test_landmarks_overlap_distance_and_geometry_have_their_rows() -> None:
     open_pose = replace(good(), covariance=np.full((6, 6), np.nan))
     assert named(open_pose, "Every direction determined").outcome is Outcome.FAILED
     assert "not determined" in page(open_pose)
+
+
+def test_checks_of_a_change_of_shape_refuse_a_large_one_and_leave_a_small_one_rigid() -> None:
+    warp = Warp("mr", np.zeros(3), 16.0, np.zeros((15, 15, 15, 4), np.float32))
+    halves, systole = Halves(0.8, 0.4), Halves(0.9, 0.6)
+    small = ShapeChange(followed_shape(warp), 1.5, 90.0, 0.9, "left", 2.0, 0.3, 0.2, halves, systole)
+    check = named(replace(good(), shape=small), "Systole")
+    assert (check.value, check.limit, check.outcome) == ("0.60 mm", "at most 0.5 mm", Outcome.RIGID)
+    assert named(replace(good(), shape=small), "Halves of the frames").outcome is Outcome.PASSED
+    large = replace(small, seen_mm=1.2, halves=Halves(0.8, 1.4), phases=None)
+    assert named(replace(good(), shape=large), "Halves of the frames").outcome is Outcome.FAILED
+    assert named(replace(good(), shape=large), "Frames held out").outcome is Outcome.PASSED
+    assert not [check for check in checks_of(replace(good(), shape=large)) if check.name == "Systole"]
 
 
 def test_the_page_says_why_and_what_failed() -> None:

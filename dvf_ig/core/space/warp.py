@@ -1,7 +1,7 @@
 """A smooth change of the heart's shape as a pull-back, and its motion from one estimate to the next.
 
-A heart that contracts otherwise is g times as far from where it is at the R peak: d'(q, φ) = d₀ + g (d_φ − d₀)
-with d₀ the distance at the R peak's phase and d_φ that at φ, both at q'.
+A heart that contracts g times as far as the model has d'(q, φ) = d₀ + g (d_φ − d₀), with d₀ the distance at
+the R peak's phase and d_φ that at φ, both at q'.
 
 What lies at q at the registered pose belongs to q' = q − m(q) in the model. m and the variance of the wall's
 place along its normal are one cubic spline of four lanes, (m_x, m_y, m_z, σ²), on a grid of CELLS³ cells;
@@ -214,9 +214,7 @@ class WarpMotion:
     def contraction(self, t_s: FloatArray) -> FloatArray:
         """(n,) how many times as far as in the model the heart contracts, at (n,) times."""
         weight = np.array([self._weight(t) for t in t_s.tolist()])
-        return np.asarray(
-            self.start.contraction + weight * (self.end.contraction - self.start.contraction)
-        )
+        return np.asarray(self.start.contraction + weight * (self.end.contraction - self.start.contraction))
 
     def pull(self, places_mm: FloatArray, t_s: FloatArray) -> "Pull":
         """Evaluate the warps at (n, 3) places and (n,) times."""

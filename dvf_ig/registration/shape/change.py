@@ -43,9 +43,9 @@ LEAST_EVIDENCE = 20.0
 """Logarithm of the odds against a rigid heart from which its shape counts as changed: up to 16 in ten
 threshold hearts that have not."""
 CONTRACTION_SIGMA = 0.07
-"""Standard deviation of a contraction that was found, as a share of the model's; less than 1.96 of it is none.
+"""Standard deviation of a contraction that was found, as a share of the model's; within 1.96 of it is none.
 Threshold hearts 2111 to 2116 that contract 0.6 times as far show 0.56 to 0.61, unchanged ones 0.94 to 0.96;
-1.3 times as far shows 1.1 to 1.2, if it shows at all."""
+those at 1.3 times show 1.1 to 1.2, if they show it."""
 LEAST_POINTS = 150
 """Points near the model's boundary below which nothing is said of the shape."""
 PATCH_MM, PATCH_POINTS = 30.0, 8

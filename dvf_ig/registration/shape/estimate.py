@@ -317,7 +317,9 @@ def _beaten_mm(target: BoundaryTarget, places_mm: FloatArray) -> FloatArray:
 def _within_box(target: BoundaryTarget, places_mm: FloatArray) -> FloatArray:
     """(n, 3) places, or the nearest ones in the box of the boundary's splines."""
     box = np.array(target.coefficients.shape[1:]) - 3.0
-    inner = np.clip(places_mm @ target.knots_from_mm[:, :3].T + target.knots_from_mm[:, 3], INSIDE, box - INSIDE)
+    inner = np.clip(
+        places_mm @ target.knots_from_mm[:, :3].T + target.knots_from_mm[:, 3], INSIDE, box - INSIDE
+    )
     return np.asarray((inner - target.knots_from_mm[:, 3]) @ np.linalg.inv(target.knots_from_mm[:, :3]).T)
 
 

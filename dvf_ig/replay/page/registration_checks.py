@@ -1,6 +1,7 @@
 """The evidence of a registration in words: what each check measures, its value, its limit and its outcome."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -8,11 +9,18 @@ from dvf_ig.core import HEART_RADIUS_MM, Stop
 from dvf_ig.registration import LANDMARKS_MM, PairEvidence, RegistrationResult
 from dvf_ig.registration.evidence.checks import WRONG_MM
 from dvf_ig.registration.evidence.phase_offset import SUSPICIOUS_LOG_RATIO, SUSPICIOUS_S
-from dvf_ig.registration.shape.change import LARGEST_APART_MM, LARGEST_SHARED, Halves
+from dvf_ig.registration.shape.change import (
+    LARGEST_APART_MM,
+    LARGEST_PHASES_APART_MM,
+    LARGEST_SHARED,
+    Halves,
+)
 from dvf_ig.registration.shape.estimate import LARGEST_SLOPE
 from dvf_ig.report.registration import Check, Outcome
 
 BOUNDARY_UNSEEN = "no boundary seen"
+HALVES = ("Halves of the frames", "either half of the frames", LARGEST_APART_MM)
+PHASES = ("Systole", "systole and by the rest of the cycle", LARGEST_PHASES_APART_MM)
 
 
 def checks_of(result: RegistrationResult) -> list[Check]:
@@ -136,11 +144,14 @@ def _image_offset(result: RegistrationResult) -> Check:
 
 
 def _shape(result: RegistrationResult) -> list[Check]:
-    """Whether fixtures can follow the change of the heart's shape, where they have to."""
+    """Whether fixtures can follow the change of the heart's shape, where one was found.
+
+    A small one that they cannot leaves the heart rigid: its checks refuse nothing.
+    """
     shape = result.shape
-    if shape is None or not shape.needed:
+    if shape is None or shape.partly:
         return []
-    return [
+    checks = [
         Check(
             "Abruptness of the change of shape",
             "largest slope of the shift of the heart's walls",
@@ -155,30 +166,32 @@ def _shape(result: RegistrationResult) -> list[Check]:
             f"at most {LARGEST_SHARED:g}",
             _outcome(shape.shared <= LARGEST_SHARED),
         ),
-        *_halves(shape.halves),
+        *([] if shape.halves is None else [_held_out(shape.halves), _apart(shape.halves, *HALVES)]),
+        *([] if shape.phases is None else [_apart(shape.phases, *PHASES)]),
     ]
+    if shape.needed:
+        return checks
+    return [one if one.outcome is Outcome.PASSED else replace(one, outcome=Outcome.RIGID) for one in checks]
 
 
-def _halves(halves: Halves | None) -> list[Check]:
-    """Whether either half of the frames shows the same change of shape."""
-    if halves is None:
-        return []
-    return [
-        Check(
-            "Frames held out",
-            "misfit of half of the frames by the change of shape that the others show, 1 without a change",
-            f"{halves.held_out:.2f}",
-            "below 1",
-            _outcome(halves.held_out < 1.0),
-        ),
-        Check(
-            "Halves of the frames",
-            "RMS distance between the seen walls by either half of the frames",
-            f"{halves.apart_mm:.2f} mm",
-            f"at most {LARGEST_APART_MM:g} mm",
-            _outcome(halves.apart_mm <= LARGEST_APART_MM),
-        ),
-    ]
+def _held_out(halves: Halves) -> Check:
+    return Check(
+        "Frames held out",
+        "misfit of half of the frames by the change of shape that the others show, 1 without a change",
+        f"{halves.held_out:.2f}",
+        "below 1",
+        _outcome(halves.held_out < 1.0),
+    )
+
+
+def _apart(halves: Halves, name: str, frames: str, largest_mm: float) -> Check:
+    return Check(
+        name,
+        f"RMS distance between the seen walls by {frames}",
+        f"{halves.apart_mm:.2f} mm",
+        f"at most {largest_mm:g} mm",
+        _outcome(halves.apart_mm <= largest_mm),
+    )
 
 
 def _pair(pair: PairEvidence) -> Check:

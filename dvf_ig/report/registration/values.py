@@ -18,6 +18,7 @@ class Outcome(Enum):
     PASSED = "✓ passed"
     FAILED = "✕ failed"
     SHOWN = "no limit, for information"
+    RIGID = "✕ guarded as rigid"
     NOT_CHECKED = "– not checked"
 
 

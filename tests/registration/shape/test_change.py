@@ -36,7 +36,7 @@ BEATS_MM = 6.0
 
 @lru_cache(maxsize=2)
 def _target(*, beating: bool = False) -> BoundaryTarget:
-    """Two ellipsoids of blood, each within a wall of 8 mm; at two phases, the second contracted, if it beats."""
+    """Two ellipsoids of blood, each within a wall of 8 mm; if they beat, at rest and contracted."""
     grid = Grid.axis_aligned("mr", (72, 56, 64), CENTER - np.array([71.0, 55.0, 63.0]), 2.0)
     index = np.stack(np.meshgrid(*(np.arange(n) for n in grid.shape), indexing="ij"), axis=-1)
     places = grid.to_mm(index.reshape(-1, 3).astype(np.float64))
@@ -60,9 +60,7 @@ def _pressed_mm(places_mm: FloatArray) -> FloatArray:
     return np.asarray(pressed + 0.2 * share * away)
 
 
-def _on_wall(
-    count: int, rng: np.random.Generator, inward_mm: float = 0.0
-) -> tuple[FloatArray, FloatArray]:
+def _on_wall(count: int, rng: np.random.Generator, inward_mm: float = 0.0) -> tuple[FloatArray, FloatArray]:
     """(n, 3) points of the seen part of both chambers, all but their backs, and outward normals."""
     places, normals = [], []
     for middle, at_rest in CHAMBERS:

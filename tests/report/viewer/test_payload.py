@@ -59,7 +59,7 @@ from dvf_ig.report.viewer import (
 )
 from dvf_ig.report.viewer.model import MODEL_STEP_S
 from dvf_ig.report.viewer.page import SLOT
-from dvf_ig.report.viewer.scene import heart_payload, words
+from dvf_ig.report.viewer.scene import heart_payload, labels_payload, words
 from dvf_ig.report.viewer.series import STEPS
 from dvf_ig.report.viewer.surfaces import cycle_surface, fixture_surface, shown_level_mm
 from dvf_ig.session import Session
@@ -225,6 +225,22 @@ def test_a_changed_heart_is_shown_as_the_patient_has_it(round_ball: DvfModel) ->
     expected = 3.0 * right / np.linalg.norm(before[0] - CENTERS[0], axis=1)
     np.testing.assert_allclose(outward[right > 10.0], expected[right > 10.0], atol=0.1)
     assert np.isnan(outward[right < -15.0]).all()
+
+
+def test_a_heart_that_contracts_otherwise_is_shown_contracting_as_it_does(round_ball: DvfModel) -> None:
+    places = knots(CENTERS[0] - 60.0, 10.0)
+    still = Warp.through("mr", CENTERS[0] - 60.0, 10.0, np.zeros((len(places), 3)), np.zeros(len(places)))
+    warp = replace(still, contraction=0.5)
+    organ, patient = (
+        unpacked(one["vertices"]) for one in heart_payload(round_ball, None, warp)["surfaces"][::2]
+    )
+    at_rest = organ[round_ball.rest_phase]
+    np.testing.assert_allclose(patient - at_rest, 0.5 * (organ - at_rest), atol=0.03)
+    assert np.abs(organ - at_rest).max() > 1.0
+    moved, usual = (
+        unpacked(labels_payload(tissue(4), one)["motion"]["coefficients_mm"]) for one in (warp, None)
+    )
+    np.testing.assert_allclose(moved, 0.5 * usual, atol=0.051)
 
 
 def test_the_distance_of_the_scene_is_the_models(scene: dict[str, Any], ball: DvfModel) -> None:
