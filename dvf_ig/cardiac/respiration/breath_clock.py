@@ -137,7 +137,6 @@ class BreathReading:
 
     Attributes:
         rho, sigma_rho: 0 at end-expiration and 1 at the usual top, and its standard deviation; NaN in INIT.
-        rho_rate: its rate, 1/s.
         phase: share of the usual breath since this one began, below 1.
         period_s: usual length of a breath; NaN before the first two.
         state, event: see their classes; the event is that which ended LOCKED, or the first of PARTING since.
@@ -145,7 +144,6 @@ class BreathReading:
 
     rho: float
     sigma_rho: float
-    rho_rate: float
     phase: float
     period_s: float
     state: BreathState
@@ -254,12 +252,12 @@ class BreathClock:
         """Read the clock at a time: the latest sample's, or forecast after it."""
         if not self._count:
             state = BreathState.INIT
-            return BreathReading(math.nan, math.nan, math.nan, math.nan, math.nan, state, BreathEvent.NONE)
+            return BreathReading(math.nan, math.nan, math.nan, math.nan, state, BreathEvent.NONE)
         rho, sigma = self._ahead(t_s - self.latest_s)
         begin_s, period_s = self._onsets[-1] if self._onsets else math.nan, self._period_s
         phase = min((t_s - begin_s) / period_s, math.nextafter(1.0, 0.0)) if period_s > 0 else math.nan
         state, event = self._state_at(t_s)
-        return BreathReading(rho, sigma, self._rate, phase, period_s, state, event)
+        return BreathReading(rho, sigma, phase, period_s, state, event)
 
     def features(self, t_s: FloatArray) -> FloatArray:
         """Compute (n, 4) rows [1, ρ, L₀.₃ρ, L₀.₇ρ]; NaN before the first sample and beyond the forecast."""
