@@ -2,7 +2,6 @@
 
 from .hand_eye.calibration import HAND_EYE_METHODS as HAND_EYE_METHODS
 from .hand_eye.calibration import HandEyeMethod as HandEyeMethod
-from .hand_eye.calibration import HandEyeOptions as HandEyeOptions
 from .hand_eye.calibration import HandEyeResult as HandEyeResult
 from .hand_eye.calibration import calibrate_hand_eye as calibrate_hand_eye
 from .landmarks.dwells import TipCheck as TipCheck

@@ -8,28 +8,20 @@ from numpy.typing import NDArray
 
 from dvf_ig.core import BoolArray, FloatArray, InvalidInputError, QualityGateError, Trace, read_only_arrays
 
-
-@dataclass(frozen=True, slots=True)
-class WallLineOptions:
-    """Criteria by which an echo counts as the floor.
-
-    Attributes:
-        bright_share: a column's echo counts when it reaches this share of the image's brightest echo.
-        min_columns: fewest columns that must show the floor, as a share of the image's width.
-        tolerance_px: distance from the line within which a column supports it.
-        min_support: share of the bright columns that must lie on the line.
-        max_slope_deg: steepest floor accepted.
-        hypotheses: pairs of columns tried.
-        min_contrast: smallest grey value, above the still background, that counts as an echo.
-    """
-
-    bright_share: float = 0.3
-    min_columns: float = 0.1
-    tolerance_px: float = 4.0
-    min_support: float = 0.5
-    max_slope_deg: float = 40.0
-    hypotheses: int = 60
-    min_contrast: float = 20.0
+BRIGHT_SHARE = 0.3
+"""A column's echo counts when it reaches this share of the image's brightest echo."""
+MIN_COLUMNS = 0.1
+"""Fewest columns that must show the floor, as a share of the image's width."""
+TOLERANCE_PX = 4.0
+"""Distance from the line within which a column supports it."""
+MIN_SUPPORT = 0.5
+"""Share of the bright columns that must lie on the line."""
+MAX_SLOPE_DEG = 40.0
+"""Steepest floor accepted."""
+HYPOTHESES = 60
+"""Pairs of columns tried."""
+MIN_CONTRAST = 20.0
+"""Smallest grey value, above the still background, that counts as an echo."""
 
 
 @read_only_arrays
@@ -56,9 +48,7 @@ class WallLines:
         return np.where((self.is_found & valid)[:, None, None], points, np.nan)
 
 
-def find_wall_lines(
-    images: NDArray[np.uint8], *, rng: Generator, options: WallLineOptions | None = None
-) -> WallLines:
+def find_wall_lines(images: NDArray[np.uint8], *, rng: Generator) -> WallLines:
     """Find the strongest straight echo of each frame.
 
     What does not change between frames (scale, text, transducer face) is removed first.
@@ -67,21 +57,19 @@ def find_wall_lines(
         images: (n, rows, columns) grey values, depth along rows.
         rng: draws the pairs of columns.
     """
-    options = options or WallLineOptions()
     count, _, columns = images.shape
     still = np.median(images[:: max(1, count // 24)], axis=0)
     center = (columns - 1) / 2
     row, slope = np.full(count, np.nan), np.full(count, np.nan)
     for i in range(count):
-        line = _line(images[i].astype(np.float64) - still, center, rng, options)
+        line = _line(images[i].astype(np.float64) - still, center, rng)
         if line is not None:
             row[i], slope[i] = line
     return WallLines(center, row, slope, np.isfinite(row))
 
 
 def wall_trace(
-    t_s: FloatArray, images: NDArray[np.uint8], valid: BoolArray, *, rng: Generator,
-    options: WallLineOptions | None = None,
+    t_s: FloatArray, images: NDArray[np.uint8], valid: BoolArray, *, rng: Generator
 ) -> Trace:  # fmt: skip
     """Trace the row of the tank's floor at the image centre over time, skipping frames without one.
 
@@ -92,7 +80,7 @@ def wall_trace(
     usable = np.flatnonzero(valid)
     if len(usable) == 0:
         raise InvalidInputError(f"none of {len(valid)} video frames is valid; record the video again")
-    lines = find_wall_lines(images[usable], rng=rng, options=options)
+    lines = find_wall_lines(images[usable], rng=rng)
     if lines.is_found.sum() < max(2, len(usable) / 2):
         raise QualityGateError(
             f"the tank's floor shows as a straight line in {int(lines.is_found.sum())} of {len(usable)} "
@@ -101,14 +89,12 @@ def wall_trace(
     return Trace(t_s[usable][lines.is_found], lines.row_px[lines.is_found])
 
 
-def _line(
-    image: FloatArray, center: float, rng: Generator, options: WallLineOptions
-) -> tuple[float, float] | None:
+def _line(image: FloatArray, center: float, rng: Generator) -> tuple[float, float] | None:
     """Find a line's row at the centre column and its slope, or None."""
-    column, row, strength = _echoes(image, options)
-    if len(column) < max(8, options.min_columns * image.shape[1]):
+    column, row, strength = _echoes(image)
+    if len(column) < max(8, MIN_COLUMNS * image.shape[1]):
         return None
-    pairs = rng.integers(0, len(column), size=(options.hypotheses, 2))
+    pairs = rng.integers(0, len(column), size=(HYPOTHESES, 2))
     step = column[pairs[:, 1]] - column[pairs[:, 0]]
     pairs, step = pairs[np.abs(step) > 0.05 * image.shape[1]], step[np.abs(step) > 0.05 * image.shape[1]]
     if len(step) == 0:
@@ -116,25 +102,25 @@ def _line(
     slopes = (row[pairs[:, 1]] - row[pairs[:, 0]]) / step
     at_center = row[pairs[:, 0]] + slopes * (center - column[pairs[:, 0]])
     residuals = np.abs(row - at_center[:, None] - slopes[:, None] * (column - center))
-    best = int(np.minimum(residuals, options.tolerance_px).sum(axis=1).argmin())
-    near = residuals[best] <= options.tolerance_px
-    if near.mean() < options.min_support:
+    best = int(np.minimum(residuals, TOLERANCE_PX).sum(axis=1).argmin())
+    near = residuals[best] <= TOLERANCE_PX
+    if near.mean() < MIN_SUPPORT:
         return None
     for _ in range(3):
         slope, offset = np.polyfit(column[near] - center, row[near], 1, w=np.sqrt(strength[near]))
-        near = np.abs(row - offset - slope * (column - center)) <= options.tolerance_px
+        near = np.abs(row - offset - slope * (column - center)) <= TOLERANCE_PX
         if near.sum() < 8:
             return None
-    if abs(np.degrees(np.arctan(slope))) > options.max_slope_deg:
+    if abs(np.degrees(np.arctan(slope))) > MAX_SLOPE_DEG:
         return None
     return float(offset), float(slope)
 
 
-def _echoes(image: FloatArray, options: WallLineOptions) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _echoes(image: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Column, sub-pixel row and strength of the brightest echo of each bright column."""
     top = image.argmax(axis=0)
     strength = image.max(axis=0)
-    bright = strength >= max(options.min_contrast, options.bright_share * float(strength.max()))
+    bright = strength >= max(MIN_CONTRAST, BRIGHT_SHARE * float(strength.max()))
     columns = np.flatnonzero(bright)
     offsets = np.arange(-6, 7)
     rows = np.clip(top[columns, None] + offsets, 0, image.shape[0] - 1)

@@ -5,7 +5,6 @@ All of it is causal except `beat_phase`, which needs the R peak after the time a
 
 from .lead_off import LeadChange as LeadChange
 from .phase_clock import PhaseClock as PhaseClock
-from .phase_clock import PhaseClockOptions as PhaseClockOptions
 from .phase_tracking import PhaseTracking as PhaseTracking
 from .phase_tracking import TriggerDetector as TriggerDetector
 from .phase_tracking import beat_phase as beat_phase
@@ -16,7 +15,6 @@ from .retime import RetimeMode as RetimeMode
 from .retime import frame_period_s as frame_period_s
 from .retime import retime as retime
 from .retime import retiming_curve as retiming_curve
-from .rhythm import RhythmOptions as RhythmOptions
 from .rpeak import RPeak as RPeak
 from .rpeak import RPeakDetector as RPeakDetector
 from .rpeak import detect_r_peaks as detect_r_peaks

@@ -12,41 +12,33 @@ RHYTHM_BEATS, RHYTHM_S = 4, 8.0
 """A rhythm is present while the last four beats lie within eight seconds."""
 
 
-@dataclass(frozen=True, slots=True)
-class RPeakOptions:
-    """Settings of the QRS detector; thresholds are shares of the amplitude of recent complexes.
-
-    Attributes:
-        learning_s: signal needed before the first decision; its beats are reported as detected at its end.
-        refractory_s: no second beat within this time, unless it is `override` times as high as the first.
-        t_wave_s: until this time after a beat the threshold falls from `t_wave_share` to `share`.
-        t_wave_share: threshold at the end of the refractory period, above T waves.
-        share: normal threshold.
-        late_share: the threshold falls to this while the next beat is overdue.
-        search_back_share: threshold of the search-back.
-        search_back_rr: search back when no beat came for this many RR intervals.
-        close_share: a peak is complete when the envelope has fallen to this share of its maximum.
-        close_s: or when its maximum lies this far back.
-        override: height against the previous beat at which a second complex replaces it.
-        contrast: a complex must be this many times as high as the noise between complexes.
-        start_contrast: the same while no rhythm is present, so that noise alone is never detected as one.
-        clip: a lead contributes at most this many times its typical amplitude.
-    """
-
-    learning_s: float = 2.0
-    refractory_s: float = 0.24
-    t_wave_s: float = 0.40
-    t_wave_share: float = 0.75
-    share: float = 0.42
-    late_share: float = 0.25
-    search_back_share: float = 0.2
-    search_back_rr: float = 1.5
-    close_share: float = 0.6
-    close_s: float = 0.09
-    override: float = 1.8
-    clip: float = 2.5
-    contrast: float = 2.0
-    start_contrast: float = 3.3
+LEARNING_S = 2.0
+"""Signal needed before the first decision; its beats are reported as detected at its end."""
+REFRACTORY_S = 0.24
+"""No second beat within this time, unless it is OVERRIDE times as high as the first."""
+T_WAVE_S = 0.40
+"""Until this time after a beat the threshold falls from T_WAVE_SHARE to SHARE."""
+T_WAVE_SHARE = 0.75
+"""Threshold at the end of the refractory period, above T waves."""
+SHARE = 0.42
+"""Normal threshold; thresholds are shares of the amplitude of recent complexes."""
+LATE_SHARE = 0.25
+"""The threshold falls to this while the next beat is overdue."""
+SEARCH_BACK_SHARE = 0.2
+"""Threshold of the search-back."""
+SEARCH_BACK_RR = 1.5
+"""Search back when no beat came for this many RR intervals."""
+CLOSE_SHARE = 0.6
+CLOSE_S = 0.09
+"""A peak is complete when the envelope has fallen to this share of its maximum, or that is this long ago."""
+OVERRIDE = 1.8
+"""Height against the previous beat at which a second complex replaces it."""
+CLIP = 2.5
+"""A lead contributes at most this many times its typical amplitude."""
+CONTRAST = 2.0
+"""A complex must be this many times as high as the noise between complexes."""
+START_CONTRAST = 3.3
+"""CONTRAST while no rhythm is present, so that noise alone is never detected as one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,13 +59,12 @@ class Complex:
 class BeatFinder:
     """Streaming QRS detector: one envelope sample of all leads at a time gives the beats it decided."""
 
-    def __init__(self, rate_hz: float, leads: int, options: RPeakOptions, warm_up: int = 0) -> None:
+    def __init__(self, rate_hz: float, leads: int, warm_up: int = 0) -> None:
         """Peaks within the first `warm_up` samples, the transient of the envelope's filters, are ignored."""
         self._warm_up = warm_up
         self._rate, self._second = rate_hz, round(rate_hz)
-        self._options = options
-        self._close_samples = options.close_s * rate_hz
-        self._levels = LeadLevels(rate_hz, leads, options.clip)
+        self._close_samples = CLOSE_S * rate_hz
+        self._levels = LeadLevels(rate_hz, leads, CLIP)
         self._learning: list[tuple[Sequence[float], Sequence[bool]]] = []
         self._learnt = False
         self._history: deque[Sequence[float]] = deque(maxlen=round(4.0 * rate_hz))
@@ -91,7 +82,7 @@ class BeatFinder:
         if self._learnt:
             return self._decide(row, off)
         self._learning.append((row, off))
-        if len(self._learning) < self._options.learning_s * self._rate:
+        if len(self._learning) < LEARNING_S * self._rate:
             return []
         return self._finish_learning()
 
@@ -111,7 +102,7 @@ class BeatFinder:
         beats: list[Complex] = []
         if height > self._top:
             self._top, self._top_at = height, self._now
-        elif height < self._options.close_share * self._top or self._now - self._top_at > self._close_samples:
+        elif height < CLOSE_SHARE * self._top or self._now - self._top_at > self._close_samples:
             self._classify(beats)
             self._top, self._top_at = height, self._now
         if self._last is not None:
@@ -123,10 +114,9 @@ class BeatFinder:
         if self._top_at < self._warm_up:
             return
         peak = Complex(self._top_at, self._now, self._top)
-        options = self._options
         since = np.inf if self._last is None else (peak.top - self._last) / self._rate
-        if since <= options.refractory_s:
-            if since > 0.08 and peak.height > max(options.override * self._last_height, 0.6):
+        if since <= REFRACTORY_S:
+            if since > 0.08 and peak.height > max(OVERRIDE * self._last_height, 0.6):
                 self._accept(peak, beats, regular=False)
         elif peak.height > max(self._threshold(since), self._min_height()):
             self._accept(peak, beats)
@@ -135,31 +125,27 @@ class BeatFinder:
 
     def _min_height(self) -> float:
         """Height that a complex must reach to stand out from the noise; larger if no rhythm is present."""
-        options = self._options
         rhythm = len(self._recent) == RHYTHM_BEATS and self._now - self._recent[0] < RHYTHM_S * self._rate
-        return (options.contrast if rhythm else options.start_contrast) * self._levels.background()
+        return (CONTRAST if rhythm else START_CONTRAST) * self._levels.background()
 
     def _threshold(self, since_s: float) -> float:
         """Threshold `since_s` after the last beat, as a share of the level of recent complexes."""
-        options, rr_s = self._options, self._rr / self._rate
-        if since_s < options.t_wave_s:
-            fallen = (since_s - options.refractory_s) / (options.t_wave_s - options.refractory_s)
-            return options.t_wave_share + (options.share - options.t_wave_share) * fallen
+        rr_s = self._rr / self._rate
+        if since_s < T_WAVE_S:
+            fallen = (since_s - REFRACTORY_S) / (T_WAVE_S - REFRACTORY_S)
+            return T_WAVE_SHARE + (SHARE - T_WAVE_SHARE) * fallen
         overdue = min(1.0, max(0.0, (since_s - rr_s) / rr_s))
-        return options.share + (options.late_share - options.share) * overdue
+        return SHARE + (LATE_SHARE - SHARE) * overdue
 
     def _search_back(self, waited: int, beats: list[Complex]) -> None:
         """Accept the highest candidate when a beat is overdue; after 2 s lower the levels."""
-        options = self._options
-        if self._candidates and waited > options.search_back_rr * self._rr:
+        if self._candidates and waited > SEARCH_BACK_RR * self._rr:
             last = self._now - waited
-            late = [c for c in self._candidates if c.top - last > options.t_wave_s * self._rate]
+            late = [c for c in self._candidates if c.top - last > T_WAVE_S * self._rate]
             best = max(late, key=lambda c: (c.height, c.top), default=None)
-            if best is not None and best.height > max(options.search_back_share, self._min_height()):
+            if best is not None and best.height > max(SEARCH_BACK_SHARE, self._min_height()):
                 self._accept(Complex(best.top, self._now, best.height), beats)
-                self._candidates.extend(
-                    c for c in late if c.top > best.top + options.refractory_s * self._rate
-                )
+                self._candidates.extend(c for c in late if c.top > best.top + REFRACTORY_S * self._rate)
         if waited > 2 * self._second and waited % self._second == 0:
             self._levels.decay()
 

@@ -1,7 +1,6 @@
 """Probability that the current beat ends early or late, learnt from the pattern of early and late beats."""
 
 from collections import defaultdict
-from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
@@ -17,25 +16,18 @@ class BeatKind(IntEnum):
     LATE = 2
 
 
-@dataclass(frozen=True, slots=True)
-class BeatPatternOptions:
-    """Options of the pattern model.
-
-    Attributes:
-        longest_run: runs of normal beats longer than this are treated as equal.
-        runs: number of earlier runs in the longest context, in addition to the current one.
-        backoff_count: weight of the shorter context's estimate, in observations.
-        forgetting: factor on the counts of a context at each new observation.
-        prior: probabilities assumed before the first observation.
-        prior_count: their weight, in observations.
-    """
-
-    longest_run: int = 12
-    runs: int = 2
-    backoff_count: float = 3.0
-    forgetting: float = 0.98
-    prior: tuple[float, float, float] = (0.98, 0.01, 0.01)
-    prior_count: float = 20.0
+LONGEST_RUN = 12
+"""Runs of normal beats longer than this are treated as equal."""
+RUNS = 2
+"""Number of earlier runs in the longest context, in addition to the current one."""
+BACKOFF_COUNT = 3.0
+"""Weight of the shorter context's estimate, in observations."""
+FORGETTING = 0.98
+"""Factor on the counts of a context at each new observation."""
+PRIOR = (0.98, 0.01, 0.01)
+"""Probabilities assumed before the first observation."""
+PRIOR_COUNT = 20.0
+"""Weight of PRIOR, in observations."""
 
 
 class BeatPattern:
@@ -47,31 +39,30 @@ class BeatPattern:
     uncertain.
     """
 
-    def __init__(self, options: BeatPatternOptions | None = None) -> None:
-        self._options = options or BeatPatternOptions()
+    def __init__(self) -> None:
         self._counts: defaultdict[tuple[int, ...], FloatArray] = defaultdict(lambda: np.zeros(3))
-        self._counts[()] = self._options.prior_count * np.array(self._options.prior)
-        self._runs = [self._options.longest_run]  # the current one first
+        self._counts[()] = PRIOR_COUNT * np.array(PRIOR)
+        self._runs = [LONGEST_RUN]  # the current one first
         self._begun_by = BeatKind.NORMAL
 
     def add(self, kind: BeatKind) -> None:
         """Record how an interval ended."""
         for context in self._contexts():
             counts = self._counts[context]
-            counts *= self._options.forgetting
+            counts *= FORGETTING
             counts[kind] += 1.0
         if kind == BeatKind.NORMAL:
-            self._runs[0] = min(self._runs[0] + 1, self._options.longest_run)
+            self._runs[0] = min(self._runs[0] + 1, LONGEST_RUN)
         else:
-            self._runs = [0, *self._runs][: self._options.runs + 1]
+            self._runs = [0, *self._runs][: RUNS + 1]
             self._begun_by = kind
 
     def probabilities(self) -> FloatArray:
         """Return (3,) probabilities by BeatKind for the current interval."""
-        estimate = np.array(self._options.prior)
+        estimate = np.array(PRIOR)
         for context in self._contexts():
             counts = self._counts[context]
-            weight = self._options.backoff_count
+            weight = BACKOFF_COUNT
             estimate = (counts + weight * estimate) / (counts.sum() + weight)
         return np.asarray(estimate)
 

@@ -2,11 +2,10 @@
 
 import math
 from collections import deque
-from dataclasses import dataclass, field
 
 from dvf_ig.core import InvalidInputError, PhaseForecast, PhaseReading, PhaseState
 
-from .rhythm import Rhythm, RhythmOptions
+from .rhythm import Rhythm
 from .rpeak import RPeak
 
 SAME_BEAT_S = 0.25
@@ -17,40 +16,31 @@ LATEST_S = 1e10
 """Latest valid time: seconds since 1970 stay below 1e10 for another 200 years."""
 
 
-@dataclass(frozen=True, slots=True)
-class PhaseClockOptions:
-    """Limits of the states (docs/theory/cardiac.md) and of the rate of phase.
-
-    Attributes:
-        rhythm: how intervals are classified and predicted.
-        lock_beats: R peaks before the first lock.
-        relock_beats: intervals in a row that must agree with their prediction to end LOST.
-        consistent_share: an interval within this share of the prediction agrees with it.
-        lost_share: no R by this multiple of the predicted RR (plus the detection latency) gives LOST.
-        lock_spread: LOCKED needs a standard deviation of the predicted RR of at most this share of it.
-        miss_share: a confident prediction that was off by more than this share was wrong.
-        missed_share: LOCKED needs at most this share of recent confident predictions to be wrong.
-        record_gain: gain of that running share.
-        irregular_share: a phase that cannot be trusted is IRREGULAR, not SUSPECT, while the median error of
-            the last intervals is above this.
-        regular_share: IRREGULAR ends when that median has fallen to this.
-        min_quality: an R peak of lower quality gives SUSPECT.
-        catch_up: largest rate of phase, as a multiple of the predicted heart rate.
-    """
-
-    rhythm: RhythmOptions = field(default_factory=RhythmOptions)
-    lock_beats: int = 5
-    relock_beats: int = 4
-    consistent_share: float = 0.2
-    lost_share: float = 1.35
-    lock_spread: float = 0.15
-    miss_share: float = 0.15
-    missed_share: float = 0.12
-    record_gain: float = 0.05
-    irregular_share: float = 0.08
-    regular_share: float = 0.06
-    min_quality: float = 0.3
-    catch_up: float = 3.0
+LOCK_BEATS = 5
+"""R peaks before the first lock. For the states see docs/theory/cardiac.md."""
+RELOCK_BEATS = 4
+"""Intervals in a row that must agree with their prediction to end LOST."""
+CONSISTENT_SHARE = 0.2
+"""An interval within this share of the prediction agrees with it."""
+LOST_SHARE = 1.35
+"""No R by this multiple of the predicted RR (plus the detection latency) gives LOST."""
+LOCK_SPREAD = 0.15
+"""LOCKED needs a standard deviation of the predicted RR of at most this share of it."""
+MISS_SHARE = 0.15
+"""A confident prediction that was off by more than this share was wrong."""
+MISSED_SHARE = 0.12
+"""LOCKED needs at most this share of recent confident predictions to be wrong."""
+RECORD_GAIN = 0.05
+"""Gain of the running share of wrong predictions."""
+IRREGULAR_SHARE = 0.08
+"""A phase that cannot be trusted is IRREGULAR, not SUSPECT, while the median error of the last intervals is
+above this."""
+REGULAR_SHARE = 0.06
+"""IRREGULAR ends when that median has fallen to this."""
+MIN_QUALITY = 0.3
+"""An R peak of lower quality gives SUSPECT."""
+CATCH_UP = 3.0
+"""Largest rate of phase, as a multiple of the predicted heart rate."""
 
 
 class PhaseClock:
@@ -63,9 +53,8 @@ class PhaseClock:
     whenever the clock is queried, so its phase at a time does not depend on earlier queries.
     """
 
-    def __init__(self, options: PhaseClockOptions | None = None) -> None:
-        self._options = options or PhaseClockOptions()
-        self._rhythm = Rhythm(self._options.rhythm)
+    def __init__(self) -> None:
+        self._rhythm = Rhythm()
         self._state = PhaseState.INIT
         self._last_r_s = math.nan
         self._rr_s = math.nan
@@ -169,7 +158,7 @@ class PhaseClock:
             cycles=self._cycles,
             rr_s=self._rr_s,
             spread=self._rhythm.forecast.spread,
-            catch_up=self._options.catch_up,
+            catch_up=CATCH_UP,
             r_timing_s=R_TIMING_S,
         )
 
@@ -186,7 +175,7 @@ class PhaseClock:
             after = PhaseState.SUSPECT if self._state == PhaseState.LOCKED else self._state
             return known_s + (1.0 + 2.0 * forecast.spread) * self._rr_s, after
         after = self._state if self._state == PhaseState.INIT else PhaseState.LOST
-        return known_s + self._options.lost_share * forecast.longest_s, after
+        return known_s + LOST_SHARE * forecast.longest_s, after
 
     def _expire(self) -> None:
         """Handle an expected early beat that did not come, or a time too long without R."""
@@ -215,7 +204,7 @@ class PhaseClock:
 
     def _assess(self, interval_s: float, quality: float) -> None:
         """Update prediction and state with a finished interval."""
-        if quality < self._options.min_quality:
+        if quality < MIN_QUALITY:
             self._consistent = 0
             if self._state == PhaseState.LOCKED:
                 self._state = PhaseState.SUSPECT
@@ -227,26 +216,25 @@ class PhaseClock:
 
     def _score_forecast(self, interval_s: float) -> None:
         """Update how many intervals agreed with their forecast, and how many confident forecasts failed."""
-        options, expected_s = self._options, self._rhythm.forecast.rr_s
+        expected_s = self._rhythm.forecast.rr_s
         error = abs(interval_s - expected_s) / expected_s
-        self._consistent = self._consistent + 1 if error <= options.consistent_share else 0
+        self._consistent = self._consistent + 1 if error <= CONSISTENT_SHARE else 0
         if self._confident():
-            self._missed += options.record_gain * (float(error > options.miss_share) - self._missed)
+            self._missed += RECORD_GAIN * (float(error > MISS_SHARE) - self._missed)
 
     def _confident(self) -> bool:
         """Return whether the forecast of the current beat is precise enough for phase to be used."""
         forecast = self._rhythm.forecast
-        return forecast.spread <= self._options.lock_spread and not forecast.unreliable
+        return forecast.spread <= LOCK_SPREAD and not forecast.unreliable
 
     def _update_state(self) -> None:
-        options = self._options
-        trusted = self._confident() and self._missed <= options.missed_share
-        if self._state == PhaseState.INIT and self._beats < options.lock_beats:
+        trusted = self._confident() and self._missed <= MISSED_SHARE
+        if self._state == PhaseState.INIT and self._beats < LOCK_BEATS:
             return
-        limit = options.regular_share if self._state == PhaseState.IRREGULAR else options.irregular_share
+        limit = REGULAR_SHARE if self._state == PhaseState.IRREGULAR else IRREGULAR_SHARE
         if not trusted and self._rhythm.irregularity > limit:
             self._state = PhaseState.IRREGULAR
-        elif self._state != PhaseState.LOST or self._consistent >= options.relock_beats:
+        elif self._state != PhaseState.LOST or self._consistent >= RELOCK_BEATS:
             self._state = PhaseState.LOCKED if trusted else PhaseState.SUSPECT
 
     def _set_lost(self) -> None:

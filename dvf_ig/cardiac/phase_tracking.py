@@ -19,7 +19,7 @@ from dvf_ig.core import (
 from dvf_ig.core.timing.trigger import check_trigger_delay
 
 from .lead_off import LeadChange
-from .phase_clock import SAME_BEAT_S, PhaseClock, PhaseClockOptions
+from .phase_clock import SAME_BEAT_S, PhaseClock
 from .rpeak import CHUNK_S, RPeak, RPeakDetector
 
 SHORTEST_INTERVAL_S = SAME_BEAT_S
@@ -130,7 +130,6 @@ def phase_from_peaks(
     changes: tuple[LeadChange, ...],
     t_s: FloatArray,
     *,
-    options: PhaseClockOptions | None = None,
     progress: Progress = untold,
 ) -> PhaseTrack:
     """Estimate phase at each time from the peaks and lead changes known by then.
@@ -145,7 +144,7 @@ def phase_from_peaks(
     events: list[tuple[float, int, RPeak | LeadChange]] = [(p.detected_at_s, 0, p) for p in peaks]
     events += [(c.t_s, 1, c) for c in changes]
     events.sort(key=lambda event: (event[0], event[1]))
-    clock = PhaseClock(options)
+    clock = PhaseClock()
     out = np.empty((len(times), 4))
     first = 0
     for at_s, _, event in events:

@@ -1,12 +1,12 @@
 """Forecast of the current RR interval and of its uncertainty."""
 
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
-from .beat_pattern import BeatKind, BeatPattern, BeatPatternOptions
-from .rr_predictor import PredictorName, make_predictor
+from .beat_pattern import BeatKind, BeatPattern
+from .rr_predictor import make_predictor
 
 FIRST_EARLY, FIRST_LATE = 0.65, 1.35
 """Early and late intervals relative to the normal one, before the first observation."""
@@ -16,31 +16,20 @@ COMPENSATED_SHARE = 0.25
 """Compensatory pause: it and the early beat before it last two normal intervals, within this share of one."""
 
 
-@dataclass(frozen=True, slots=True)
-class RhythmOptions:
-    """Options of the classification and prediction of intervals.
-
-    Attributes:
-        predictor: how the next normal interval is predicted.
-        early_share: an interval below this share of the normal one ended early.
-        late_share: one above this share of the normal one ended late.
-        learn_beats: intervals before any is classified.
-        new_rate_beats: irregular intervals in a row that agree with each other and so make a new rate.
-        new_rate_share: largest deviation of those from their median.
-        residual_beats: intervals over which irregularity is measured.
-        spread_gain: gain of the running variance on a normal interval's squared error.
-        pattern: how irregular beats are forecast.
-    """
-
-    predictor: PredictorName = "ar8"
-    early_share: float = 0.85
-    late_share: float = 1.2
-    learn_beats: int = 4
-    new_rate_beats: int = 4
-    new_rate_share: float = 0.12
-    residual_beats: int = 16
-    spread_gain: float = 0.1
-    pattern: BeatPatternOptions = field(default_factory=BeatPatternOptions)
+EARLY_SHARE = 0.85
+"""An interval below this share of the normal one ended early."""
+LATE_SHARE = 1.2
+"""An interval above this share of the normal one ended late."""
+LEARN_BEATS = 4
+"""Intervals before any is classified."""
+NEW_RATE_BEATS = 4
+"""Irregular intervals in a row that agree with each other and so make a new rate."""
+NEW_RATE_SHARE = 0.12
+"""Largest deviation of the intervals of a new rate from their median."""
+RESIDUAL_BEATS = 16
+"""Intervals over which irregularity is measured."""
+SPREAD_GAIN = 0.1
+"""Gain of the running variance on a normal interval's squared error."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,10 +79,9 @@ class Rhythm:
     that prediction. Whether the current one is normal is forecast from the pattern of irregular beats.
     """
 
-    def __init__(self, options: RhythmOptions | None = None) -> None:
-        self._options = options or RhythmOptions()
+    def __init__(self) -> None:
         self._restart(())
-        self._residuals: deque[float] = deque(maxlen=self._options.residual_beats)
+        self._residuals: deque[float] = deque(maxlen=RESIDUAL_BEATS)
         self._variance = 0.05**2
         self.forecast = NO_FORECAST
 
@@ -104,7 +92,7 @@ class Rhythm:
         Ectopic beats are few or follow a pattern, so they have little influence on the median; in
         fibrillation the forecast fails beat by beat.
         """
-        if len(self._residuals) < self._options.residual_beats:
+        if len(self._residuals) < RESIDUAL_BEATS:
             return float("nan")
         return float(np.median(self._residuals))
 
@@ -112,7 +100,7 @@ class Rhythm:
         """A finished interval."""
         self._recent.append(interval_s)
         kind = BeatKind.NORMAL
-        if self._intervals >= self._options.learn_beats:
+        if self._intervals >= LEARN_BEATS:
             kind = self._classify(interval_s)
             self._residuals.append(min(abs(interval_s / self.forecast.rr_s - 1.0), 1.0))
             self._learn(kind, interval_s)
@@ -128,9 +116,9 @@ class Rhythm:
 
     def _classify(self, interval_s: float) -> BeatKind:
         relative = interval_s / self.forecast.normal_s
-        if relative < self._options.early_share:
+        if relative < EARLY_SHARE:
             return BeatKind.EARLY
-        late = relative > self._options.late_share and not self.forecast.ectopic
+        late = relative > LATE_SHARE and not self.forecast.ectopic
         return BeatKind.LATE if late else BeatKind.NORMAL
 
     def _learn(self, kind: BeatKind, interval_s: float) -> None:
@@ -142,7 +130,7 @@ class Rhythm:
             # the prediction is continued as if the replaced sinus beat had come when expected
             self._predictor.add(normal)
             return
-        self._variance += self._options.spread_gain * ((relative - 1.0) ** 2 - self._variance)
+        self._variance += SPREAD_GAIN * ((relative - 1.0) ** 2 - self._variance)
         self._predictor.add(interval_s)
 
     def _uncompensated(self) -> bool:
@@ -157,15 +145,15 @@ class Rhythm:
 
     def _new_rate(self) -> bool:
         recent = np.array(self._recent)
-        if len(recent) < self._options.new_rate_beats or any(kind == BeatKind.NORMAL for kind in self._kinds):
+        if len(recent) < NEW_RATE_BEATS or any(kind == BeatKind.NORMAL for kind in self._kinds):
             return False
         middle = np.median(recent)
-        return bool((np.abs(recent - middle) <= self._options.new_rate_share * middle).all())
+        return bool((np.abs(recent - middle) <= NEW_RATE_SHARE * middle).all())
 
     def _restart(self, intervals_s: tuple[float, ...]) -> None:
         """Discard what was learnt and start from intervals that agree with each other."""
-        self._predictor = make_predictor(self._options.predictor)
-        self._pattern = BeatPattern(self._options.pattern)
+        self._predictor = make_predictor("ar8")
+        self._pattern = BeatPattern()
         early, late = IntervalStatistics(FIRST_EARLY), IntervalStatistics(FIRST_LATE)
         self._after_normal = {BeatKind.EARLY: early, BeatKind.LATE: late}
         self._after_early = {
@@ -174,8 +162,8 @@ class Rhythm:
             BeatKind.LATE: late,
         }
         self._intervals = len(intervals_s)
-        self._recent: deque[float] = deque(intervals_s, maxlen=self._options.new_rate_beats)
-        self._kinds: deque[BeatKind] = deque(maxlen=self._options.new_rate_beats)
+        self._recent: deque[float] = deque(intervals_s, maxlen=NEW_RATE_BEATS)
+        self._kinds: deque[BeatKind] = deque(maxlen=NEW_RATE_BEATS)
         for interval_s in intervals_s:
             self._predictor.add(interval_s)
 

@@ -8,7 +8,7 @@ from scipy.signal import lfilter
 from dvf_ig.core import BoolArray, FloatArray, InvalidInputError, Signal
 from dvf_ig.core.plausible import ECG_VALUE, require_plausible
 
-from .beat_finder import BeatFinder, Complex, RPeakOptions
+from .beat_finder import BeatFinder, Complex
 from .lead_off import LeadChange, LeadOffDetector
 
 SEARCH_S = 0.08
@@ -156,7 +156,7 @@ class RPeak:
 class RPeakDetector:
     """Causal detector. Feeding the same samples in any chunks gives the same peaks, bit for bit."""
 
-    def __init__(self, rate_hz: float, leads: int = 1, options: RPeakOptions | None = None) -> None:
+    def __init__(self, rate_hz: float, leads: int = 1) -> None:
         """Set sampling rate and number of leads; R is timed in the first lead unless that one is weak.
 
         Raises:
@@ -166,7 +166,6 @@ class RPeakDetector:
             raise InvalidInputError(f"the ECG has {leads} leads; needed at least 1")
         self.rate_hz = rate_hz
         self.leads = leads
-        self._options = options or RPeakOptions()
         self._origin_s: float | None = None
         self._lead_off = LeadOffDetector(rate_hz, leads)
         self._changes: list[LeadChange] = []
@@ -210,9 +209,7 @@ class RPeakDetector:
     def _restart(self) -> None:
         self._feature = QrsFeature(self.rate_hz, self.leads)
         self._locator = RLocator(self.rate_hz, self.leads)
-        self._finder = BeatFinder(
-            self.rate_hz, self.leads, self._options, warm_up=round(2 * self._feature.delay)
-        )
+        self._finder = BeatFinder(self.rate_hz, self.leads, warm_up=round(2 * self._feature.delay))
         self._count = 0
 
     def _peak(self, beat: Complex) -> RPeak:
@@ -249,13 +246,13 @@ class RPeakDetector:
         return (self._origin_s or 0.0) + index / self.rate_hz
 
 
-def detect_r_peaks(signal: Signal, options: RPeakOptions | None = None) -> tuple[RPeak, ...]:
+def detect_r_peaks(signal: Signal) -> tuple[RPeak, ...]:
     """Detect all R peaks of a recording, causally.
 
     Raises:
         InvalidInputError: sampled below 100 Hz.
     """
-    detector = RPeakDetector(signal.rate_hz, len(signal.leads), options)
+    detector = RPeakDetector(signal.rate_hz, len(signal.leads))
     step = max(1, round(CHUNK_S * signal.rate_hz))
     peaks: list[RPeak] = []
     for first in range(0, len(signal), step):

@@ -9,7 +9,7 @@ import numpy as np
 from dvf_ig.core import FloatArray, InvalidInputError, PhaseState, PhaseTrack, read_only_arrays
 
 from .lead_off import LeadChange
-from .phase_clock import PhaseClockOptions
+from .phase_clock import MIN_QUALITY
 from .rpeak import RPeak
 
 MIN_BEATS = 5
@@ -80,7 +80,7 @@ def _whys(peaks: tuple[RPeak, ...], track: PhaseTrack, changes: tuple[LeadChange
     """Return (n) reasons why the phase is not valid at each time; "" while it is valid."""
     beats = np.array([peak.detected_at_s for peak in peaks])
     beat = np.searchsorted(beats, track.t_s, side="right") - 1
-    weak = np.array([peak.quality < PhaseClockOptions().min_quality for peak in peaks])[np.maximum(beat, 0)]
+    weak = np.array([peak.quality < MIN_QUALITY for peak in peaks])[np.maximum(beat, 0)]
     lost = np.array([change.t_s for change in changes if not change.on])
     causes = [change.cause for change in changes if not change.on]
     loss = np.searchsorted(lost, track.t_s, side="right") - 1

@@ -132,9 +132,8 @@ def ecg_delay(images: ImageChange, lag_s: float, peaks_s: FloatArray, heart: Cyc
     phase, rr_s = beats.phi[inside], float(np.median(beats.rr_s[inside]))
     change, plain = np.log(images.change[inside]), without_heart(images.moved_mm[inside])
     none = residual_of_fit(plain, change)[0]
-    step = images.step_s / rr_s
-    speeds = (root_speed(heart, phase + k / SHIFTS, step) for k in range(SHIFTS))
-    left = np.array([_left(plain, change, speed, none) for speed in speeds])
+    left, rise = residuals_with(plain, shifted_speeds(heart, phase, images.step_s / rr_s), change)
+    left = np.where(rise > 0, left, none)  # images do not change less in fast motion
     t_s = images.t_s[inside]
     beats_seen = np.count_nonzero((peaks_s >= t_s[0] + lag_s) & (peaks_s <= t_s[-1] + lag_s))
     half_n = 0.5 * min(0.5 * len(change), PAIRS_A_BEAT * beats_seen)
@@ -155,9 +154,10 @@ def without_heart(moved: FloatArray) -> FloatArray:
     return np.column_stack([np.ones_like(moved), np.sqrt(moved), moved, moved**2, trend, trend**2])
 
 
-def root_speed(heart: CycleSpeed, phase: FloatArray, step: float) -> FloatArray:
-    """(n,) √ of the mean speed over a step of the cycle about each phase."""
-    return np.asarray(np.sqrt(np.mean([heart.at(phase + part * step) for part in SMEAR], axis=0)))
+def shifted_speeds(heart: CycleSpeed, phase: FloatArray, step: float) -> FloatArray:
+    """(SHIFTS, n) √ of the mean speed over a step of the cycle about (n,) phases, for every shift of it."""
+    shifted = phase + np.arange(SHIFTS)[:, None] / SHIFTS
+    return np.asarray(np.sqrt(np.mean([heart.at(shifted + part * step) for part in SMEAR], axis=0)))
 
 
 def residual_of_fit(columns: FloatArray, change: FloatArray) -> tuple[float, FloatArray]:
@@ -167,10 +167,22 @@ def residual_of_fit(columns: FloatArray, change: FloatArray) -> tuple[float, Flo
     return float(left @ left) + 1e-12, fit
 
 
-def _left(plain: FloatArray, change: FloatArray, speed: FloatArray, none: float) -> float:
-    """Squared residual with the heart's speed; without it where images would change less in fast motion."""
-    left, fit = residual_of_fit(np.column_stack([plain, speed]), change)
-    return left if fit[-1] > 0 else none
+def residuals_with(
+    plain: FloatArray, speeds: FloatArray, change: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Fit with one more column at a time: the squared residual with each, and its coefficient.
+
+    What the (n, m) columns `plain` explain is taken from the change and from each of the (k, n) speeds.
+
+    Source: Frisch and Waugh 1933.
+    """
+    axes, sizes, _ = np.linalg.svd(plain, full_matrices=False)
+    axes = axes[:, sizes > np.finfo(np.float64).eps * max(plain.shape) * sizes[0]]
+    change = change - axes @ (axes.T @ change)
+    alone = speeds - (speeds @ axes) @ axes.T
+    energy = (alone**2).sum(axis=1)
+    fit = np.where(energy > 0, alone @ change / np.where(energy > 0, energy, 1.0), 0.0)
+    return ((change - fit[:, None] * alone) ** 2).sum(axis=1) + 1e-12, fit
 
 
 def _best(ratios: FloatArray, rr_s: float) -> EcgDelay:

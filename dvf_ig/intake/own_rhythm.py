@@ -22,7 +22,8 @@ from .ecg_delay import (
     ImageChange,
     ecg_delay,
     residual_of_fit,
-    root_speed,
+    residuals_with,
+    shifted_speeds,
     without_heart,
 )
 
@@ -87,8 +88,7 @@ def own_rhythm(images: ImageChange, lag_s: float, peaks_s: FloatArray, heart: Cy
     rhythms = []
     for rr_s in RATES_RR_S:
         cycles = (t_s - t_s[0]) / rr_s
-        step = images.step_s / rr_s
-        speeds = np.array([root_speed(heart, cycles + k / SHIFTS, step) for k in range(SHIFTS)])
+        speeds = shifted_speeds(heart, cycles, images.step_s / rr_s)
         rhythms.append(OwnRhythm(float(rr_s), _followed(plain, change, speeds, np.floor(cycles).astype(int))))
     return max(rhythms, key=lambda one: one.log_ratio)
 
@@ -104,7 +104,7 @@ def _followed(plain: FloatArray, change: FloatArray, speeds: FloatArray, beat: I
     spread = WANDER * np.sqrt(np.diff(beats))
     half_n = 0.5 * min(0.5 * len(change), PAIRS_A_BEAT * len(beats))
     none = residual_of_fit(plain, change)[0]
-    constant = [residual_of_fit(np.column_stack([plain, speed]), change)[0] for speed in speeds]
+    constant, _ = residuals_with(plain, speeds, change)
     best = 0.0
     for start in np.argsort(constant)[:STARTS]:
         path = np.full(len(beats), start)

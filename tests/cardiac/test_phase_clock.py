@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dvf_ig.cardiac import PhaseClock, PhaseClockOptions, RhythmOptions, RPeak, phase_from_peaks
+from dvf_ig.cardiac import PhaseClock, RPeak, phase_from_peaks
 from dvf_ig.cardiac.phase_clock import LATEST_S
 from dvf_ig.cardiac.rr_predictor import PREDICTORS, PredictorName, make_predictor
 from dvf_ig.core import FloatArray, InvalidInputError, PhaseState, PhaseTrack
@@ -245,7 +245,7 @@ def test_refusals() -> None:
     with pytest.raises(InvalidInputError, match="in order"):
         clock.add(RPeak(1.5, 2.2, 1.0))
     with pytest.raises(InvalidInputError, match="choose ar8"):
-        PhaseClock(PhaseClockOptions(rhythm=RhythmOptions(predictor="magic")))
+        make_predictor("magic")
 
 
 NUMBERS = st.one_of(

@@ -20,7 +20,7 @@ class Ball:
     es_fraction = 0.36
 
     def __init__(self) -> None:
-        self.unit, self.surface_triangles = sphere(1.0, 2)
+        self.unit, self.surface_triangles = sphere(1.0, 1)
 
     @property
     def box_mm(self) -> FloatArray:

@@ -1,4 +1,7 @@
-"""What a replay must catch: a patient who moves, a probe whose marker slips, a wrong probe calibration."""
+"""What a replay must catch: a probe whose marker slips, a wrong probe calibration.
+
+A patient who moves: `test_pose_tracker`; on images `dvf-ig study replay --preset patient-shift` measures it.
+"""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -13,15 +16,11 @@ from data_synth.scenario.presets import ScenarioSpec
 from data_synth.scenario.recording import ImagedHeart, phantom_scenario
 from data_synth.seeds import child_rng
 from dvf_ig.core import BoolArray, DvfModel, Scenario, ScenarioTruth, Stop
-from dvf_ig.guidance import Hazard, Status
+from dvf_ig.guidance import Hazard
 from dvf_ig.guidance.supervision.supervisor import FADE_S
 from dvf_ig.replay import Replay, run_replay
 from dvf_ig.replay.result.pose import suspensions, withheld_spans, without_force_s
-from dvf_ig.replay.result.score import pose_errors_mm
 from dvf_ig.session import Refusal
-
-RECOVERED_TRE_MM = 1.85
-"""1.3 times the 1.41 mm that this seed has after the patient moved."""
 
 
 def disturbed(imaged: ImagedHeart, preset: str, seconds: float, **more: Any) -> Scenario:
@@ -50,38 +49,15 @@ def beats_until(replay: Replay, from_s: float, until_s: float) -> int:
     return int(((peaks > from_s) & (peaks <= until_s)).sum())
 
 
-def median_tre_mm(replay: Replay, ticks: BoolArray) -> float:
-    errors_mm = pose_errors_mm(replay.ticks.mr_from_tracker, replay.ticks.t_s, truth_of(replay))
-    return float(np.median(errors_mm[replay.ticks.valid & ticks]))
-
-
-def test_force_stops_when_the_patient_moves_and_returns_when_the_pose_is_found_again(
-    imaged: ImagedHeart, model: DvfModel
-) -> None:
-    replay = run_replay(disturbed(imaged, "patient-shift", 27.0, us_rate_hz=9.0), model=model, seed=0)
-    end_s = float(replay.ticks.t_s[-1])
-    moved_s = truth_of(replay).mr_from_tracker[1][0]
-    ((stopped_s, resumed_s),) = suspensions(tuple(replay.history.updates), end_s)
-    assert moved_s < stopped_s
-    assert beats_until(replay, moved_s, stopped_s) <= 3, "the patient moves in the middle of the first beat"
-    suspended = between(replay, stopped_s, resumed_s)
-    assert not replay.ticks.force_n[between(replay, stopped_s + FADE_S + 0.001, resumed_s)].any()
-    assert not replay.ticks.wanted_n[suspended].any()
-    assert (replay.ticks.status[suspended] == Status.NO_POSE).all()
-    assert median_tre_mm(replay, between(replay, resumed_s, end_s)) <= RECOVERED_TRE_MM
-    assert replay.ticks.force_n[between(replay, resumed_s, end_s)].any()
-    assert replay.attempts[-1].usable
-
-
 def test_after_the_marker_slips_on_the_probe_no_force_is_given_again(
     imaged: ImagedHeart, model: DvfModel
 ) -> None:
     # MR as fine as a study's, and another seed: else breathing is excluded only after the slip
     studied = replace(imaged, preop=cine_preop(imaged.anatomy, child_rng(imaged.spec.seeds.anatomy, "preop")))
-    replay = run_replay(disturbed(studied, "probe-slip", 24.0, seed=78), model=model, seed=0)
+    replay = run_replay(disturbed(studied, "probe-slip", 24.0, seed=78, us_rate_hz=9.0), model=model, seed=0)
     end_s = float(replay.ticks.t_s[-1])
     slipped_s = truth_of(replay).later_probe_from_image[0][0]
-    assert replay.ticks.valid[between(replay, 0.0, slipped_s)].any()
+    assert replay.ticks.force_n[between(replay, 0.0, slipped_s)].any()
     ((stopped_s, resumed_s),) = suspensions(tuple(replay.history.updates), end_s)
     assert slipped_s < stopped_s
     assert beats_until(replay, slipped_s, stopped_s) <= 2

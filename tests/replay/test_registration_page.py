@@ -13,7 +13,7 @@ from toy_session import CENTER, HOME
 from dvf_ig.core import Stop, Warp
 from dvf_ig.registration import Evidence, RegistrationOptions, RegistrationResult, SurfaceDisagreement
 from dvf_ig.registration.evidence.checks import VOLUME_LIMITS
-from dvf_ig.registration.evidence.phase_offset import SHIFTS, PhaseOffset
+from dvf_ig.registration.evidence.phase_offset import PhaseOffset
 from dvf_ig.registration.shape.change import Halves, ShapeChange
 from dvf_ig.replay.page.registration_checks import checks_of
 from dvf_ig.replay.page.registration_page import ShownInput, registration_page
@@ -122,7 +122,7 @@ def test_volumes_are_held_against_their_own_limits() -> None:
     ("offset_s", "ratio", "passed"), [(0.3, 9.0, False), (0.3, 1.0, True), (0.01, 9.0, True)]
 )
 def test_a_late_ecg_needs_both_a_shift_and_evidence(offset_s: float, ratio: float, passed: bool) -> None:
-    offset = PhaseOffset(offset_s, offset_s, ratio, np.zeros(SHIFTS))
+    offset = PhaseOffset(offset_s, offset_s, ratio)
     check = named(with_evidence(phase_offset=offset), "ECG and images")
     assert check.value == f"{1000 * offset_s:.0f} ms (log-likelihood ratio {ratio:.1f})"
     assert check.outcome is (Outcome.PASSED if passed else Outcome.FAILED)

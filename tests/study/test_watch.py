@@ -11,17 +11,16 @@ from dvf_ig.registration import PoseEstimate
 from dvf_ig.replay import Replay
 from dvf_ig.study.driver import Line
 from dvf_ig.study.statistics import poisson_rate, share_over_hearts
-from dvf_ig.study.watch import (
+from dvf_ig.study.watch.beats import (
     FIRST_ONSET,
     DisplacedBeat,
     WatchedBeat,
     WatchedRecording,
     beats_until_found,
-    measured,
     moved,
-    summarise_watch,
     watch_recording,
 )
+from dvf_ig.study.watch.study import measured, summarise_watch
 
 CENTER = np.array([10.0, -20.0, 30.0])
 HOME = Rigid.from_rotation_vector([0.2, -0.1, 0.4], [5.0, 6.0, -7.0], "mr", "tracker")
@@ -73,7 +72,7 @@ def test_a_trial_counts_beats_until_a_shift_is_found_and_how_far_a_drift_is_foll
 def test_beats_of_a_recording_are_displaced_when_its_session_has_ended(
     scenario: Scenario, replay: Replay, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("dvf_ig.study.watch.build_heart", lambda *_: replay.heart)
+    monkeypatch.setattr("dvf_ig.study.watch.beats.build_heart", lambda *_: replay.heart)
     watched = watch_recording(scenario, 0)
     assert len(watched.beats) > FIRST_ONSET
     assert watched.alarms == ()

@@ -1,7 +1,7 @@
 """Hand–eye calibration: where a camera sits on the hand, robot flange or probe that holds it."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -182,31 +182,20 @@ _SAMPLE = 4
 """Poses of one hypothesis: three determine the answer, a fourth steadies it."""
 
 
-@dataclass(frozen=True, slots=True)
-class HandEyeOptions:
-    """Options of the hand–eye fit and limits of its quality gates.
-
-    Attributes:
-        method: the closed form that starts the fit: tsai, park, horaud, andreff, daniilidis (hand–eye), or
-            shah, li (robot–world and hand–eye together).
-        consensus_mm, consensus_deg: a pose supports a hypothesis that places the target within both.
-        hypotheses: four-pose samples drawn.
-        keep_sigma: pairs within this many robust standard deviations are inliers.
-        min_span_deg: smallest accepted largest rotation between two poses of the hand.
-        min_axis_spread: smallest accepted ratio of the second to the first principal size of the hand's
-            rotation vectors; 0 if all rotations are about one axis, which does not determine the
-            shift along it.
-        min_inlier_share: smallest accepted share of pairs that agree.
-    """
-
-    method: HandEyeMethod = "park"
-    consensus_mm: float = 3.0
-    consensus_deg: float = 2.0
-    hypotheses: int = 100
-    keep_sigma: float = 4.0
-    min_span_deg: float = 15.0
-    min_axis_spread: float = 0.1
-    min_inlier_share: float = 0.5
+CONSENSUS_MM = 3.0
+CONSENSUS_DEG = 2.0
+"""A pose supports a hypothesis that places the target within both."""
+HYPOTHESES = 100
+"""Four-pose samples drawn."""
+KEEP_SIGMA = 4.0
+"""Pairs within this many robust standard deviations are inliers."""
+MIN_SPAN_DEG = 15.0
+"""Smallest accepted largest rotation between two poses of the hand."""
+MIN_AXIS_SPREAD = 0.1
+"""Smallest accepted ratio of the second to the first principal size of the hand's rotation vectors; 0 if
+all rotations are about one axis, which does not determine the shift along it."""
+MIN_INLIER_SHARE = 0.5
+"""Smallest accepted share of pairs that agree."""
 
 
 @read_only_arrays
@@ -223,7 +212,7 @@ class HandEyeResult:
         rms_mm, rms_deg: root mean squares over the inliers.
         inliers: (n,) pairs that took part.
         span_deg: largest rotation between two inlier poses of the hand.
-        axis_spread: see HandEyeOptions.min_axis_spread.
+        axis_spread: see MIN_AXIS_SPREAD.
         covariance: (6, 6) rad², mm² of hand_from_camera (rotation in the hand's axes first).
         refusals: the gates that the estimate failed; it must not be used unless there are none.
     """
@@ -247,7 +236,7 @@ def calibrate_hand_eye(
     camera_from_target: PoseStream,
     *,
     rng: Generator,
-    options: HandEyeOptions | None = None,
+    method: HandEyeMethod = "park",
 ) -> HandEyeResult:
     """Fit hand_from_camera so that base_from_hand · hand_from_camera · camera_from_target stays constant.
 
@@ -259,7 +248,8 @@ def calibrate_hand_eye(
         base_from_hand: the hand or robot flange in its base, mm.
         camera_from_target: a target that does not move, as the camera sees it, mm.
         rng: draws the samples; the last fit makes the result all but independent of it.
-        options: see HandEyeOptions.
+        method: the closed form that starts the fit: tsai, park, horaud, andreff, daniilidis (hand–eye), or
+            shah, li (robot–world and hand–eye together).
     Raises:
         InvalidInputError: frames that repeat, or fewer than 3 pairs.
         NoOverlapError: the two streams share no time.
@@ -267,18 +257,17 @@ def calibrate_hand_eye(
             pair agrees. What is computed but fails a gate carries its refusals.
     Source: Tsai & Lenz 1989, Park & Martin 1994, Shah 2013 (in OpenCV); MSAC of Torr & Zisserman 2000.
     """
-    options = options or HandEyeOptions()
     chain, t_s = _paired(base_from_hand, camera_from_target)
-    _refuse_undetermined(chain, base_from_hand.name, options)
-    agreed = _inliers(chain, closed_form(options.method), rng, options)
+    _refuse_undetermined(chain, base_from_hand.name)
+    agreed = _inliers(chain, closed_form(method), rng)
     keep, fitted = agreed.inliers, agreed.model
-    refusals = _few_agree(keep, camera_from_target.target, options)
+    refusals = _few_agree(keep, camera_from_target.target)
     if keep.sum() < MIN_INLIERS:
         raise QualityGateError(refusals[0].detail)
-    turned = _rotation_refusals(chain.part(keep), base_from_hand.name, options)
+    turned = _rotation_refusals(chain.part(keep), base_from_hand.name)
     if fitted is None:
         raise QualityGateError(
-            f"method '{options.method}' gives no pose of '{camera_from_target.target}' from the "
+            f"method '{method}' gives no pose of '{camera_from_target.target}' from the "
             f"{int(keep.sum())} pairs that agree; try another method"
         )
     mm, degrees = chain.residuals(fitted.hand_from_camera, fitted.base_from_target)
@@ -331,55 +320,47 @@ def _paired(hand: PoseStream, camera: PoseStream) -> tuple[Chain, FloatArray]:
     )
 
 
-def _few_agree(keep: BoolArray, camera: str, options: HandEyeOptions) -> tuple[Refusal, ...]:
-    if keep.sum() >= max(MIN_INLIERS, options.min_inlier_share * len(keep)):
+def _few_agree(keep: BoolArray, camera: str) -> tuple[Refusal, ...]:
+    if keep.sum() >= max(MIN_INLIERS, MIN_INLIER_SHARE * len(keep)):
         return ()
     detail = (
         f"only {int(keep.sum())} of {len(keep)} pairs agree on one pose of '{camera}' "
-        f"within {options.consensus_mm:g} mm and {options.consensus_deg:g}°, needed "
-        f"{options.min_inlier_share:.0%}; check that the target stood still and that both clocks are one"
+        f"within {CONSENSUS_MM:g} mm and {CONSENSUS_DEG:g}°, needed "
+        f"{MIN_INLIER_SHARE:.0%}; check that the target stood still and that both clocks are one"
     )
     return (Refusal(Gate.FEW_AGREE, detail),)
 
 
-def _refuse_undetermined(chain: Chain, name: str, options: HandEyeOptions) -> None:
+def _refuse_undetermined(chain: Chain, name: str) -> None:
     """Raise if the hand's motion does not determine the camera's pose at all."""
-    least = replace(options, min_span_deg=_NO_ROTATION_DEG, min_axis_spread=_NO_SPREAD)
-    if _rotation_refusals(chain, name, least):
-        limits = replace(
-            options,
-            min_span_deg=max(options.min_span_deg, _NO_ROTATION_DEG),
-            min_axis_spread=max(options.min_axis_spread, _NO_SPREAD),
-        )
-        raise QualityGateError(_rotation_refusals(chain, name, limits)[0].detail)
+    if rotation_span_deg(chain.hand_rotations) < _NO_ROTATION_DEG or chain.axis_spread() < _NO_SPREAD:
+        raise QualityGateError(_rotation_refusals(chain, name)[0].detail)
 
 
-def _rotation_refusals(chain: Chain, name: str, options: HandEyeOptions) -> tuple[Refusal, ...]:
+def _rotation_refusals(chain: Chain, name: str) -> tuple[Refusal, ...]:
     span, spread = rotation_span_deg(chain.hand_rotations), chain.axis_spread()
-    if span < options.min_span_deg:
+    if span < MIN_SPAN_DEG:
         detail = (
-            f"{name} rotates by {span:.1f}° only, needed at least {options.min_span_deg:g}°; tilt the hand "
+            f"{name} rotates by {span:.1f}° only, needed at least {MIN_SPAN_DEG:g}°; tilt the hand "
             "in all directions while the camera sees the target"
         )
         return (Refusal(Gate.SMALL_ROTATION, detail),)
-    if spread < options.min_axis_spread:
+    if spread < MIN_AXIS_SPREAD:
         detail = (
             f"{name} rotates about one axis only (spread of the axes {spread:.3f}, needed at least "
-            f"{options.min_axis_spread:g}); its position along it stays unknown: rotate about a second "
+            f"{MIN_AXIS_SPREAD:g}); its position along it stays unknown: rotate about a second "
             "axis too"
         )
         return (Refusal(Gate.ONE_AXIS, detail),)
     return ()
 
 
-def _inliers(
-    chain: Chain, solve: Callable[[Chain], FloatArray], rng: Generator, options: HandEyeOptions
-) -> Consensus[ChainFit]:
+def _inliers(chain: Chain, solve: Callable[[Chain], FloatArray], rng: Generator) -> Consensus[ChainFit]:
     """Select inliers, starting from the best-supported closed form of random samples."""
     best, lowest = np.ones(len(chain), dtype=np.bool_), np.inf
     # accept a smaller spread if the whole recording has little: the gate then refuses the pose, not the fit
-    least = min(options.min_axis_spread, 0.5 * chain.axis_spread())
-    for _ in range(options.hypotheses if len(chain) > _SAMPLE else 1):
+    least = min(MIN_AXIS_SPREAD, 0.5 * chain.axis_spread())
+    for _ in range(HYPOTHESES if len(chain) > _SAMPLE else 1):
         sample = rng.permutation(len(chain))[:_SAMPLE]
         chosen = chain.part(sample)
         if chosen.axis_spread() < least:
@@ -387,7 +368,7 @@ def _inliers(
         camera = solve(chosen)
         if not np.isfinite(camera).all():
             continue
-        excess = _excess(chain, camera, options)
+        excess = _excess(chain, camera)
         cost = float(np.minimum(excess, 1.0).sum())
         if cost < lowest:
             best, lowest = excess <= 1.0, cost
@@ -403,11 +384,11 @@ def _inliers(
         fit,
         lambda fitted: chain.residuals(fitted.hand_from_camera, fitted.base_from_target),
         best,
-        InlierRule(options.keep_sigma, scale_from_inliers=True),
+        InlierRule(KEEP_SIGMA, scale_from_inliers=True),
     )
 
 
-def _excess(chain: Chain, hand_from_camera: FloatArray, options: HandEyeOptions) -> FloatArray:
+def _excess(chain: Chain, hand_from_camera: FloatArray) -> FloatArray:
     """(n,) squared residual of each pair over the consensus limits; 1 at the limit."""
     mm, degrees = chain.residuals(hand_from_camera, chain.middle_target(hand_from_camera))
-    return np.maximum(mm / options.consensus_mm, degrees / options.consensus_deg) ** 2
+    return np.maximum(mm / CONSENSUS_MM, degrees / CONSENSUS_DEG) ** 2

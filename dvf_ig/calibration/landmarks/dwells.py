@@ -24,22 +24,15 @@ TipShift = tuple[FloatArray, FloatArray]
 """(3,) shift of a tip, and (n,) distance of each sample from the pivot of its dwell."""
 
 
-@dataclass(frozen=True, slots=True)
-class DwellOptions:
-    """Options of dwell detection: when a stylus rests on a landmark.
-
-    Attributes:
-        radius_mm: the tip stays within this distance of its running mean (PLUS: 1.5 mm).
-        min_s: for at least this long.
-        merge_mm: dwells closer than this, one after the other, are one landmark.
-        keep_sigma: samples within this many robust standard deviations of a dwell's centre belong to it; 3.8
-            (2.5 median distances) take in all of a wobble but not the approach.
-    """
-
-    radius_mm: float = 1.5
-    min_s: float = 1.5
-    merge_mm: float = 5.0
-    keep_sigma: float = 2.5 * MEDIAN_LENGTH
+RADIUS_MM = 1.5
+"""A tip that rests stays within this distance of its running mean (PLUS: 1.5 mm)."""
+MIN_S = 1.5
+"""Shortest time for which it does."""
+MERGE_MM = 5.0
+"""Dwells closer than this, one after the other, are one landmark."""
+MEMBER_SIGMA = 2.5 * MEDIAN_LENGTH
+"""Samples within this many robust standard deviations of a dwell's centre belong to it; 3.8 (2.5 median
+distances) take in all of a wobble but not the approach."""
 
 
 @read_only_arrays
@@ -94,7 +87,7 @@ def tip_positions(poses: PoseStream, tip: Points) -> tuple[FloatArray, Points]:
     return poses.t_s[usable], Points(poses.target, moved)
 
 
-def find_dwells(t_s: FloatArray, tip: Points, *, options: DwellOptions | None = None) -> Dwells:
+def find_dwells(t_s: FloatArray, tip: Points) -> Dwells:
     """Find the dwells of a tip, in order of time.
 
     A dwell's position is the mean, not the median, of its samples: while a stylus pivots in a divot an error
@@ -102,18 +95,16 @@ def find_dwells(t_s: FloatArray, tip: Points, *, options: DwellOptions | None = 
 
     Args:
         t_s: (n,) times; tip: (n, 3) positions in a frame in which the landmarks do not move.
-        options: see DwellOptions.
     Raises:
         QualityGateError: the tip was never held still.
     """
-    options = options or DwellOptions()
-    runs = _merged(_still_runs(t_s, tip.xyz_mm, options), tip.xyz_mm, options)
+    runs = _merged(_still_runs(t_s, tip.xyz_mm), tip.xyz_mm)
     if not runs:
         raise QualityGateError(
-            f"the tip was never held still within {options.radius_mm:g} mm for {options.min_s:g} s; hold it "
+            f"the tip was never held still within {RADIUS_MM:g} mm for {MIN_S:g} s; hold it "
             "on each landmark for a few seconds"
         )
-    members = [_samples(k, runs, tip.xyz_mm, options) for k in range(len(runs))]
+    members = [_samples(k, runs, tip.xyz_mm) for k in range(len(runs))]
     centers = np.array([tip.xyz_mm[run].mean(axis=0) for run in members])
     spread = [_spread(tip.xyz_mm[run] - c) for run, c in zip(members, centers, strict=True)]
     return Dwells(
@@ -172,36 +163,34 @@ def _spread(offsets_mm: FloatArray) -> float:
     return float(np.sqrt((offsets_mm**2).sum(axis=1).mean()))
 
 
-def _still_runs(t_s: FloatArray, xyz_mm: FloatArray, options: DwellOptions) -> list[IntArray]:
+def _still_runs(t_s: FloatArray, xyz_mm: FloatArray) -> list[IntArray]:
     """Maximal runs of samples that stay within the radius of their own running mean."""
     runs: list[IntArray] = []
     start, total = 0, xyz_mm[0].copy()
     for i in range(1, len(xyz_mm) + 1):
-        stays = (
-            i < len(xyz_mm) and float(np.linalg.norm(xyz_mm[i] - total / (i - start))) <= options.radius_mm
-        )
+        stays = i < len(xyz_mm) and float(np.linalg.norm(xyz_mm[i] - total / (i - start))) <= RADIUS_MM
         if stays:
             total += xyz_mm[i]
             continue
-        if t_s[i - 1] - t_s[start] >= options.min_s:
+        if t_s[i - 1] - t_s[start] >= MIN_S:
             runs.append(np.arange(start, i))
         if i < len(xyz_mm):
             start, total = i, xyz_mm[i].copy()
     return runs
 
 
-def _merged(runs: list[IntArray], xyz_mm: FloatArray, options: DwellOptions) -> list[IntArray]:
+def _merged(runs: list[IntArray], xyz_mm: FloatArray) -> list[IntArray]:
     out: list[IntArray] = []
     for run in runs:
         center = np.median(xyz_mm[run], axis=0)
-        if out and np.linalg.norm(center - np.median(xyz_mm[out[-1]], axis=0)) <= options.merge_mm:
+        if out and np.linalg.norm(center - np.median(xyz_mm[out[-1]], axis=0)) <= MERGE_MM:
             out[-1] = np.concatenate([out[-1], run])
         else:
             out.append(run)
     return out
 
 
-def _samples(k: int, runs: list[IntArray], xyz_mm: FloatArray, options: DwellOptions) -> IntArray:
+def _samples(k: int, runs: list[IntArray], xyz_mm: FloatArray) -> IntArray:
     """Samples of dwell k, between its neighbours: the inliers about their own mean.
 
     A run depends on where its running mean began; this set does not.
@@ -213,6 +202,6 @@ def _samples(k: int, runs: list[IntArray], xyz_mm: FloatArray, options: DwellOpt
         lambda keep, _: xyz_mm[candidates[keep]].mean(axis=0),
         lambda center: [np.linalg.norm(xyz_mm[candidates] - center, axis=1)],
         np.isin(candidates, runs[k]),
-        InlierRule(options.keep_sigma, scale_from_inliers=True),
+        InlierRule(MEMBER_SIGMA, scale_from_inliers=True),
     )
     return candidates[consensus.inliers]

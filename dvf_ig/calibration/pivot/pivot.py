@@ -22,26 +22,28 @@ MAX_CONDITION = 1e6
 """Condition number above which the poses determine no tip at all."""
 
 
+CONSENSUS_MM = 2.0
+"""3-D residual within which a pose supports a hypothesis."""
+HYPOTHESES = 500
+"""Three-pose samples drawn."""
+KEEP_SIGMA = 5.0
+"""Poses within this many robust standard deviations are inliers."""
+MIN_SPAN_DEG = 15.0
+"""Smallest accepted largest pairwise rotation."""
+MIN_INLIER_SHARE = 0.5
+"""Smallest accepted share of poses that agree."""
+
+
 @dataclass(frozen=True, slots=True)
 class PivotOptions:
     """Options of the pivot fit and limits of its quality gates (docs/theory/calibration.md).
 
     Attributes:
-        consensus_mm: 3-D residual within which a pose supports a hypothesis.
-        hypotheses: three-pose samples drawn.
-        keep_sigma: poses within this many robust standard deviations are inliers.
-        min_span_deg: smallest accepted largest pairwise rotation.
         max_condition: largest accepted condition number of the linear system.
-        min_inlier_share: smallest accepted share of poses that agree.
         max_rms_mm: largest accepted 3-D RMS of the inliers.
     """
 
-    consensus_mm: float = 2.0
-    hypotheses: int = 500
-    keep_sigma: float = 5.0
-    min_span_deg: float = 15.0
     max_condition: float = 60.0
-    min_inlier_share: float = 0.5
     max_rms_mm: float = 2.0
 
 
@@ -99,9 +101,9 @@ def calibrate_pivot(poses: PoseStream, *, rng: Generator, options: PivotOptions 
             "record again with the tool in view"
         )
     rotations, translations = poses.rotations[valid], poses.translations_mm[valid]
-    keep = _inliers(rotations, translations, rng, options)
+    keep = _inliers(rotations, translations, rng)
     if keep.sum() < MIN_INLIERS:
-        raise QualityGateError(_few_agree(poses.name, keep, options))
+        raise QualityGateError(_few_agree(poses.name, keep))
     return _result(poses, valid, keep, options)
 
 
@@ -155,26 +157,22 @@ def _result(
     )
 
 
-def _inliers(
-    rotations: FloatArray, translations: FloatArray, rng: Generator, options: PivotOptions
-) -> BoolArray:
+def _inliers(rotations: FloatArray, translations: FloatArray, rng: Generator) -> BoolArray:
     """Select (n,) inliers, starting from the best-supported pivot of random three-pose samples."""
-    best = _best_hypothesis(rotations, translations, rng, options)
+    best = _best_hypothesis(rotations, translations, rng)
     return fit_inliers(
         lambda keep, _: _solve(rotations[keep], translations[keep]),
         lambda solution: [_residual_lengths(solution[None], rotations, translations)[0]],
-        _residual_lengths(best[None], rotations, translations)[0] <= options.consensus_mm,
-        InlierRule(options.keep_sigma, scale_below=2 * options.consensus_mm),
+        _residual_lengths(best[None], rotations, translations)[0] <= CONSENSUS_MM,
+        InlierRule(KEEP_SIGMA, scale_below=2 * CONSENSUS_MM),
     ).inliers
 
 
-def _best_hypothesis(
-    rotations: FloatArray, translations: FloatArray, rng: Generator, options: PivotOptions
-) -> FloatArray:
+def _best_hypothesis(rotations: FloatArray, translations: FloatArray, rng: Generator) -> FloatArray:
     """(6,) tip and pivot with the smallest truncated squared residual over random three-pose fits."""
     n = len(rotations)
     triples = (
-        rng.permuted(np.tile(np.arange(n), (options.hypotheses, 1)), axis=1)[:, :3]
+        rng.permuted(np.tile(np.arange(n), (HYPOTHESES, 1)), axis=1)[:, :3]
         if n > 3
         else (np.array([[0, 1, 2]]))
     )
@@ -182,7 +180,7 @@ def _best_hypothesis(
     right = -translations[triples].reshape(len(triples), 9)
     candidates = np.einsum("kij,kj->ki", np.linalg.pinv(systems), right)
     lengths = _residual_lengths(candidates, rotations, translations)
-    cost = np.minimum(lengths, options.consensus_mm) ** 2
+    cost = np.minimum(lengths, CONSENSUS_MM) ** 2
     return np.asarray(candidates[int(cost.sum(axis=1).argmin())])
 
 
@@ -207,10 +205,8 @@ def _rotation_refusals(
     name: str, span_deg: float, condition: float, options: PivotOptions
 ) -> tuple[Refusal, ...]:
     advice = "tilt the tool in all directions about the divot"
-    if span_deg < options.min_span_deg:
-        detail = (
-            f"{name} rotates by {span_deg:.1f}° only, needed at least {options.min_span_deg:g}°; {advice}"
-        )
+    if span_deg < MIN_SPAN_DEG:
+        detail = f"{name} rotates by {span_deg:.1f}° only, needed at least {MIN_SPAN_DEG:g}°; {advice}"
         return (Refusal(Gate.SMALL_ROTATION, f"{detail} while recording"),)
     if condition > options.max_condition:
         detail = f"condition number {condition:.0f}, needed at most {options.max_condition:g}"
@@ -222,8 +218,8 @@ def _agreement_refusals(
     name: str, keep: BoolArray, rms_mm: float, options: PivotOptions
 ) -> tuple[Refusal, ...]:
     refusals = []
-    if keep.mean() < options.min_inlier_share:
-        refusals.append(Refusal(Gate.FEW_AGREE, _few_agree(name, keep, options)))
+    if keep.mean() < MIN_INLIER_SHARE:
+        refusals.append(Refusal(Gate.FEW_AGREE, _few_agree(name, keep)))
     if rms_mm > options.max_rms_mm:
         detail = (
             f"pivot residual of {name} is {rms_mm:.2f} mm RMS, above the gate of {options.max_rms_mm:g} mm "
@@ -233,8 +229,8 @@ def _agreement_refusals(
     return tuple(refusals)
 
 
-def _few_agree(name: str, keep: BoolArray, options: PivotOptions) -> str:
+def _few_agree(name: str, keep: BoolArray) -> str:
     return (
         f"only {int(keep.sum())} of {len(keep)} poses of {name} rotate about one point within "
-        f"{options.consensus_mm:g} mm; needed {options.min_inlier_share:.0%}: keep the tip in the divot"
+        f"{CONSENSUS_MM:g} mm; needed {MIN_INLIER_SHARE:.0%}: keep the tip in the divot"
     )

@@ -18,6 +18,9 @@ from dvf_ig.core import (
 from .errors import CalibrationErrors, calibration_errors
 from .map_parameters import MapParameters
 from .target_fit import (
+    HYPOTHESES,
+    MIN_FRAMES,
+    SUBSET,
     TargetOptions,
     TargetRecording,
     TargetResult,
@@ -83,10 +86,10 @@ def calibrate_crosswire(
     Source: Detmer 1994, Prager 1998 (cross-wire).
     """
     options = options or TargetOptions()
-    points = _checked(poses, points_px, options.min_frames)
+    points = _checked(poses, points_px, MIN_FRAMES)
     design, right = _linear_rows(points)
-    size = min(options.subset, len(points))
-    picks = [np.sort(rng.permutation(len(points))[:size]) for _ in range(options.hypotheses)]
+    size = min(SUBSET, len(points))
+    picks = [np.sort(rng.permutation(len(points))[:size]) for _ in range(HYPOTHESES)]
     solved: list[FloatArray] = [
         np.linalg.lstsq(design[p].reshape(-1, 12), right[p].ravel(), rcond=1e-10)[0].astype(np.float64)
         for p in picks

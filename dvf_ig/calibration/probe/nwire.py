@@ -34,6 +34,17 @@ from .nwire_solve import (
 )
 from .tracked_points import TrackedPoints, rejected_frames, require_same_probe, usable_points
 
+HYPOTHESES = 200
+"""Random subsets of frames tried before the fit."""
+SUBSET = 6
+"""Frames in a subset."""
+KEEP_SIGMA = 5.0
+"""Frames whose worst middle wire lies within this many robust standard deviations are inliers."""
+MIN_FRAMES = 10
+"""Fewest frames accepted."""
+MAX_EDGE_SD_MM = 1.0
+"""Largest accepted standard deviation of the map over the region the dots covered."""
+
 
 @dataclass(frozen=True, slots=True)
 class NWireOptions:
@@ -44,22 +55,11 @@ class NWireOptions:
             times scale; "orthogonal" fits rotation, translation and two scales to the middle wires;
             "isotropic" does so with one scale; "all-wires" fits them to the in-plane residuals of every
             wire, each direction weighed by its scatter.
-        hypotheses: random subsets of frames tried before the fit.
-        subset: frames a subset.
-        keep_sigma: frames whose worst middle wire lies within this many robust standard deviations are
-            inliers.
-        min_frames: fewest frames accepted.
         max_mean_mm: largest accepted mean 3-D error of the inliers.
-        max_edge_sd_mm: largest accepted standard deviation of the map over the region the dots covered.
     """
 
     method: NWireMethod = "orthogonal"
-    hypotheses: int = 200
-    subset: int = 6
-    keep_sigma: float = 5.0
-    min_frames: int = 10
     max_mean_mm: float = 2.0
-    max_edge_sd_mm: float = 1.0
 
 
 @read_only_arrays
@@ -156,24 +156,24 @@ def fit_linear(recording: NWireRecording, rng: Generator, options: NWireOptions)
     if options.method not in NWIRE_METHODS:
         listed = ", ".join(NWIRE_METHODS)
         raise InvalidInputError(f"probe method '{options.method}' is unknown; choose {listed}")
-    points, wires = usable_wires(recording, options.min_frames), MiddleWires.of(recording.phantom)
-    inliers = _inliers(points, wires, rng, options)
+    points, wires = usable_wires(recording, MIN_FRAMES), MiddleWires.of(recording.phantom)
+    inliers = _inliers(points, wires, rng)
     refusals: list[Refusal] = []
-    if inliers.sum() < max(options.min_frames, len(inliers) // 2):
+    if inliers.sum() < max(MIN_FRAMES, len(inliers) // 2):
         detail = (
             f"only {int(inliers.sum())} of {len(inliers)} N-wire frames agree on one probe calibration, "
-            f"needed half and at least {options.min_frames}; check phantom, sensor and wire order"
+            f"needed half and at least {MIN_FRAMES}; check phantom, sensor and wire order"
         )
-        if inliers.sum() < options.subset:
+        if inliers.sum() < SUBSET:
             raise QualityGateError(detail)
         refusals.append(Refusal(Gate.FEW_AGREE, detail))
     chosen = points.part(inliers)
     linear = linear_map(chosen, wires)
     covariance, edge_sd = linear_covariance(chosen, wires, linear)
-    if edge_sd > options.max_edge_sd_mm:
+    if edge_sd > MAX_EDGE_SD_MM:
         detail = (
             f"the wires leave the probe calibration uncertain by {edge_sd:.2f} mm where they were seen, "
-            f"needed at most {options.max_edge_sd_mm:g} mm; let the dots wander over the image"
+            f"needed at most {MAX_EDGE_SD_MM:g} mm; let the dots wander over the image"
         )
         refusals.append(Refusal(Gate.UNCERTAIN, detail))
     return LinearFit(points, inliers, linear, covariance, edge_sd, tuple(refusals))
@@ -211,13 +211,12 @@ def _residual_refusals(mean_mm: float, options: NWireOptions) -> tuple[Refusal, 
     return (Refusal(Gate.RESIDUAL, detail),)
 
 
-def _inliers(points: TrackedPoints, wires: MiddleWires, rng: Generator, options: NWireOptions) -> BoolArray:
+def _inliers(points: TrackedPoints, wires: MiddleWires, rng: Generator) -> BoolArray:
     """Select (f,) inliers of the free linear map, starting from the best map of random subsets."""
-    count, rule = len(points), InlierRule(options.keep_sigma)
-    size = min(options.subset, count)
+    count, rule = len(points), InlierRule(KEEP_SIGMA)
+    size = min(SUBSET, count)
     candidates = [
-        linear_map(points.part(np.sort(rng.permutation(count)[:size])), wires)
-        for _ in range(options.hypotheses)
+        linear_map(points.part(np.sort(rng.permutation(count)[:size])), wires) for _ in range(HYPOTHESES)
     ]
     worst = np.stack([wires.errors_mm(columns, points).max(axis=1) for columns in candidates])
     best = worst[int(np.median(worst, axis=1).argmin())]

@@ -66,6 +66,20 @@ def _map_from_columns(columns: FloatArray, sensor: str) -> ImageMap:
 MAX_CONCENTRATION_STEPS = 12
 LEAST_FRAMES = 12
 """Fewest agreeing frames that are fitted: the number of a cross-wire's unknowns."""
+HYPOTHESES = 60
+"""Random subsets of frames tried before the fit."""
+SUBSET = 12
+"""Frames in a subset."""
+KEEP_SIGMA = 5.0
+"""Frames whose residual is at most this many robust standard deviations long are inliers."""
+MIN_FRAMES = 15
+"""Fewest frames accepted."""
+MAX_POSITION_SD_MM = 1.0
+MAX_ROTATION_SD_DEG = 2.0
+MAX_SCALE_SD_PERCENT = 5.0
+"""Largest accepted standard deviations, of the middle of the region where the target was seen."""
+LEAST_NOISE_MM = 0.1
+"""Noise assumed for these standard deviations if residuals are smaller."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,30 +88,11 @@ class TargetOptions:
 
     Attributes:
         isotropic: one pixel size instead of two.
-        hypotheses: random subsets of frames tried before the fit.
-        subset: frames a subset.
-        keep_sigma: frames whose residual is at most this many robust standard deviations long are inliers.
-        min_frames: fewest frames accepted.
         max_rms_mm: largest accepted RMS residual of the inliers.
-        max_position_sd_mm, max_rotation_sd_deg, max_scale_sd_percent: largest accepted standard deviations,
-            of the middle of the region where the target was seen.
-        least_noise_mm: noise assumed if residuals are smaller, for these standard deviations.
     """
 
     isotropic: bool = False
-    hypotheses: int = 60
-    subset: int = 12
-    keep_sigma: float = 5.0
-    min_frames: int = 15
     max_rms_mm: float = 3.0
-    max_position_sd_mm: float = 1.0
-    max_rotation_sd_deg: float = 2.0
-    max_scale_sd_percent: float = 5.0
-    least_noise_mm: float = 0.1
-
-    def __post_init__(self) -> None:
-        if self.hypotheses < 1:
-            raise InvalidInputError(f"{self.hypotheses} subsets of frames are tried; needed at least 1")
 
 
 @read_only_arrays
@@ -197,7 +192,7 @@ def calibrate_target(
             inliers, large residuals, a motion that leaves a parameter undetermined) carries its refusals.
     """
     points, frames = recording.usable, len(recording.poses)
-    rule = InlierRule(options.keep_sigma, dimensions=start.residuals(points).shape[1])
+    rule = InlierRule(KEEP_SIGMA, dimensions=start.residuals(points).shape[1])
     first, _ = rule.select([start.lengths(points)], np.ones(len(points), dtype=np.bool_))
     agreed = fit_inliers(
         lambda inliers, last: levenberg_marquardt(last or start, points.part(inliers)),
@@ -205,9 +200,9 @@ def calibrate_target(
         first,
         rule,
     )
-    refusals = _few_agree(agreed.inliers, options)
-    if agreed.model is None or agreed.inliers.sum() < min(options.min_frames, LEAST_FRAMES):
-        raise QualityGateError(_few_agree_text(agreed.inliers, options))
+    refusals = _few_agree(agreed.inliers)
+    if agreed.model is None or agreed.inliers.sum() < LEAST_FRAMES:
+        raise QualityGateError(_few_agree_text(agreed.inliers))
     fit = agreed.model
     uncertainty, unsure = _uncertainty(fit, points.part(agreed.inliers), options, advice)
     lengths = fit.lengths(points)
@@ -224,16 +219,16 @@ def calibrate_target(
     )
 
 
-def _few_agree(inliers: BoolArray, options: TargetOptions) -> tuple[Refusal, ...]:
-    if inliers.sum() >= max(options.min_frames, len(inliers) // 2):
+def _few_agree(inliers: BoolArray) -> tuple[Refusal, ...]:
+    if inliers.sum() >= max(MIN_FRAMES, len(inliers) // 2):
         return ()
-    return (Refusal(Gate.FEW_AGREE, _few_agree_text(inliers, options)),)
+    return (Refusal(Gate.FEW_AGREE, _few_agree_text(inliers)),)
 
 
-def _few_agree_text(inliers: BoolArray, options: TargetOptions) -> str:
+def _few_agree_text(inliers: BoolArray) -> str:
     return (
         f"only {int(inliers.sum())} of {len(inliers)} frames agree on one calibration, needed "
-        f"{max(options.min_frames, len(inliers) // 2)}; check that the target stood still and that the "
+        f"{max(MIN_FRAMES, len(inliers) // 2)}; check that the target stood still and that the "
         "points belong to these frames"
     )
 
@@ -260,11 +255,11 @@ def _uncertainty(
     jacobian = fit.phantom.jacobian(fit.parameters, points)
     count = fit.parameters.count
     freedom = max(1, residuals.size - jacobian.shape[2])
-    noise = max(options.least_noise_mm, float(np.sqrt((residuals**2).sum() / freedom)))
+    noise = max(LEAST_NOISE_MM, float(np.sqrt((residuals**2).sum() / freedom)))
     limits = (
-        float(np.radians(options.max_rotation_sd_deg)),
-        options.max_position_sd_mm,
-        options.max_scale_sd_percent / 100,
+        float(np.radians(MAX_ROTATION_SD_DEG)),
+        MAX_POSITION_SD_MM,
+        MAX_SCALE_SD_PERCENT / 100,
     )
     refusals += undetermined_refusals(fit.parameters, jacobian, noise, limits, advice)
     try:

@@ -19,6 +19,9 @@ from .errors import CalibrationErrors, calibration_errors
 from .map_fit import MapFit
 from .map_parameters import MapParameters
 from .target_fit import (
+    HYPOTHESES,
+    MIN_FRAMES,
+    SUBSET,
     TargetOptions,
     TargetRecording,
     TargetResult,
@@ -112,8 +115,8 @@ def calibrate_wall(
     Source: Prager 1998 (single wall).
     """
     options = options or TargetOptions()
-    points = _checked(poses, points_px, options.min_frames)
-    best = best_start(_starts(points, rng, options), points, options)
+    points = _checked(poses, points_px, MIN_FRAMES)
+    best = best_start(_starts(points, rng), points, options)
     _refuse_collapsed(best, points)
     return calibrate_target(best, TargetRecording(poses, points_px, points), options, ADVICE)
 
@@ -157,14 +160,12 @@ def _refuse_collapsed(fit: MapFit[PlaneTarget], points: TrackedPoints) -> None:
         )
 
 
-def _starts(
-    points: TrackedPoints, rng: Generator, options: TargetOptions
-) -> list[tuple[ImageMap, PlaneTarget, FloatArray]]:
+def _starts(points: TrackedPoints, rng: Generator) -> list[tuple[ImageMap, PlaneTarget, FloatArray]]:
     """Find the best free linear solutions over normals and subsets, with their (f,) residual lengths."""
     normals = _hemisphere(NORMALS)
     design, right = _linear_rows(points, normals)
-    size = min(options.subset, len(points))
-    member = np.zeros((options.hypotheses, len(points)))
+    size = min(SUBSET, len(points))
+    member = np.zeros((HYPOTHESES, len(points)))
     for row in member:
         row[rng.permutation(len(points))[:size]] = 1.0
     normal = np.einsum("nfki,nfkj->nfij", design, design)

@@ -133,38 +133,29 @@ def _long_run_sum(scores: FloatArray, memory: int) -> FloatArray:
     return np.asarray(total)
 
 
-MIN_PERIODS = 0.5
-"""Fewest movements that can be compared, whatever the options require."""
-
-
-@dataclass(frozen=True, slots=True)
-class LatencyOptions:
-    """Options of the lag search and limits of its quality gates.
-
-    Attributes:
-        search_s: lags within ± this are tried.
-        coarse_s, fine_s: steps of the two searches; a parabola goes through the best three fine ones.
-        min_periods: fewest up-and-down movements accepted.
-        min_motion_mm: smallest accepted standard deviation of the probe's principal motion.
-        min_motion_px: the same for the line's row.
-        min_correlation: smallest accepted |correlation| at the best lag.
-        max_second_ratio: largest accepted |correlation| of another lag over that of the best one.
-        clear_ratio: another lag whose |correlation| is below this share of the best needs no further look;
-            above it, it must fit worse by `min_second_sigmas` standard errors.
-        memory_periods: residuals further apart than this many movements count as independent.
-    """
-
-    search_s: float = 0.5
-    coarse_s: float = 0.005
-    fine_s: float = 0.001
-    min_periods: float = 3.0
-    min_motion_mm: float = 1.0
-    min_motion_px: float = 2.0
-    min_correlation: float = 0.8
-    max_second_ratio: float = 0.998
-    clear_ratio: float = 0.95
-    min_second_sigmas: float = 2.0
-    memory_periods: float = 2.0
+COMPARABLE_PERIODS = 0.5
+"""Fewest up-and-down movements that can be compared at all."""
+SEARCH_S = 0.5
+"""Lags within ± this are tried."""
+COARSE_S = 0.005
+FINE_S = 0.001
+"""Steps of the two searches; a parabola goes through the best three fine ones."""
+MIN_PERIODS = 3.0
+"""Fewest up-and-down movements accepted."""
+MIN_MOTION_MM = 1.0
+"""Smallest accepted standard deviation of the probe's principal motion."""
+MIN_MOTION_PX = 2.0
+"""Smallest accepted standard deviation of the line's row."""
+MIN_CORRELATION = 0.8
+"""Smallest accepted |correlation| at the best lag."""
+MAX_SECOND_RATIO = 0.998
+"""Largest accepted |correlation| of another lag over that of the best one."""
+CLEAR_RATIO = 0.95
+"""Another lag whose |correlation| is below this share of the best needs no further look; above it, it must
+fit worse by MIN_SECOND_SIGMAS standard errors."""
+MIN_SECOND_SIGMAS = 2.0
+MEMORY_PERIODS = 2.0
+"""Residuals further apart than this many movements count as independent."""
 
 
 @read_only_arrays
@@ -211,12 +202,11 @@ class LatencyResult:
         return float(self.period_lags_s.std(ddof=1)) if len(self.period_lags_s) > 1 else 0.0
 
 
-def estimate_latency(recording: LatencyRecording, *, options: LatencyOptions | None = None) -> LatencyResult:
+def estimate_latency(recording: LatencyRecording) -> LatencyResult:
     """Estimate the lag at which the probe's principal motion best explains the line's row, of either sign.
 
     Args:
         recording: tracker_from_probe on the tracker clock, row of the tank bottom on the video clock.
-        options: see LatencyOptions.
     Raises:
         NoOverlapError: the two recordings share too little time.
         QualityGateError: there is no motion to compare. A lag from too few movements, of poor correlation, at
@@ -224,24 +214,23 @@ def estimate_latency(recording: LatencyRecording, *, options: LatencyOptions | N
     Source: PLUS temporal calibration (principal axis against line position).
     Differs from source: of the two motion signs the better fit is kept, not the smaller lag.
     """
-    options = options or LatencyOptions()
-    motions = _motions(recording, options)
+    motions = _motions(recording)
     periods = _periods(motions)
-    refusals = _few_movements(periods, options)
-    if periods < MIN_PERIODS:
+    refusals = _few_movements(periods)
+    if periods < COMPARABLE_PERIODS:
         raise QualityGateError(refusals[0].detail)
-    lags = np.arange(-options.search_s, options.search_s + options.coarse_s / 2, options.coarse_s)
+    lags = np.arange(-SEARCH_S, SEARCH_S + COARSE_S / 2, COARSE_S)
     correlations = np.array([motions.correlation(float(lag)) for lag in lags])
     best = int(np.abs(correlations).argmax())
-    lag, value = _refined(motions, float(lags[best]), float(np.sign(correlations[best])), options)
-    memory_s = options.memory_periods * float(np.ptp(motions.video_t_s)) / periods
-    second_lag, second = _second_peak(motions, lags, correlations, best, options)
+    lag, value = _refined(motions, float(lags[best]), float(np.sign(correlations[best])))
+    memory_s = MEMORY_PERIODS * float(np.ptp(motions.video_t_s)) / periods
+    second_lag, second = _second_peak(motions, lags, correlations, best)
     ratio = second / abs(value) if value else 1.0
     sigmas = excess_sigmas(motions, lag, second_lag, memory_s) if second else np.inf
-    refusals += _poor(lag, abs(value), options) + _second_lag(lag, second_lag, ratio, sigmas, options)
+    refusals += _poor(lag, abs(value)) + _second_lag(lag, second_lag, ratio, sigmas)
     sign = float(np.sign(value))
     early = np.arange(len(motions.video_t_s)) < len(motions.video_t_s) // 2
-    halves = tuple(_refined(motions.part(keep), lag, sign, options)[0] for keep in (early, ~early))
+    halves = tuple(_refined(motions.part(keep), lag, sign)[0] for keep in (early, ~early))
     middles, own_lags = period_lags(motions, lag)
     return LatencyResult(
         lag_s=lag,
@@ -271,9 +260,9 @@ def principal_motion_mm(poses: PoseStream) -> FloatArray:
     return np.asarray(centred @ axis)
 
 
-def _motions(recording: LatencyRecording, options: LatencyOptions) -> Motions:
+def _motions(recording: LatencyRecording) -> Motions:
     poses, rows = recording.tracker_from_probe, recording.wall_row_px
-    first, last = rows.t_s[0] - options.search_s, rows.t_s[-1] + options.search_s
+    first, last = rows.t_s[0] - SEARCH_S, rows.t_s[-1] + SEARCH_S
     near = poses.valid & (poses.t_s >= first - 1.0) & (poses.t_s <= last + 1.0)
     if near.sum() < 10:
         raise NoOverlapError(
@@ -285,18 +274,18 @@ def _motions(recording: LatencyRecording, options: LatencyOptions) -> Motions:
         poses.target, poses.source, poses.t_s[near], poses.rotations[near], poses.translations_mm[near],
         poses.valid[near],
     )  # fmt: skip
-    covered = _covered(rows.t_s, nearby.t_s, options.search_s)
+    covered = _covered(rows.t_s, nearby.t_s, SEARCH_S)
     if covered.sum() < 20:
         raise NoOverlapError(
             f"only {int(covered.sum())} of {len(rows.t_s)} video frames lie within the tracked time with "
-            f"{options.search_s:g} s to spare on both sides, needed at least 20; let the tracker run longer"
+            f"{SEARCH_S:g} s to spare on both sides, needed at least 20; let the tracker run longer"
         )
     motion = principal_motion_mm(nearby)
     row = rows.values[covered]
-    if motion.std() < options.min_motion_mm or row.std() < options.min_motion_px:
+    if motion.std() < MIN_MOTION_MM or row.std() < MIN_MOTION_PX:
         raise QualityGateError(
             f"there is no motion to compare: the probe moves {motion.std():.2f} mm (needed "
-            f"{options.min_motion_mm:g}) and the line {row.std():.2f} px (needed {options.min_motion_px:g}), "
+            f"{MIN_MOTION_MM:g}) and the line {row.std():.2f} px (needed {MIN_MOTION_PX:g}), "
             "standard deviations; move the probe up and down above the tank's floor"
         )
     return Motions(nearby.t_s, motion, rows.t_s[covered], row)
@@ -318,11 +307,11 @@ def _periods(motions: Motions) -> float:
     return float(np.count_nonzero(np.diff(side)) / 2)
 
 
-def _refined(motions: Motions, lag_s: float, sign: float, options: LatencyOptions) -> tuple[float, float]:
+def _refined(motions: Motions, lag_s: float, sign: float) -> tuple[float, float]:
     """Refine the lag near `lag_s` for one sign of motion, by fine steps and a parabola."""
-    steps = round(2 * options.coarse_s / options.fine_s)
+    steps = round(2 * COARSE_S / FINE_S)
     for _ in range(20):
-        lags = lag_s + options.fine_s * np.arange(-steps, steps + 1)
+        lags = lag_s + FINE_S * np.arange(-steps, steps + 1)
         values = sign * np.array([motions.correlation(float(lag)) for lag in lags])
         best = int(values.argmax())
         if 0 < best < len(lags) - 1:
@@ -333,11 +322,11 @@ def _refined(motions: Motions, lag_s: float, sign: float, options: LatencyOption
     below, top, above = values[best - 1 : best + 2]
     bend = below - 2 * top + above
     offset = 0.5 * (below - above) / bend if bend < 0 else 0.0
-    return float(lags[best] + offset * options.fine_s), sign * float(top - 0.25 * (below - above) * offset)
+    return float(lags[best] + offset * FINE_S), sign * float(top - 0.25 * (below - above) * offset)
 
 
 def _second_peak(
-    motions: Motions, lags: FloatArray, correlations: FloatArray, best: int, options: LatencyOptions
+    motions: Motions, lags: FloatArray, correlations: FloatArray, best: int
 ) -> tuple[float, float]:
     """Lag and |correlation| of the strongest other local maximum (NaN and 0 if there is none)."""
     strength = np.abs(correlations)
@@ -348,47 +337,44 @@ def _second_peak(
     second = int(others[strength[others].argmax()])
     if second in (0, len(lags) - 1):
         return float(lags[second]), float(strength[second])
-    lag, value = _refined(motions, float(lags[second]), float(np.sign(correlations[second])), options)
+    lag, value = _refined(motions, float(lags[second]), float(np.sign(correlations[second])))
     return lag, abs(value)
 
 
-def _few_movements(periods: float, options: LatencyOptions) -> tuple[Refusal, ...]:
-    least = max(options.min_periods, MIN_PERIODS)
-    if periods >= least:
+def _few_movements(periods: float) -> tuple[Refusal, ...]:
+    if periods >= MIN_PERIODS:
         return ()
     detail = (
-        f"the recording holds {periods:.1f} up-and-down movements, needed at least {least:g}; "
+        f"the recording holds {periods:.1f} up-and-down movements, needed at least {MIN_PERIODS:g}; "
         "move the probe up and down for ten seconds or more"
     )
     return (Refusal(Gate.FEW_MOVEMENTS, detail),)
 
 
-def _poor(lag_s: float, correlation: float, options: LatencyOptions) -> tuple[Refusal, ...]:
+def _poor(lag_s: float, correlation: float) -> tuple[Refusal, ...]:
     refusals = []
-    if correlation < options.min_correlation:
+    if correlation < MIN_CORRELATION:
         detail = (
             f"probe and line move together with correlation {correlation:.2f} at best, needed at least "
-            f"{options.min_correlation:g}; check the line detection and that both belong to one recording"
+            f"{MIN_CORRELATION:g}; check the line detection and that both belong to one recording"
         )
         refusals.append(Refusal(Gate.CORRELATION, detail))
-    if abs(lag_s) >= options.search_s - options.coarse_s:
+    if abs(lag_s) >= SEARCH_S - COARSE_S:
         detail = (
-            f"the best lag lies at the end of the search (±{options.search_s:g} s); check that both clocks "
+            f"the best lag lies at the end of the search (±{SEARCH_S:g} s); check that both clocks "
             "are the same, or widen the search"
         )
         refusals.append(Refusal(Gate.END_OF_SEARCH, detail))
     return tuple(refusals)
 
 
-def _second_lag(
-    lag_s: float, second_lag_s: float, ratio: float, sigmas: float, options: LatencyOptions
-) -> tuple[Refusal, ...]:
-    unclear = ratio > options.clear_ratio and sigmas < options.min_second_sigmas
-    if not (ratio > options.max_second_ratio or unclear):
+def _second_lag(lag_s: float, second_lag_s: float, ratio: float, sigmas: float) -> tuple[Refusal, ...]:
+    unclear = ratio > CLEAR_RATIO and sigmas < MIN_SECOND_SIGMAS
+    if not (ratio > MAX_SECOND_RATIO or unclear):
         return ()
     detail = (
         f"two lags fit equally well ({lag_s:+.3f} s and {second_lag_s:+.3f} s, ratio {ratio:.3f}, "
-        f"{sigmas:.1f} standard errors apart, needed {options.min_second_sigmas:g}); "
+        f"{sigmas:.1f} standard errors apart, needed {MIN_SECOND_SIGMAS:g}); "
         "record again with movements of uneven pace so that only one can match"
     )
     return (Refusal(Gate.SECOND_ANSWER, detail),)

@@ -14,30 +14,21 @@ PIXELS_PER_SD = 2.0
 """Fine images are averaged over squares of pixels, as long as at least this many still span a dot's SD."""
 
 
-@dataclass(frozen=True, slots=True)
-class DotOptions:
-    """Criteria by which an echo counts as a dot.
-
-    Attributes:
-        dot_mm: SD of the Gaussian that models a dot, about a pulse length.
-        background_mm: SD of the Gaussian that models its surroundings.
-        window_mm: a dot's echo lies within this distance of its peak along rows and columns...
-        apart_mm: of peaks closer than this along rows and columns the strongest is kept.
-        echo_share: ...and is what is joined to the peak and above this share of it...
-        one_echo_share: ...or above the lowest share, from this one down, that keeps it within the window and
-            apart from its neighbours.
-        min_contrast: smallest peak above its surroundings, grey values after smoothing.
-        most: dots kept, the strongest first.
-    """
-
-    dot_mm: float = 0.5
-    background_mm: float = 2.0
-    window_mm: float = 5.0
-    apart_mm: float = 0.5
-    echo_share: float = 0.35
-    one_echo_share: float = 0.9
-    min_contrast: float = 2.0
-    most: int = 25
+DOT_MM = 0.5
+"""Standard deviation of the Gaussian that models a dot, about a pulse length."""
+BACKGROUND_MM = 2.0
+"""Standard deviation of the Gaussian that models a dot's surroundings."""
+WINDOW_MM = 5.0
+"""A dot's echo is within this distance of its peak along rows and columns."""
+APART_MM = 0.5
+"""Of peaks closer than this along rows and columns the strongest is kept."""
+ECHO_SHARE, ONE_ECHO_SHARE = 0.35, 0.9
+"""A dot's echo is joined to its peak and above the lowest share of it, between these, that keeps it within
+the window and apart from its neighbours."""
+MIN_CONTRAST = 2.0
+"""Smallest peak above its surroundings, grey values after smoothing."""
+MOST_DOTS = 25
+"""Dots kept if not stated otherwise, the strongest first."""
 
 
 @read_only_arrays
@@ -62,7 +53,7 @@ def find_dots(
     spacing_mm: float,
     *,
     clip: Clip | None = None,
-    options: DotOptions | None = None,
+    most: int = MOST_DOTS,
 ) -> Dots:
     """Find the brightest dots of one image.
 
@@ -73,21 +64,21 @@ def find_dots(
         image: (rows, columns) grey values.
         spacing_mm: approximate pixel size.
         clip: the part that shows ultrasound; None takes all.
+        most: dots kept, the strongest first.
     Raises:
         InvalidInputError: a pixel size that is not positive, or a clip outside the image.
     """
-    options = options or DotOptions()
     if not spacing_mm > 0:
         raise InvalidInputError(f"pixel size is {spacing_mm:g} mm; it must be positive")
     part, left_top = _clipped(image, clip)
-    block = max(1, int(options.dot_mm / spacing_mm / PIXELS_PER_SD))
+    block = max(1, int(DOT_MM / spacing_mm / PIXELS_PER_SD))
     blocks = _blocks(part, block)
     pitch_mm = block * spacing_mm
-    smooth = gaussian_filter(blocks, options.dot_mm / pitch_mm, truncate=3.0)
-    contrast = smooth - gaussian_filter(blocks, options.background_mm / pitch_mm, truncate=3.0)
-    peaks = _peaks(contrast, pitch_mm, options)
-    half_window = max(1, round(options.window_mm / pitch_mm))
-    centers = [_echo_center(smooth, peaks, i, half_window, options) for i in range(len(peaks))]
+    smooth = gaussian_filter(blocks, DOT_MM / pitch_mm, truncate=3.0)
+    contrast = smooth - gaussian_filter(blocks, BACKGROUND_MM / pitch_mm, truncate=3.0)
+    peaks = _peaks(contrast, pitch_mm, most)
+    half_window = max(1, round(WINDOW_MM / pitch_mm))
+    centers = [_echo_center(smooth, peaks, i, half_window) for i in range(len(peaks))]
     points = np.array(centers, dtype=np.float64).reshape(-1, 2) * block + 0.5 * (block - 1) + left_top
     return Dots(points, contrast[peaks[:, 0], peaks[:, 1]].astype(np.float64))
 
@@ -111,25 +102,23 @@ def _blocks(image: NDArray[np.uint8], size: int) -> NDArray[np.float32]:
     return np.asarray(whole.mean(axis=(1, 3), dtype=np.float32))
 
 
-def _peaks(contrast: AnyArray, spacing_mm: float, options: DotOptions) -> IntArray:
+def _peaks(contrast: AnyArray, spacing_mm: float, most: int) -> IntArray:
     """(n, 2) row, column of the strongest local maxima."""
-    side = 2 * max(1, round(options.apart_mm / spacing_mm)) + 1
-    highest = (contrast == maximum_filter(contrast, size=side)) & (contrast > options.min_contrast)
+    side = 2 * max(1, round(APART_MM / spacing_mm)) + 1
+    highest = (contrast == maximum_filter(contrast, size=side)) & (contrast > MIN_CONTRAST)
     maxima = np.argwhere(highest)
     strongest = np.argsort(-contrast[maxima[:, 0], maxima[:, 1]], kind="stable")
-    return np.asarray(maxima[strongest[: options.most]], dtype=np.int64)
+    return np.asarray(maxima[strongest[:most]], dtype=np.int64)
 
 
-def _echo_center(
-    smooth: AnyArray, peaks: IntArray, which: int, half_window: int, options: DotOptions
-) -> FloatArray:
+def _echo_center(smooth: AnyArray, peaks: IntArray, which: int, half_window: int) -> FloatArray:
     """(2,) column, row of the centre of intensity of one peak's echo, apart from its neighbours' echoes."""
     row, column = peaks[which].tolist()
     first = np.maximum(peaks[which] - half_window, 0)
     window = smooth[first[0] : row + half_window + 1, first[1] : column + half_window + 1].astype(np.float64)
     inside = peaks - first
     inside = inside[((inside >= 0) & (inside < window.shape)).all(axis=1)]
-    levels = np.linspace(options.one_echo_share, options.echo_share, 5) * smooth[row, column]
+    levels = np.linspace(ONE_ECHO_SHARE, ECHO_SHARE, 5) * smooth[row, column]
     weight: FloatArray = window
     own = 0
     for step, level in enumerate(levels.tolist()):

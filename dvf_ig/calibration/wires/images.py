@@ -1,7 +1,7 @@
 """N-wire calibration from images alone: the wires of every frame, or why a frame was left out."""
 
 from collections import Counter
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,8 +21,9 @@ from dvf_ig.core import (
     untold,
 )
 
-from .dots import Clip, DotOptions, Dots, find_dots
-from .pattern import FoundWires, PatternOptions, find_wires
+from .dots import MOST_DOTS, Clip, Dots, find_dots
+from .lines import USUAL_TOLERANCES, Tolerances
+from .pattern import FoundWires, find_wires
 from .plan import WirePlan, plan_wires
 
 SCALE_FRAMES = 10
@@ -40,14 +41,14 @@ class WireImageOptions:
     Attributes:
         spacing_mm: approximate pixel size; None tries many.
         clip: the part of the images that shows ultrasound; None takes all.
-        dots: what counts as a dot.
-        pattern: how closely dots must match the phantom's wires.
+        most: dots kept in each image, the strongest first.
+        tolerances: how closely dots must match the phantom's wires.
     """
 
     spacing_mm: float | None = None
     clip: Clip | None = None
-    dots: DotOptions = field(default_factory=DotOptions)
-    pattern: PatternOptions = field(default_factory=PatternOptions)
+    most: int = MOST_DOTS
+    tolerances: Tolerances = USUAL_TOLERANCES
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -118,8 +119,7 @@ def segment_wires(
     if spacing is None:
         spacing = _given_spacing(options)
     else:
-        lines = replace(options.pattern.lines, scale_share=SCALE_SHARE)
-        options = replace(options, pattern=replace(options.pattern, lines=lines))
+        options = replace(options, tolerances=replace(options.tolerances, scale_share=SCALE_SHARE))
     frames = []
     for i in range(len(images)):
         frames.append(_frame(images[i], bool(valid[i]), plan, spacing, options))
@@ -193,5 +193,5 @@ def _frame(
         return WireFrame(
             none, RejectedFrame(Rejection.IMAGE_INVALID, "the recorder marked the image invalid")
         )
-    dots = find_dots(image, spacing_mm, clip=options.clip, options=options.dots)
-    return WireFrame(dots, find_wires(dots, plan, spacing_mm, options=options.pattern))
+    dots = find_dots(image, spacing_mm, clip=options.clip, most=options.most)
+    return WireFrame(dots, find_wires(dots, plan, spacing_mm, options.tolerances))

@@ -10,27 +10,31 @@ from dvf_ig.core import BoolArray, FloatArray, IntArray, read_only_arrays
 
 from .plan import Labelling, WirePlan
 
+MAX_TILT_DEG = 35.0
+"""Largest angle between the image and the plane across the wires."""
+MAX_TURN_DEG = 70.0
+"""Largest angle between a line of three dots and the image's rows."""
+PLACE_MM = 1.5
+"""A line is within this distance, and a tenth of the distance from the first line, of where the first line
+predicts it."""
+END_MM = 2.0
+"""A diagonal may be met this far beyond its ends."""
+
 
 @dataclass(frozen=True, slots=True)
-class LineOptions:
-    """Tolerances for dots on one line and for lines that belong together.
+class Tolerances:
+    """How closely dots must match the phantom's wires.
 
     Attributes:
+        collinear_mm: a diagonal's dot is within this distance of the line of its pattern.
         scale_share: pixel sizes may differ from the approximate one by this share.
-        max_tilt_deg: largest angle between the image and the plane across the wires.
-        max_turn_deg: largest angle between a line of three dots and the image's rows.
-        collinear_mm: a diagonal's dot lies within this distance of the line of its pattern.
-        place_mm: a line lies within this distance, and a tenth of the distance from the first line, of the
-            place that the first line predicts.
-        end_mm: a diagonal may be met this far beyond its ends.
     """
 
-    scale_share: float = 0.15
-    max_tilt_deg: float = 35.0
-    max_turn_deg: float = 70.0
     collinear_mm: float = 1.0
-    place_mm: float = 1.5
-    end_mm: float = 2.0
+    scale_share: float = 0.15
+
+
+USUAL_TOLERANCES = Tolerances()
 
 
 @read_only_arrays
@@ -65,7 +69,7 @@ class LineSet:
 
 
 def find_lines(
-    xy_mm: FloatArray, plan: WirePlan, pattern: int, labelling: Labelling, options: LineOptions
+    xy_mm: FloatArray, plan: WirePlan, pattern: int, labelling: Labelling, tolerances: Tolerances
 ) -> Lines:
     """Find pairs at the distance of a pattern's outer wires, as labelled, with a dot between them.
 
@@ -77,24 +81,24 @@ def find_lines(
     forward = -labelling[0] * np.sign(last[0] - first[0])
     step = xy_mm[None] - xy_mm[:, None]
     length = np.linalg.norm(step, axis=2)
-    longest = width * (1 + options.scale_share) / np.cos(np.radians(options.max_tilt_deg))
-    fits = (length >= width * (1 - options.scale_share)) & (length <= longest)
+    longest = width * (1 + tolerances.scale_share) / np.cos(np.radians(MAX_TILT_DEG))
+    fits = (length >= width * (1 - tolerances.scale_share)) & (length <= longest)
     angle = np.arctan2(step[..., 1], forward * step[..., 0])
-    ends = np.argwhere(fits & (np.abs(angle) <= np.radians(options.max_turn_deg)))
+    ends = np.argwhere(fits & (np.abs(angle) <= np.radians(MAX_TURN_DEG)))
     unit = (step / np.where(length > 0, length, 1.0)[..., None])[ends[:, 0], ends[:, 1]]
     offset = xy_mm[None] - xy_mm[ends[:, 0], None]
     beside = np.abs(offset[..., 1] * unit[:, None, 0] - offset[..., 0] * unit[:, None, 1])
     share = np.einsum("mnk,mk->mn", offset, unit) / length[ends[:, 0], ends[:, 1], None]
     low, high = np.sort((plan.across_mm[pattern] - first[0]) / (last[0] - first[0]))
-    margin = options.end_mm / width
-    between = (beside <= options.collinear_mm) & (share >= low - margin) & (share <= high + margin)
+    margin = END_MM / width
+    between = (beside <= tolerances.collinear_mm) & (share >= low - margin) & (share <= high + margin)
     np.put_along_axis(between, ends, False, axis=1)
     crossed = between.any(axis=1)
     return Lines(ends[crossed], between[crossed])
 
 
 def line_sets(
-    xy_mm: FloatArray, plan: WirePlan, lines: list[Lines], labelling: Labelling, options: LineOptions
+    xy_mm: FloatArray, plan: WirePlan, lines: list[Lines], labelling: Labelling
 ) -> Iterator[LineSet]:
     """Find sets in which each line lies where the first one predicts it by a similarity of the plan.
 
@@ -112,7 +116,7 @@ def line_sets(
     for k in range(1, len(lines)):
         predicted = start[:, None] + similarity[:, None] * (plane[k] - plane[0, 0])
         offset = np.abs(predicted[:, None] - spots[lines[k].ends][None]).max(axis=2)
-        near.append(offset <= options.place_mm + 0.1 * np.abs(plane[k] - plane[0].mean()).max())
+        near.append(offset <= PLACE_MM + 0.1 * np.abs(plane[k] - plane[0].mean()).max())
     for i in range(len(lines[0])):
         for others in product(*(np.flatnonzero(n[i]).tolist() for n in near)):
             chosen = list(zip(lines, (i, *others), strict=True))

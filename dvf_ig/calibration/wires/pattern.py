@@ -1,6 +1,6 @@
 """Assignment of an image's dots to the wires of an N-wire phantom, by geometry alone."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
@@ -9,26 +9,16 @@ from dvf_ig.calibration.refusal import RejectedFrame, Rejection
 from dvf_ig.core import FloatArray, IntArray, read_only_arrays
 
 from .dots import Dots
-from .lines import LineOptions, Lines, LineSet, find_lines, line_sets
+from .lines import MAX_TILT_DEG, USUAL_TOLERANCES, Lines, LineSet, Tolerances, find_lines, line_sets
 from .plan import Labelling, WirePlan
 
 MIN_SPREAD_MM = 5.0
 """Diagonals' dots must spread this far in a direction (root sum of squares) to show the tilt along it."""
 
-
-@dataclass(frozen=True, slots=True)
-class PatternOptions:
-    """Tolerances for dots that match the phantom's wires.
-
-    Attributes:
-        lines: which dots may lie on one line, and which lines may belong together.
-        dot_sd_mm: typical misplacement of a dot; misfit in these units is weighed against brightness.
-        max_misfit_mm: largest root mean square misfit of the outer wires.
-    """
-
-    lines: LineOptions = field(default_factory=LineOptions)
-    dot_sd_mm: float = 0.3
-    max_misfit_mm: float = 0.7
+DOT_SD_MM = 0.3
+"""Typical misplacement of a dot; misfit in these units is weighed against brightness."""
+MAX_MISFIT_MM = 0.7
+"""Largest root mean square misfit of the outer wires."""
 
 
 @read_only_arrays
@@ -69,7 +59,10 @@ class _Match:
 
 
 def find_wires(
-    dots: Dots, plan: WirePlan, spacing_mm: float, *, options: PatternOptions | None = None
+    dots: Dots,
+    plan: WirePlan,
+    spacing_mm: float,
+    tolerances: Tolerances = USUAL_TOLERANCES,
 ) -> FoundWires | RejectedFrame:
     """Find the dots that best match the phantom, or the reason why there are none.
 
@@ -82,19 +75,19 @@ def find_wires(
         dots: candidates.
         plan: see `plan_wires`.
         spacing_mm: approximate pixel size.
+        tolerances: of the dots.
     """
-    options = options or PatternOptions()
     xy_mm = dots.points_px * spacing_mm
     patterns = range(len(plan.outer_mm))
     tried = [
-        (labelling, [find_lines(xy_mm, plan, k, labelling, options.lines) for k in patterns])
+        (labelling, [find_lines(xy_mm, plan, k, labelling, tolerances) for k in patterns])
         for labelling in plan.labellings
     ]
     matches = [
         match
         for labelling, lines in tried
-        for chosen in line_sets(xy_mm, plan, lines, labelling, options.lines)
-        for match in _matches(dots, xy_mm, plan, chosen, labelling, options)
+        for chosen in line_sets(xy_mm, plan, lines, labelling)
+        for match in _matches(dots, xy_mm, plan, chosen, labelling, tolerances.scale_share)
     ]
     best = min(matches, key=lambda m: (m.fault is not None, m.cost), default=None)
     if best is None:
@@ -110,7 +103,7 @@ def _matches(
     plan: WirePlan,
     chosen: LineSet,
     labelling: Labelling,
-    options: PatternOptions,
+    scale_share: float,
 ) -> list[_Match]:
     """List the choices of diagonals on one set of lines."""
     ends = chosen.ends.ravel()
@@ -121,42 +114,40 @@ def _matches(
     residuals = np.square(placed[ends] - shape).sum(axis=1)
     misfit = float(np.sqrt(residuals.mean()))
     large, small = np.linalg.svd(plan_from_image[:, :2])[1].tolist()
-    fault = _shape_fault(misfit, large, small, options)
+    fault = _shape_fault(misfit, large, small, scale_share)
     out = []
     for middle in product(*(np.flatnonzero(row).tolist() for row in chosen.between)):
         wires = np.column_stack([chosen.ends[:, 0], middle, chosen.ends[:, 1]]).ravel()
         at = placed[list(middle)]
         off_line = at[:, 1] - plan.outer_mm[:, :, 1].mean(axis=1)
-        cost = (residuals.sum() + off_line @ off_line) / options.dot_sd_mm**2
+        cost = (residuals.sum() + off_line @ off_line) / DOT_SD_MM**2
         cost -= 2.0 * np.log(dots.strength[wires]).sum()
-        slope = _slope_fault(xy_mm[list(middle)], at[:, 0], plan, options)
+        slope = _slope_fault(xy_mm[list(middle)], at[:, 0], plan, scale_share)
         out.append(_Match(wires, misfit, large, labelling, float(cost), fault or slope))
     return out
 
 
-def _shape_fault(
-    misfit_mm: float, large: float, small: float, options: PatternOptions
-) -> RejectedFrame | None:
+def _shape_fault(misfit_mm: float, large: float, small: float, scale_share: float) -> RejectedFrame | None:
     """Check the outer wires: their shape, and the tilt that follows from their foreshortening."""
-    if misfit_mm > options.max_misfit_mm:
+    if misfit_mm > MAX_MISFIT_MM:
         return RejectedFrame(
             Rejection.MISFIT,
-            f"outer wires miss the phantom's shape by {misfit_mm:.2f} mm, at most {options.max_misfit_mm:g}",
+            f"outer wires miss the phantom's shape by {misfit_mm:.2f} mm, at most {MAX_MISFIT_MM:g}",
         )
-    share = options.lines.scale_share
-    if not 1 - share <= large <= 1 + share:
+    least, most = 1 - scale_share, 1 + scale_share
+    if not least <= large <= most:
         return RejectedFrame(
             Rejection.MISFIT,
-            f"the phantom appears {large:.2f} times its size, between {1 - share:.2f} and {1 + share:.2f} "
+            f"the phantom appears {large:.2f} times its size, between {least:.2f} and {most:.2f} "
             "expected of this pixel size",
         )
-    if small < (1 - share) * np.cos(np.radians(options.lines.max_tilt_deg)):
-        return _steep(float(np.degrees(np.arccos(min(1.0, small / large)))), options)
+    if small < least * np.cos(np.radians(MAX_TILT_DEG)):
+        return _steep(float(np.degrees(np.arccos(min(1.0, small / large)))))
     return None
 
 
 def _slope_fault(
-    middle_mm: FloatArray, across_mm: FloatArray, plan: WirePlan, options: PatternOptions
+    middle_mm: FloatArray, across_mm: FloatArray, plan: WirePlan, scale_share: float
 ) -> RejectedFrame | None:
     """Check the diagonals: the tilt that follows from the positions along the wires at which they are met.
 
@@ -169,15 +160,14 @@ def _slope_fault(
     into_axes, spread_mm, _ = np.linalg.svd(middle_mm - middle_mm.mean(axis=0), full_matrices=False)
     determined = spread_mm >= MIN_SPREAD_MM
     sine = float(np.linalg.norm((into_axes.T @ along)[determined] / spread_mm[determined]))
-    if sine > np.sin(np.radians(options.lines.max_tilt_deg)) * (1 + options.lines.scale_share):
-        return _steep(float(np.degrees(np.arcsin(min(1.0, sine)))), options)
+    if sine > np.sin(np.radians(MAX_TILT_DEG)) * (1 + scale_share):
+        return _steep(float(np.degrees(np.arcsin(min(1.0, sine)))))
     return None
 
 
-def _steep(tilt_deg: float, options: PatternOptions) -> RejectedFrame:
-    limit = options.lines.max_tilt_deg
+def _steep(tilt_deg: float) -> RejectedFrame:
     return RejectedFrame(
-        Rejection.STEEP, f"the image lies {tilt_deg:.0f}° off across the wires, at most {limit:g}°"
+        Rejection.STEEP, f"the image lies {tilt_deg:.0f}° off across the wires, at most {MAX_TILT_DEG:g}°"
     )
 
 

@@ -167,7 +167,6 @@ class BeatClock:
     def reading(self, t_s: float) -> BreathReading:
         """Read the clock at a time."""
         row = [float(np.interp(t_s, self._table[:, 0], column)) for column in self._table[:, 1:].T]
-        next_rho = float(np.interp(t_s + STEP_S, self._table[:, 0], self._table[:, 1]))
         begin_s = self._onsets[-1] if self._onsets else math.nan
         phase = min((t_s - begin_s) / self.period_s, math.nextafter(1.0, 0.0))
         state, event = BreathState.LOCKED, BreathEvent.NONE
@@ -175,7 +174,7 @@ class BeatClock:
             state, event = BreathState.LOST, BreathEvent.DISCONNECTION
         elif row[4] > 0.0:
             state, event = BreathState.IRREGULAR, BreathEvent.UNEXPECTED
-        return BreathReading(row[0], row[3], (next_rho - row[0]) / STEP_S, phase, self.period_s, state, event)
+        return BreathReading(row[0], row[3], phase, self.period_s, state, event)
 
     def features(self, t_s: FloatArray) -> FloatArray:
         """Compute (n, 4) rows [1, ρ, L₀.₃ρ, L₀.₇ρ]; NaN before the first beat and beyond the forecast."""

@@ -114,28 +114,21 @@ PARTING = (BreathEvent.DEEP_BREATH, BreathEvent.COUGH, BreathEvent.DISCONNECTION
 """Events in which the heart may be elsewhere than what follows the breath tells."""
 
 
-@dataclass(frozen=True, slots=True)
-class BreathClockOptions:
-    """Limits of the states.
-
-    Attributes:
-        learn_s: time from which the scale of ρ is learnt.
-        lock_breaths: ordinary breaths before LOCKED, at first and after an event.
-        top, bottom: ρ beyond them is no ordinary breath.
-        late_share: no breath by this multiple of the period is a pause.
-        periods: shortest and longest breath as a share of the usual one.
-        fast: rate of ρ above this multiple of the usual largest is a cough.
-        lost_s: no sample for so long, in seconds, is LOST.
-    """
-
-    learn_s: float = 10.0
-    lock_breaths: int = 2
-    top: float = 1.5
-    bottom: float = -0.35
-    late_share: float = 1.7
-    periods: tuple[float, float] = (0.6, 1.6)
-    fast: float = 2.5
-    lost_s: float = 0.5
+LEARN_S = 10.0
+"""Time from which the scale of ρ is learnt."""
+LOCK_BREATHS = 2
+"""Ordinary breaths before LOCKED, at first and after an event."""
+TOP = 1.5
+BOTTOM = -0.35
+"""A breath is ordinary if ρ stays between these."""
+LATE_SHARE = 1.7
+"""No breath by this multiple of the period is a pause."""
+PERIODS = (0.6, 1.6)
+"""Shortest and longest breath as a share of the usual one."""
+FAST = 2.5
+"""Rate of ρ above this multiple of the usual largest is a cough."""
+LOST_S = 0.5
+"""Without a sample for this long the state is LOST."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,7 +137,6 @@ class BreathReading:
 
     Attributes:
         rho, sigma_rho: 0 at end-expiration and 1 at the usual top, and its standard deviation; NaN in INIT.
-        rho_rate: its rate, 1/s.
         phase: share of the usual breath since this one began, below 1.
         period_s: usual length of a breath; NaN before the first two.
         state, event: see their classes; the event is that which ended LOCKED, or the first of PARTING since.
@@ -152,7 +144,6 @@ class BreathReading:
 
     rho: float
     sigma_rho: float
-    rho_rate: float
     phase: float
     period_s: float
     state: BreathState
@@ -191,8 +182,7 @@ class BreathClock:
 
     continuous = True
 
-    def __init__(self, options: BreathClockOptions | None = None) -> None:
-        self._options = options or BreathClockOptions()
+    def __init__(self) -> None:
         self._scale: SurrogateScale | None = None
         self._waiting: list[tuple[float, FloatArray]] = []
         self._table = np.empty((1024, 5))  # time, ρ, its two lags, 1 where they do not tell the heart's place
@@ -222,7 +212,7 @@ class BreathClock:
     @property
     def lost_s(self) -> float:
         """Time without a sample after which breathing is lost."""
-        return self._options.lost_s
+        return LOST_S
 
     @property
     def onsets_s(self) -> tuple[float, ...]:
@@ -237,7 +227,7 @@ class BreathClock:
     @property
     def astray(self) -> bool:
         """Whether an event of PARTING ended LOCKED, and too few ordinary breaths have followed it."""
-        return self._event in PARTING and self._ordinary < self._options.lock_breaths
+        return self._event in PARTING and self._ordinary < LOCK_BREATHS
 
     def push(self, t_s: FloatArray, values: FloatArray) -> None:
         """Add samples (n,), (n, columns).
@@ -262,12 +252,12 @@ class BreathClock:
         """Read the clock at a time: the latest sample's, or forecast after it."""
         if not self._count:
             state = BreathState.INIT
-            return BreathReading(math.nan, math.nan, math.nan, math.nan, math.nan, state, BreathEvent.NONE)
+            return BreathReading(math.nan, math.nan, math.nan, math.nan, state, BreathEvent.NONE)
         rho, sigma = self._ahead(t_s - self.latest_s)
         begin_s, period_s = self._onsets[-1] if self._onsets else math.nan, self._period_s
         phase = min((t_s - begin_s) / period_s, math.nextafter(1.0, 0.0)) if period_s > 0 else math.nan
         state, event = self._state_at(t_s)
-        return BreathReading(rho, sigma, self._rate, phase, period_s, state, event)
+        return BreathReading(rho, sigma, phase, period_s, state, event)
 
     def features(self, t_s: FloatArray) -> FloatArray:
         """Compute (n, 4) rows [1, ρ, L₀.₃ρ, L₀.₇ρ]; NaN before the first sample and beyond the forecast."""
@@ -323,11 +313,11 @@ class BreathClock:
     def _learn(self, at_s: float, value: FloatArray) -> None:
         """Wait until the scale can be learnt, then take up what was waiting."""
         self._waiting.append((at_s, value))
-        if at_s - self._waiting[0][0] < self._options.learn_s:
+        if at_s - self._waiting[0][0] < LEARN_S:
             return
         self._scale = learn_scale(np.array([v for _, v in self._waiting]))
         if self._scale is None:
-            half = self._waiting[0][0] + 0.5 * self._options.learn_s
+            half = self._waiting[0][0] + 0.5 * LEARN_S
             self._waiting = [(t, v) for t, v in self._waiting if t >= half]
             return
         waiting, self._waiting = self._waiting, []
@@ -348,7 +338,7 @@ class BreathClock:
                 old + (1.0 - math.exp(-step_s / tau)) * (mean - old)
                 for old, tau in zip(before[2:4].tolist(), LAG_S, strict=True)
             ]
-            gap = step_s > self._options.lost_s
+            gap = step_s > LOST_S
             before[4] = max(before[4], gap)
             row = np.array([at_s, smooth, *lags, gap])
         self._remember(row)
@@ -369,11 +359,11 @@ class BreathClock:
 
     def _watch(self, at_s: float, rho: float) -> None:
         """Find the beginning of breaths, and whether the running one is ordinary."""
-        o, usual = self._options, self._fastest
+        usual = self._fastest
         self._largest_rate = max(self._largest_rate, abs(self._rate))
-        if rho > o.top or (rho < o.bottom and self._count > 5):
-            self._break(BreathEvent.DEEP_BREATH if rho > o.top else BreathEvent.DISCONNECTION)
-        elif usual > 0 and abs(self._rate) > o.fast * usual:
+        if rho > TOP or (rho < BOTTOM and self._count > 5):
+            self._break(BreathEvent.DEEP_BREATH if rho > TOP else BreathEvent.DISCONNECTION)
+        elif usual > 0 and abs(self._rate) > FAST * usual:
             self._break(BreathEvent.COUGH)
         low, high = self._recent_range(at_s)
         slow = float(self._table[self._count - 1, 2])
@@ -382,7 +372,7 @@ class BreathClock:
         elif self._armed and slow > low + BEGIN * (high - low):
             self._armed = False
             self._begin(at_s)
-        if self._onsets and at_s - self._onsets[-1] > o.late_share * self._period_s:
+        if self._onsets and at_s - self._onsets[-1] > LATE_SHARE * self._period_s:
             self._break(BreathEvent.PAUSE)
 
     def _recent_range(self, at_s: float) -> tuple[float, float]:
@@ -390,7 +380,7 @@ class BreathClock:
         if not at_s < self._range_until_s:
             begin = int(np.searchsorted(self._table[: self._count, 0], at_s - RANGE_S))
             recent = self._table[begin : self._count]
-            ordinary = (recent[:, 1] > self._options.bottom) & (recent[:, 1] < self._options.top)
+            ordinary = (recent[:, 1] > BOTTOM) & (recent[:, 1] < TOP)
             if ordinary.sum() >= 0.1 * len(recent):
                 low, high = np.percentile(recent[ordinary, 2], (LOW, HIGH))
                 self._range = (float(low), float(high))
@@ -402,9 +392,9 @@ class BreathClock:
         period_s, ordinary = self._period_s, True
         if self._onsets:
             share = (at_s - self._onsets[-1]) / period_s if period_s > 0 else 1.0
-            ordinary = self._options.periods[0] <= share <= self._options.periods[1]
+            ordinary = PERIODS[0] <= share <= PERIODS[1]
             if not ordinary:
-                late = share > self._options.late_share
+                late = share > LATE_SHARE
                 self._break(BreathEvent.PAUSE if late else BreathEvent.CHANGED_RATE)
         self._onsets.append(at_s)
         self._rates.append(self._largest_rate)
@@ -427,14 +417,14 @@ class BreathClock:
         self._ordinary = 0
 
     def _state_at(self, t_s: float) -> tuple[BreathState, BreathEvent]:
-        if t_s - self.latest_s > self._options.lost_s:
+        if t_s - self.latest_s > LOST_S:
             return BreathState.LOST, BreathEvent.DISCONNECTION
         if len(self._onsets) < 3:
             return BreathState.INIT, BreathEvent.NONE
         quiet_s = t_s - self._onsets[-1]
-        if quiet_s > self._options.late_share * self._period_s:
+        if quiet_s > LATE_SHARE * self._period_s:
             return BreathState.IRREGULAR, self._event or BreathEvent.PAUSE
-        if self._ordinary < self._options.lock_breaths:
+        if self._ordinary < LOCK_BREATHS:
             return BreathState.IRREGULAR, self._event
         return BreathState.LOCKED, BreathEvent.NONE
 

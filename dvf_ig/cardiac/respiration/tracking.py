@@ -6,7 +6,7 @@ import numpy as np
 
 from dvf_ig.core import FloatArray, IntArray, Progress, Respiration, read_only_arrays, untold
 
-from .breath_clock import BreathClock, BreathClockOptions
+from .breath_clock import BreathClock
 
 RELEARN_BREATHS = 5
 """Ordinary breaths in a row by a new scale, after which it replaces one by which no breath is ordinary."""
@@ -20,9 +20,8 @@ class RelearningClock:
         changes: how often breathing has changed for good.
     """
 
-    def __init__(self, options: BreathClockOptions | None = None) -> None:
-        self._options = options
-        self.clock = BreathClock(options)
+    def __init__(self) -> None:
+        self.clock = BreathClock()
         self.changes = 0
         self._next: BreathClock | None = None
 
@@ -37,7 +36,7 @@ class RelearningClock:
             self._next = None
             return
         if self._next is None or self._next.astray:
-            self._next = BreathClock(self._options)
+            self._next = BreathClock()
         self._next.push(t_s, values)
         if self._next.ordinary_breaths >= RELEARN_BREATHS:
             self.clock, self._next = self._next, None
@@ -84,7 +83,6 @@ def track_breathing(
     recorded: Respiration,
     t_s: FloatArray,
     *,
-    options: BreathClockOptions | None = None,
     progress: Progress = untold,
 ) -> BreathTrack:
     """Follow breathing over a recording.
@@ -93,7 +91,7 @@ def track_breathing(
         t_s: (n,) strictly increasing times at which the clock is read.
         progress: called with the fraction done.
     """
-    following, times = RelearningClock(options), np.asarray(t_s, dtype=np.float64)
+    following, times = RelearningClock(), np.asarray(t_s, dtype=np.float64)
     rows, codes, onsets = np.empty((len(times), 4)), np.empty((len(times), 2), dtype=np.int64), set[float]()
     first = 0
     for i, at_s in enumerate(times.tolist()):

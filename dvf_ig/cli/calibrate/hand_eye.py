@@ -34,14 +34,14 @@ def hand_eye(
 
         import numpy as np
 
-        from dvf_ig.calibration import HandEyeMethod, HandEyeOptions, calibrate_hand_eye
+        from dvf_ig.calibration import HandEyeMethod, calibrate_hand_eye
         from dvf_ig.report import write_residual_picture
 
         fit = calibrate_hand_eye(
             _poses(robot, "base", "hand", hand),
             _poses(camera, "camera", "target", target),
             rng=np.random.default_rng(seed),
-            options=HandEyeOptions(method=cast(HandEyeMethod, method)),
+            method=cast(HandEyeMethod, method),
         )
         result = _result(fit, method)
         fitted = fit.hand_from_camera

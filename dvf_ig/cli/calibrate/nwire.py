@@ -66,13 +66,13 @@ def wire_image_options(search: "WireSearch") -> "WireImageOptions":
     from dvf_ig.calibration import WireImageOptions
 
     options = WireImageOptions()
-    dots, pattern = options.dots, options.pattern
     if search.candidates is not None:
         # more cost little, and a bright wall can take many of them
-        dots = replace(dots, most=max(dots.most, search.candidates))
+        options = replace(options, most=max(options.most, search.candidates))
     if search.collinear_mm is not None:
-        pattern = replace(pattern, lines=replace(pattern.lines, collinear_mm=search.collinear_mm))
-    return replace(options, spacing_mm=search.spacing_mm, clip=search.clip, dots=dots, pattern=pattern)
+        tolerances = replace(options.tolerances, collinear_mm=search.collinear_mm)
+        options = replace(options, tolerances=tolerances)
+    return replace(options, spacing_mm=search.spacing_mm, clip=search.clip)
 
 
 def segmentation_json(seen: WireRecording | None) -> dict[str, Any] | None:

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
-from scipy.interpolate import BSpline
+from scipy.interpolate import BSpline, NdBSpline
 
 from dvf_ig.core.arrays import FloatArray, frozen, frozen_floats, read_only_arrays
 from dvf_ig.core.errors import InvalidInputError
@@ -85,12 +85,9 @@ class Warp:
 
     def at(self, places_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
         """(n, 3) m and (n,) variance of the wall's place at (n, 3) places."""
-        knots = np.clip((places_mm - self.origin_mm) / self.knot_mm, 0.0, float(CELLS)) + 1.0
-        lanes = [
-            ndimage.map_coordinates(self.coefficients[..., lane], knots.T, output=np.float64, prefilter=False)
-            for lane in range(4)
-        ]
-        return np.stack(lanes[:3], axis=1), np.maximum(lanes[3], 0.0)
+        knots = np.clip((places_mm - self.origin_mm) / self.knot_mm, 0.0, float(CELLS))
+        lanes = _spline(self)(knots)
+        return np.ascontiguousarray(lanes[:, :3]), np.maximum(lanes[:, 3], 0.0)
 
     def model_places(self, patient_mm: FloatArray) -> FloatArray:
         """(n, 3) places q − m(q) of the model that belong to (n, 3) places q of the patient."""
@@ -133,6 +130,13 @@ class Warp:
         coefficients = np.zeros_like(self.coefficients)
         coefficients[..., 3] = RIGID_SIGMA_MM**2
         return replace(self, coefficients=coefficients, contraction=1.0)
+
+
+@lru_cache(maxsize=8)
+def _spline(warp: Warp) -> NdBSpline:
+    """Return the four lanes as one spline of the knot coordinate: as fast as two lanes one by one."""
+    axis = np.arange(COEFFICIENTS + 4) - 3.0
+    return NdBSpline((axis, axis, axis), warp.coefficients.astype(np.float64), 3)
 
 
 @lru_cache(maxsize=4)

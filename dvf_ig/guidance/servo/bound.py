@@ -39,7 +39,7 @@ from dvf_ig.kernels.fixture_field import BLEND_PATH, DEPTH, LAW, packed_fixture
 from dvf_ig.kernels.servo import supervision
 from dvf_ig.kernels.servo.layout import MAX_FIXTURES, SETTINGS, TISSUE, Bound
 
-from .options import ServoOptions
+from .options import SPEED_CUTOFF_HZ, ServoOptions
 
 REARM_ANSWERS = {
     supervision.REARMED: RearmAnswer.ACCEPTED,
@@ -208,7 +208,7 @@ def tick_constants(fixtures: Fixtures, options: ServoOptions, latency_s: float) 
         cap_n=fixtures.options.joint_cap_n,
         lead_s=latency_s + 0.5 * period_s,
         predict_tool=float(options.predict_tool),
-        speed_share=1.0 - math.exp(-2.0 * math.pi * options.speed_cutoff_hz * period_s),
+        speed_share=1.0 - math.exp(-2.0 * math.pi * SPEED_CUTOFF_HZ * period_s),
         relative_damping=forward.damping_n_s_per_m / MM_PER_M,
         friction_n=forward.friction_n,
         slow_mm_s=forward.slow_mm_s,

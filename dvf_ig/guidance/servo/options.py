@@ -9,6 +9,8 @@ from dvf_ig.guidance.tissue import Feel
 
 SLOWEST_HZ, FASTEST_HZ = 200.0, 4000.0
 """The watchdog trips 10 ms after a force: at the slowest rate one deadline may be missed."""
+SPEED_CUTOFF_HZ = 50.0
+"""Of the low-pass filter on the tool's measured speed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,7 +27,6 @@ class ServoOptions:
             withdrawn (docs/theory/safety.md).
         predict_tool: take the tool to where it will be when the force is felt; pose and phase always are.
         feel: tissue that is felt instead of the fixtures, whose joint cap stays; None: the fixtures are.
-        speed_cutoff_hz: of the low-pass filter on the tool's measured speed.
     Raises:
         InvalidInputError: a number out of range.
     """
@@ -35,7 +36,6 @@ class ServoOptions:
     largest_damping_n_s_per_m: float = 2.0
     residual_limit_mj: float = 5.0
     predict_tool: bool = True
-    speed_cutoff_hz: float = 50.0
     feel: Feel | None = None
 
     def __post_init__(self) -> None:
@@ -43,7 +43,7 @@ class ServoOptions:
             raise InvalidInputError(
                 f"the servo's rate is {self.rate_hz:g} Hz; needed {SLOWEST_HZ:g} to {FASTEST_HZ:g} Hz"
             )
-        for name in ("largest_damping_n_s_per_m", "residual_limit_mj", "speed_cutoff_hz"):
+        for name in ("largest_damping_n_s_per_m", "residual_limit_mj"):
             value = getattr(self, name)
             if not (math.isfinite(value) and value >= 0.0):
                 raise InvalidInputError(

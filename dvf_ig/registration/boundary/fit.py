@@ -47,6 +47,10 @@ POINTS_PER_OBSERVATION = 30.0
 the errors of fits on tuning seeds 101–103."""
 QUICK_POINTS = 800
 """Points of the quick first fits from many starts."""
+STEPS, CAP_MM = 8, 8.0
+"""Most steps at each scale but the last, and the longest step."""
+FREE_OFFSET_MM, OFFSET_SIGMA_MM = 4.0, 1.0
+"""The offset is free at scales up to the first; its standard deviation before the fit."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,20 +59,12 @@ class BoundaryFitOptions:
 
     Attributes:
         sigmas_mm: scales, from far to near.
-        steps: at each scale but the last.
         last_steps: most at the last scale.
-        free_offset_mm: the offset is free at scales up to this; 0 fixes it at none.
-        offset_sigma_mm: standard deviation of the offset before the fit.
-        cap_mm: longest step.
         tolerance_mm: a step shorter than this ends the last scale; ten times as long a one ends the others.
     """
 
     sigmas_mm: tuple[float, ...] = (12.0, 8.0, 5.5, 4.0, 2.8, 2.0)
-    steps: int = 8
     last_steps: int = 12
-    free_offset_mm: float = 4.0
-    offset_sigma_mm: float = 1.0
-    cap_mm: float = 8.0
     tolerance_mm: float = 0.02
 
 
@@ -132,12 +128,12 @@ def descend(problem: BoundaryProblem, starts: Sequence[Rigid], opts: BoundaryFit
     converged, used = np.zeros(len(starts), dtype=np.bool_), np.zeros(len(starts), dtype=np.int64)
     for level, sigma in enumerate(opts.sigmas_mm):
         last = level == len(opts.sigmas_mm) - 1
-        size = UNKNOWNS if sigma <= opts.free_offset_mm else UNKNOWNS - 1
+        size = UNKNOWNS if sigma <= FREE_OFFSET_MM else UNKNOWNS - 1
         tolerance_mm = opts.tolerance_mm * (1 if last else 10)
         going = np.arange(len(starts))
-        for _ in range(opts.last_steps if last else opts.steps):
+        for _ in range(opts.last_steps if last else STEPS):
             sums = problem.sums(poses[going], offsets[going], sigma)
-            steps = _steps(sums, offsets[going], size, opts)
+            steps = _steps(sums, offsets[going], size)
             used[going] += 1
             poses[going] = _moved(poses[going], steps, problem.center_mm)
             offsets[going] += steps[:, 6]
@@ -156,12 +152,12 @@ def _moved(poses: FloatArray, xi_mm: FloatArray, center_mm: FloatArray) -> Float
     return np.asarray(out)
 
 
-def _steps(sums: FloatArray, offsets_mm: FloatArray, size: int, opts: BoundaryFitOptions) -> FloatArray:
+def _steps(sums: FloatArray, offsets_mm: FloatArray, size: int) -> FloatArray:
     """(m, 7) Gauss–Newton steps of the first `size` unknowns, the others 0; none where nothing matches."""
     matrices = normal_matrices(sums)
     curvature, downhill = matrices[:, :size, :size].copy(), -sums[:, RIGHT : RIGHT + size]
     if size == UNKNOWNS:
-        prior = POINTS_PER_OBSERVATION * (NEAR_MM / opts.offset_sigma_mm) ** 2
+        prior = POINTS_PER_OBSERVATION * (NEAR_MM / OFFSET_SIGMA_MM) ** 2
         curvature[:, 6, 6] += prior
         downhill[:, 6] -= prior * offsets_mm
     mean = np.trace(matrices[:, :6, :6], axis1=1, axis2=2) / 6
@@ -169,7 +165,7 @@ def _steps(sums: FloatArray, offsets_mm: FloatArray, size: int, opts: BoundaryFi
     damped = curvature[matched] + 1e-3 * mean[matched, None, None] * np.eye(size)
     steps[matched, :size] = np.linalg.solve(damped, downhill[matched, :, None])[:, :, 0]
     length = np.linalg.norm(steps[:, :6], axis=1, keepdims=True)
-    return np.asarray(steps * np.minimum(1.0, opts.cap_mm / np.maximum(length, 1e-12)))
+    return np.asarray(steps * np.minimum(1.0, CAP_MM / np.maximum(length, 1e-12)))
 
 
 def pose_of(start: Rigid, pose: FloatArray) -> Rigid:
@@ -203,9 +199,7 @@ class BoundaryFit:
     evaluations: int
 
 
-def fit_boundary(
-    boundary: Boundary, start: Rigid, center_mm: FloatArray, *, options: BoundaryFitOptions | None = None
-) -> BoundaryFit:
+def fit_boundary(boundary: Boundary, start: Rigid, center_mm: FloatArray) -> BoundaryFit:
     """Register boundary points to the surface from one start.
 
     Args:
@@ -214,7 +208,7 @@ def fit_boundary(
     Raises:
         FrameMismatchError: frames do not meet.
     """
-    opts = options or BoundaryFitOptions()
+    opts = BoundaryFitOptions()
     problem = BoundaryProblem(boundary, center_mm)
     return fit_at_end(problem, start, descend(problem, [start], opts), 0, opts)
 
@@ -236,19 +230,17 @@ def fit_at_end(
         offset_mm=offset_mm,
         share_near=float(weight[near].sum()) / problem.total,
         residual_mm=residual,
-        covariance=_covariance(sums, opts),
+        covariance=_covariance(sums),
         score=float(sums[SHARE]) / problem.total,
         converged=bool(ends.converged[k] and near.any()),
         evaluations=int(ends.evaluations[k]),
     )
 
 
-def _covariance(sums: FloatArray, opts: BoundaryFitOptions) -> FloatArray:
+def _covariance(sums: FloatArray) -> FloatArray:
     """(6, 6) of the pose with the offset unknown: inverse curvature times the variance of one observation."""
-    matrix = normal_matrices(sums[None])[0]
-    size = UNKNOWNS if opts.free_offset_mm > 0 else UNKNOWNS - 1
-    curvature = matrix[:size, :size]
-    weight = float(matrix[6, 6])
+    curvature = normal_matrices(sums[None])[0]
+    weight = float(curvature[6, 6])
     if not weight > 0 or np.linalg.cond(curvature) > 1e10:
         return np.full((6, 6), np.nan)
     variance = POINTS_PER_OBSERVATION * float(sums[SQUARES]) / weight

@@ -23,22 +23,15 @@ LEAST_EDGE = 0.2
 FULL_CONTRAST = 0.2
 """Boundaries above this count alike: weighting by contrast would drop the hazy walls of a poor image."""
 
-
-@dataclass(frozen=True, slots=True)
-class BoundaryPointOptions:
-    """Defaults come from tuning seeds 101–103 of the synthetic world.
-
-    Attributes:
-        smoothing_mm: standard deviation of the Gaussian before the gradient.
-        min_contrast: least relative contrast of a boundary.
-        min_support: least share of the Gaussian that must lie inside the sector.
-        points: most points that are kept, evenly spread.
-    """
-
-    smoothing_mm: float = 3.0
-    min_contrast: float = 0.12
-    min_support: float = 0.9
-    points: int = 4000
+SMOOTHING_MM = 3.0
+"""Standard deviation of the Gaussian before the gradient. This and the next three values come from tuning
+seeds 101–103 of the synthetic world."""
+MIN_CONTRAST = 0.12
+"""Least relative contrast of a boundary."""
+MIN_SUPPORT = 0.9
+"""Least share of the Gaussian that must be inside the sector."""
+MOST_POINTS = 4000
+"""Most points that are kept, evenly spread."""
 
 
 @read_only_arrays
@@ -81,23 +74,22 @@ class BoundaryPoints:
         )
 
 
-def boundary_points(slices: SliceSet, options: BoundaryPointOptions | None = None) -> BoundaryPoints:
-    """Boundary points of all slices, at most `options.points`; none where they show no boundary.
+def boundary_points(slices: SliceSet) -> BoundaryPoints:
+    """Boundary points of all slices, at most MOST_POINTS; none where they show no boundary.
 
     Raises:
         InvalidInputError: the slices differ in pitch.
     """
-    opts = options or BoundaryPointOptions()
     pitch = _pitch_mm(slices)
-    smooth, usable = _smoothed(slices, pitch, opts)
+    smooth, usable = _smoothed(slices, pitch)
     gradient = np.stack([_central(smooth, axis) / np.float32(pitch[axis]) for axis in (0, 1)])
     magnitude = np.hypot(gradient[0], gradient[1])
-    steep = np.nonzero(usable & (opts.smoothing_mm * magnitude > opts.min_contrast * smooth))
+    steep = np.nonzero(usable & (SMOOTHING_MM * magnitude > MIN_CONTRAST * smooth))
     # per pixel, so that a step along it is a step along the gradient in mm
     along = np.stack([gradient[axis][steep] / pitch[axis] for axis in (0, 1)], axis=1).astype(np.float64)
     keep, part = _maxima(magnitude, steep, along)
     s, row, col = (index[keep] for index in steep)
-    along, contrast = along[keep], opts.smoothing_mm * magnitude[s, row, col] / smooth[s, row, col]
+    along, contrast = along[keep], SMOOTHING_MM * magnitude[s, row, col] / smooth[s, row, col]
     place = np.column_stack([col + part[keep, 1], row + part[keep, 0], np.ones(len(s))])
     normals = np.einsum("nij,nj->ni", slices.frame_from_pixel[s][:, :, :2], along[:, ::-1])
     planes = np.cross(slices.frame_from_pixel[:, :, 0], slices.frame_from_pixel[:, :, 1])
@@ -108,20 +100,18 @@ def boundary_points(slices: SliceSet, options: BoundaryPointOptions | None = Non
         (planes / np.linalg.norm(planes, axis=1, keepdims=True))[s],
         slices.model_phase[s],
         np.minimum(contrast / FULL_CONTRAST, 1.0).astype(np.float64),
-    ).subsampled(opts.points)
+    ).subsampled(MOST_POINTS)
 
 
-def _smoothed(
-    slices: SliceSet, pitch_mm: FloatArray, opts: BoundaryPointOptions
-) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+def _smoothed(slices: SliceSet, pitch_mm: FloatArray) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     """(s, rows, columns) Gaussian mean of what lies inside the sector, and where enough of it does."""
-    sigma = (0.0, opts.smoothing_mm / pitch_mm[0], opts.smoothing_mm / pitch_mm[1])
+    sigma = (0.0, SMOOTHING_MM / pitch_mm[0], SMOOTHING_MM / pitch_mm[1])
     support, smooth = (
         ndimage.gaussian_filter(stack, sigma, mode="constant", truncate=3.0)
         for stack in (slices.masks.astype(np.float32), slices.images)
     )
     smooth /= np.maximum(support, np.float32(1e-3))
-    usable = slices.masks & (support >= opts.min_support)
+    usable = slices.masks & (support >= MIN_SUPPORT)
     usable[:, [0, -1], :] = False
     usable[:, :, [0, -1]] = False
     return smooth, usable
@@ -180,7 +170,7 @@ def edges_of_model_mm(
     Returns:
         (n,) displacement along the normals; NaN where no boundary is found within EDGE_MM.
     """
-    sigma = BoundaryPointOptions().smoothing_mm
+    sigma = SMOOTHING_MM
     axis = np.arange(-PATCH_MM, PATCH_MM + 0.5 * PATCH_PITCH_MM, PATCH_PITCH_MM)
     along, across = (grid.ravel() for grid in np.meshgrid(axis, axis, indexing="ij"))
     places = (

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dvf_ig.core import FloatArray, Rigid, read_only_arrays
+from dvf_ig.core import FloatArray, Rigid
 from dvf_ig.registration.lc2.lc2 import Lc2
 
 SHIFTS = 20
@@ -27,8 +27,7 @@ best shift is within 0.05 of the cycle, its ratio at most 0.6. An ECG 300 ms lat
 images, with poor ones 8.8 to 14 (physiological motion) and 1.5 to 5.2 (5 mm; 8 of 9 above 2.0)."""
 
 
-@read_only_arrays
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True)
 class PhaseOffset:
     """How much later in the cycle the images fit than the ECG says.
 
@@ -36,13 +35,11 @@ class PhaseOffset:
         shift: best common shift of the slices, in [−0.5, 0.5) of the cycle.
         offset_s: the same in s; positive where the ECG's times are late.
         log_likelihood_ratio: of that shift against none, >= 0.
-        log_ratios: (SHIFTS,) of every shift k / SHIFTS against none.
     """
 
     shift: float
     offset_s: float
     log_likelihood_ratio: float
-    log_ratios: FloatArray
 
     @property
     def suspicious(self) -> bool:
@@ -84,4 +81,4 @@ def offset_of(log_ratios: FloatArray, rr_s: float) -> PhaseOffset:
     part = 0.5 * (before - after) / bend if bend < 0 else 0.0
     shift = ((best + part) / len(log_ratios) + 0.5) % 1.0 - 0.5
     ratio = max(here - 0.25 * (before - after) * part, 0.0)
-    return PhaseOffset(shift, shift * rr_s, ratio, log_ratios)
+    return PhaseOffset(shift, shift * rr_s, ratio)

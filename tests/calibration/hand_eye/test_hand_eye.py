@@ -9,7 +9,6 @@ from dvf_ig.calibration import (
     HAND_EYE_METHODS,
     Gate,
     HandEyeMethod,
-    HandEyeOptions,
     HandEyeResult,
     accepted,
     calibrate_hand_eye,
@@ -53,8 +52,7 @@ class Bench:
         self.camera = stream("camera", "target", self.t_s, camera)
 
     def solve(self, method: HandEyeMethod = "park") -> HandEyeResult:
-        options = HandEyeOptions(method=method, hypotheses=40)
-        return calibrate_hand_eye(self.hand, self.camera, rng=np.random.default_rng(0), options=options)
+        return calibrate_hand_eye(self.hand, self.camera, rng=np.random.default_rng(0), method=method)
 
     def error(self, found: Rigid) -> FloatArray:
         """(6,) rotation vector in the hand's axes, rad, and shift, mm."""
@@ -171,4 +169,4 @@ def test_refusals() -> None:
     with pytest.raises(NoOverlapError, match="record both on one clock"):
         calibrate_hand_eye(bench.hand, later, rng=rng)
     with pytest.raises(InvalidInputError, match="'kabsch' is not one of tsai, park"):
-        calibrate_hand_eye(bench.hand, bench.camera, rng=rng, options=HandEyeOptions(method="kabsch"))
+        calibrate_hand_eye(bench.hand, bench.camera, rng=rng, method="kabsch")

@@ -132,8 +132,8 @@ def test_command_without_points_counts_frames_and_reasons(
 def test_search_settings_come_from_the_device_set(data_dir: Path, tmp_path: Path) -> None:
     device = data_dir / "plus-nwire-segmentation/PlusDeviceSet_iCal_CalibrationOnly_VLCUS_FrameGrabber.xml"
     options = wire_image_options(read_wire_search(device))
-    assert (options.spacing_mm, options.clip, options.dots.most) == (0.21, (68, 145, 390, 300), 50)
-    assert options.pattern.lines.collinear_mm == 1.11
+    assert (options.spacing_mm, options.clip, options.most) == (0.21, (68, 145, 390, 300), 50)
+    assert options.tolerances.collinear_mm == 1.11
     bad = tmp_path / "bad.xml"
     bad.write_text('<PlusConfiguration><Segmentation ApproximateSpacingMmPerPixel="-1"/></PlusConfiguration>')
     with pytest.raises(UnreadableFileError, match="must be positive"):
