@@ -20,7 +20,7 @@ from dvf_ig.core import (
 from dvf_ig.core.arrays import check_shape
 from dvf_ig.core.space.frames import check_frame, require_same_frame
 from dvf_ig.kernels.dynamic import force_batch
-from dvf_ig.kernels.fixture_field import CONTRACTION, packed_fixture
+from dvf_ig.kernels.fixture_field import packed_fixture
 
 from .blend import BLEND_CODES, Blend
 from .device import COMMON_DEVICE, DeviceLimits
@@ -126,8 +126,8 @@ class Evaluator:
             twice continuously differentiable in phase; half as fast, for it reads four phases).
         device: what the haptic device can render.
         withhold_unseen: give no force where no slice shows the surface.
-        contraction: how many times as far as in the model the heart contracts. A `PoseAndPhase` goes by its
-            own instead.
+        contraction: how many times as far as in the model the heart contracts; 1 for a `PoseAndPhase`, which
+            goes by its warp's.
     Raises:
         InvalidInputError: unknown blend, a law beyond the device's limits, or a forbidden region that is felt
             too far from the surface.
@@ -149,10 +149,12 @@ class Evaluator:
         require_reach(law)
         self.law: Law = device.checked(law)
         self.blend: Blend = blend
-        self._contraction = contraction
         periodic = blend == "periodic"
-        coefficients, timing = model.coefficients, model.timing
-        self._coefficients = periodic_coefficients(coefficients, timing) if periodic else coefficients.copy()
+        coefficients, timing = model.coefficients.copy(), model.timing
+        if contraction != 1.0:
+            at_rest = model.coefficients[model.rest_phase]
+            coefficients = at_rest + np.float32(contraction) * (coefficients - at_rest)
+        self._coefficients = periodic_coefficients(coefficients, timing) if periodic else coefficients
         self._constants = (
             model.origin_mm,
             model.knot_spacing_mm,
@@ -165,7 +167,7 @@ class Evaluator:
 
     @property
     def coefficients(self) -> NDArray[np.float32]:
-        """(n, cx, cy, cz) mm: those of the model, or of the periodic spline through its phases."""
+        """(n, cx, cy, cz) mm: of the phases as the heart contracts, or of the spline through them."""
         return self._coefficients
 
     def kernel_arguments(self, model_from_query: Rigid) -> tuple[NDArray[np.float32], FloatArray]:
@@ -176,9 +178,7 @@ class Evaluator:
         """
         require_same_frame(model_from_query.target, self.model.frame, "registered model")
         matrix = np.ascontiguousarray(model_from_query.matrix[:3])
-        packed = packed_fixture(*self._constants, matrix)
-        packed[CONTRACTION] = self._contraction
-        return self._coefficients, packed
+        return self._coefficients, packed_fixture(*self._constants, matrix)
 
     def force(self, xyz_mm: Any, model_phase: Any) -> ForceSamples:
         """Forces in the model's frame.

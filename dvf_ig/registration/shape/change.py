@@ -46,6 +46,8 @@ CONTRACTION_SIGMA = 0.07
 """Standard deviation of a contraction that was found, as a share of the model's; within 1.96 of it is none.
 Threshold hearts 2111 to 2116 that contract 0.6 times as far show 0.56 to 0.61, unchanged ones 0.94 to 0.96;
 those at 1.3 times show 1.1 to 1.2, if they show it."""
+MOST_CONTRACTED = 1.6
+"""How many times as far as in the model a heart may contract: more is not the motion of the model."""
 LEAST_POINTS = 150
 """Points near the model's boundary below which nothing is said of the shape."""
 PATCH_MM, PATCH_POINTS = 30.0, 8
@@ -143,6 +145,8 @@ class ShapeChange:
         """Why fixtures cannot follow the change; None if they can."""
         if self.partly:
             return "the images cover a part of the heart, and do not show how the rest has changed"
+        if not 0.0 <= self.estimate.contraction.factor <= MOST_CONTRACTED:
+            return "it contracts so differently that the model's motion does not hold"
         if self.seen_mm > ANOTHER_HEART_MM:
             return "it has changed by more than load and filling change a heart"
         if self.warp.steepest > LARGEST_SLOPE:

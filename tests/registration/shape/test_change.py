@@ -15,7 +15,7 @@ from dvf_ig.registration.boundary.fit import Boundary
 from dvf_ig.registration.boundary.points import BoundaryPoints
 from dvf_ig.registration.pose_chart import PoseChart, rigid_motion
 from dvf_ig.registration.shape.change import Halves, ShapeChange, change_of_shape
-from dvf_ig.registration.shape.estimate import AS_IN_MODEL, ShapeEstimate
+from dvf_ig.registration.shape.estimate import AS_IN_MODEL, Contraction, ShapeEstimate
 from dvf_ig.registration.shape.modes import shape_modes
 
 CENTER = np.array([5.0, -10.0, 20.0])
@@ -317,6 +317,14 @@ def test_a_registration_of_frames_that_beats_have_used_makes_an_estimate_no_sure
         np.sqrt(np.mean(_off_mm(one, still)[0] ** 2)) for one in (change.estimate, other.estimate, both)
     ]
     assert errors[2] < max(errors[:2])
+
+
+def test_a_contraction_that_the_model_does_not_hold_is_not_followed() -> None:
+    change = _change(1, pressed=1.0)
+    assert change is not None
+    for factor, held in ((0.0, True), (1.5, True), (-0.1, False), (1.7, False)):
+        other = replace(change, estimate=replace(change.estimate, contraction=Contraction(factor, 0.07)))
+        assert (other.followed is not None) == held
 
 
 def test_an_abrupt_change_is_refused() -> None:
