@@ -7,16 +7,13 @@ import typer
 from typer import Option
 from typer.core import TyperCommand
 
-if TYPE_CHECKING:
-    from dvf_ig.intake.findings import Finding
-    from dvf_ig.intake.parts import SessionFiles
-    from dvf_ig.intake.problems import Use
-from typing import TYPE_CHECKING
-
 from .shell import progress
 
 if TYPE_CHECKING:
     from dvf_ig.core import DvfModel, Preop
+    from dvf_ig.intake.findings import Finding
+    from dvf_ig.intake.parts import SessionFiles
+    from dvf_ig.intake.problems import Use
 
 SESSION = "a scenario folder (see `dvf-ig synth scenario`) or a session.yaml (see `dvf-ig config init`)"
 ModelOption = Annotated[

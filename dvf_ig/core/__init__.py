@@ -15,6 +15,7 @@ from .errors import NoOverlapError as NoOverlapError
 from .errors import NotConvergedError as NotConvergedError
 from .errors import OutputError as OutputError
 from .errors import QualityGateError as QualityGateError
+from .errors import Stop as Stop
 from .errors import UnreadableFileError as UnreadableFileError
 from .model import Chamber as Chamber
 from .model import DvfModel as DvfModel
@@ -61,7 +62,6 @@ from .space.volume import VolumeSeries as VolumeSeries
 from .space.warp import RIGID_SIGMA_MM as RIGID_SIGMA_MM
 from .space.warp import Warp as Warp
 from .space.warp import WarpMotion as WarpMotion
-from .stop import Stop as Stop
 from .timing.cycle import CycleTiming as CycleTiming
 from .timing.cycle import nearest_phase as nearest_phase
 from .timing.cycle import phase_distance as phase_distance
