@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from data_synth import HeartSpec, MotionPreset, PhantomAnatomy, ScenarioSpec, cine_preop, two_segment_phase
+from data_synth.mr.cine import MrProtocol
 from data_synth.mr.examination import Examination, ExamName, examination
 from data_synth.scenario.recording import scenario_heart
 from data_synth.seeds import child_rng
@@ -23,14 +24,17 @@ from dvf_ig.core.model import DvfModel
 from dvf_ig.preop import CineModel, CineOptions, MotionOptions, check_surface, model_from_cine
 from dvf_ig.preop.build import ModelOptions, model_from_labels
 from dvf_ig.study.driver import Driver, Line, Result, Rows, Settings, Study, Trials, refusals
+from dvf_ig.study.hearts.recordings import EXAM_PHASES
 from dvf_ig.study.options import seed_option, seeds_option
 
 KNOT_MM = 8.0
 """Knots of the splines, which are fitted to the surfaces that are compared here."""
 POINTS = 3000
 LV_BLOOD = 2
-EXAMS: tuple[ExamName, ...] = ("sax10", "sax+lax")
-ISOTROPIC = "isotropic"
+IMAGED: tuple[ExamName, ...] = ("sax10", "sax+lax")
+"""What is imaged; the stack of the second without its views is sax8."""
+EXAMS = ("sax10", "sax8", "sax+lax")
+ISOTROPIC, ISOTROPIC_PHASES = "isotropic", 8
 NUMBERS = ("ed_whole_mm", "ed_seen_mm", "es_whole_mm", "es_seen_mm")
 
 
@@ -49,12 +53,18 @@ def trial(_: Settings, seed: int) -> Line:
     anatomy = scenario_heart(spec)
     line: Line = {}
     seen: SeenPart | None = None
-    for name in EXAMS:
-        exam = examination(anatomy, anatomy.reference, name, child_rng(spec.seeds.anatomy, "preop"))
+    for name in IMAGED:
+        rng = child_rng(spec.seeds.anatomy, "preop")
+        exam = examination(anatomy, anatomy.reference, name, rng, EXAM_PHASES)
         built = _built(exam)
         line[name] = _scores(anatomy, exam, built)
         seen = built.model.seen
-    line[ISOTROPIC] = _isotropic(anatomy, cine_preop(anatomy, child_rng(spec.seeds.anatomy, "preop")), seen)
+        if exam.lax:
+            stack = replace(exam, lax=())
+            line["sax8"] = _scores(anatomy, stack, _built(stack))
+    protocol = MrProtocol(phases=ISOTROPIC_PHASES)
+    isotropic = cine_preop(anatomy, child_rng(spec.seeds.anatomy, "preop"), protocol)
+    line[ISOTROPIC] = _isotropic(anatomy, isotropic, seen)
     return line
 
 

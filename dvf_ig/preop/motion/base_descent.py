@@ -8,7 +8,7 @@ motion. Without such a view the surface stays where the slices show it, uncertai
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import ndimage
@@ -40,6 +40,8 @@ PIXEL_MM, APART_MM = 2.4, 20.0
 as 20 mm thick, so that no motion is looked for across it."""
 LEAST_PIXELS, LEAST_BASAL_PIXELS = 50, 10
 """Labelled pixels of a view that shows the heart, and of one that shows its base."""
+BLURS_MM = (3.0, 1.0)
+"""Blurs of a view, coarse to fine: between two of its phases the base moves by up to 5 mm."""
 BASAL_SHARE = 0.875
 """Share of the way from the apical to the basal slice from which on tissue shows the base's motion."""
 OUTLINE_STEPS, LONGEST_MM = 2, 8.0
@@ -240,9 +242,8 @@ def _curve(
     timing = CycleTiming(fractions - fractions[0], view.timing.rr_s)
     tracked = VolumeSeries(grid, view.values[chosen], timing)
     mask, cavities = inside[..., None]
-    motion = track_cycle(
-        tracked, mask, ed_phase=0, blood=None if blood is None else cavities, options=options
-    )
+    wider = replace(options, free_form=replace(options.free_form, blurs_mm=BLURS_MM))
+    motion = track_cycle(tracked, mask, ed_phase=0, blood=None if blood is None else cavities, options=wider)
     at_base = points[basal]
     moved = [deformation.move(at_base) - at_base for deformation in motion.deformations]
     return fractions, -np.stack(moved).mean(axis=1) @ normal / share[basal].mean()

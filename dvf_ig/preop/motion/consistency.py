@@ -26,6 +26,8 @@ LEAST_PART = 0.05
 """Pieces of blood smaller than this share of the organ are not judged on their own."""
 
 INVERSE_STEPS = 12
+BACK_BLUR_MM = 3.0
+"""Blur of both images on the way back, where coarse structures are enough."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +61,7 @@ def inconsistency_mm(
     observable: BoolArray,
     options: FreeFormOptions,
 ) -> float:
-    """Compute the RMS of |u(x) + w(x + u(x))| over the part where largest, w the motion back, coarsest blur.
+    """Compute the RMS of |u(x) + w(x + u(x))| over the part where largest, w the coarse motion back.
 
     Args:
         forward: u, from end-diastole.
@@ -76,7 +78,7 @@ def inconsistency_mm(
         fixed,
         there,
         FreeForm(forward.lattice, -forward.coefficients),
-        replace(options, blurs_mm=options.blurs_mm[:1]),
+        replace(options, blurs_mm=(BACK_BLUR_MM,)),
         observable=observable,
     )
     at = np.indices(mask.shape) + moved
@@ -110,9 +112,9 @@ def inverse_index(moved_voxels: FloatArray) -> FloatArray:
         moved_voxels: (3, nx, ny, nz) displacement in voxels.
     """
     here = np.indices(moved_voxels.shape[1:], dtype=np.float64)
-    origin = here - moved_voxels
+    origin, axes = here - moved_voxels, np.flatnonzero(moved_voxels.any(axis=(1, 2, 3)))
     for _ in range(INVERSE_STEPS):
-        origin = here - np.stack(
-            [ndimage.map_coordinates(u, origin, order=1, mode="nearest") for u in moved_voxels]
+        origin[axes] = here[axes] - np.stack(
+            [ndimage.map_coordinates(moved_voxels[a], origin, order=1, mode="nearest") for a in axes]
         )
     return origin

@@ -7,6 +7,7 @@ Rows are summed in one order, so the result does not depend on the number of thr
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import ndimage
 from scipy.sparse import csr_array, diags_array, eye_array, kron
 
 from dvf_ig.core import BoolArray, FloatArray, Grid, IntArray, read_only_arrays
@@ -162,12 +163,12 @@ class FreeForm:
         grid, lattice = self.lattice.grid, self.lattice
         knots = grid.to_index(xyz_mm) * grid.spacing_mm / lattice.pitch_mm
         knots = np.clip(knots, 0.0, np.array(lattice.cells, dtype=np.float64))
-        (x, wx), (y, wy), (z, wz) = (cell_and_weights(knots[:, a], lattice.cells[a]) for a in range(3))
-        near = np.arange(4)
-        at = (x[:, None, None, None] + near[:, None, None], y[:, None, None, None] + near[:, None])
-        support = self.coefficients[(*at, z[:, None, None, None] + near)]
-        along_z = np.einsum("nk,nijkd->nijd", wz, support)
-        moved = np.einsum("ni,nid->nd", wx, np.einsum("nj,nijd->nid", wy, along_z))
+        # of every B-spline, the control point of index k lies at knot k - 1
+        at = (knots + 1.0).T
+        moved = np.zeros_like(knots)
+        for axis in np.flatnonzero(self.coefficients.any(axis=(0, 1, 2))):
+            points = self.coefficients[..., axis]
+            moved[:, axis] = ndimage.map_coordinates(points, at, order=3, mode="mirror", prefilter=False)
         return np.asarray(xyz_mm + moved @ grid.direction.T)
 
 

@@ -6,7 +6,7 @@ from functools import lru_cache
 import numpy as np
 from scipy import ndimage
 
-from dvf_ig.core import AnyArray, BoolArray, FloatArray, InvalidInputError, read_only_arrays
+from dvf_ig.core import AnyArray, BoolArray, FloatArray, IntArray, InvalidInputError, read_only_arrays
 from dvf_ig.preop.conjugate_gradients import conjugate_gradients
 
 from .free_form import Bending, FreeForm, Lattice, volume_ratio
@@ -35,7 +35,7 @@ class FreeFormOptions:
 
     pitch_mm: float = 6.0
     stiffness_mm2: float = 1.0
-    blurs_mm: tuple[float, ...] = (3.0, 1.0)
+    blurs_mm: tuple[float, ...] = (1.0,)
     steps: int = 6
     inner_steps: int = 15
     tolerance: float = 2e-3
@@ -58,15 +58,17 @@ class _Level:
 
     Attributes:
         lattice: control points, evaluated on every few voxels.
+        axes: the k axes along which motion is estimated.
         where: index arrays of the n voxels compared, in the lattice's grid.
         index: (3, n) their positions, in voxels of the moving image.
         fixed: (n,) grey levels, mean 0 and standard deviation 1.
-        moving, gradient: grey levels of the moving image and their derivative per mm along each axis.
+        moving, gradient: grey levels of the moving image and their derivative per mm along each of these.
         spacing_mm: (3,) voxel pitch of the moving image.
         voxel_mm3: volume represented by each of the voxels.
     """
 
     lattice: Lattice
+    axes: IntArray
     where: tuple[AnyArray, ...]
     index: FloatArray
     fixed: FloatArray
@@ -104,12 +106,15 @@ def match_images(
         observable = observable_axes(start.grid.spacing_mm)
     bending = _bending(start.lattice, tuple(np.where(observable, 0.0, options.pitch_mm).tolist()))
     levels = [_level(fixed, moving, mask, start.lattice, observable, blur_mm) for blur_mm in options.blurs_mm]
+    axes = levels[0].axes
     for attempt in range(STIFFER_ATTEMPTS + 1):
         stiffer = replace(options, stiffness_mm2=options.stiffness_mm2 * STIFFER_FACTOR**attempt)
-        coefficients = start.coefficients
+        coefficients = start.coefficients[..., axes]
         for level in levels:
             coefficients = _minimise(level, bending, coefficients, stiffer)
-        fitted = FreeForm(start.lattice, coefficients)
+        everywhere = start.coefficients.copy()
+        everywhere[..., axes] = coefficients
+        fitted = FreeForm(start.lattice, everywhere)
         if volume_ratio(fitted.on_voxels(), fitted.grid.spacing_mm, mask).min() > MIN_VOLUME_RATIO:
             break
     return fitted
@@ -149,18 +154,15 @@ def _level(
             "an image has no contrast around the organ; check that it is the right 4-D image"
         )
     lattice = whole.thinned((sx, sy, sz))
-    observable = observable & (np.array(other.shape) > 1)
-    gradient = tuple(
-        np.gradient(other, step, axis=axis) if observable[axis] else np.zeros_like(other)
-        for axis, step in enumerate(spacing.tolist())
-    )
+    axes = np.flatnonzero(observable & (np.array(other.shape) > 1))
     return _Level(
         lattice,
+        axes,
         where,
         np.stack(where).astype(np.float64) * np.array([[sx], [sy], [sz]]),
         (grey - grey.mean()) / grey.std(),
         other,
-        gradient,
+        tuple(np.gradient(other, float(spacing[axis]), axis=axis) for axis in axes),
         spacing,
         float(np.prod(lattice.grid.spacing_mm)),
     )
@@ -185,9 +187,10 @@ def _minimise(level: _Level, bending: Bending, start: FloatArray, options: FreeF
 
 
 def _residual(level: _Level, coefficients: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Compute the (n,) residual after the best gain and offset, and (n, 3) its change per mm moved."""
+    """Compute the (n,) residual after the best gain and offset, and (n, k) its change per mm moved."""
     moved_mm = level.lattice.on_voxels(coefficients)[level.where]
-    at = level.index + (moved_mm / level.spacing_mm).T
+    at = level.index.copy()
+    at[level.axes] += (moved_mm / level.spacing_mm[level.axes]).T
     grey = ndimage.map_coordinates(level.moving, at, order=1, mode="nearest")
     slope = np.stack(
         [ndimage.map_coordinates(s, at, order=1, mode="nearest") for s in level.gradient], axis=1
@@ -207,7 +210,7 @@ def _step(
     options: FreeFormOptions,
 ) -> FloatArray:
     """Solve for the Gauss–Newton step δ: (JᵀJ + λH) δ = −Jᵀr − λHc, J = slope · B; `bend` is λHc."""
-    everywhere = np.zeros((*level.lattice.grid.shape, 3))
+    everywhere = np.zeros((*level.lattice.grid.shape, len(level.axes)))
     everywhere[level.where] = slope
     weighted = level.voxel_mm3 * everywhere
 
