@@ -35,7 +35,7 @@ from dvf_ig.preop.motion.slice_phases import SlicePhases, retimed, slice_phases
 from dvf_ig.preop.motion.slice_shifts import SliceShifts, slice_shifts
 from dvf_ig.preop.motion.slice_stack import observable_axes
 from dvf_ig.preop.surface.between_slices import between_slices
-from dvf_ig.preop.surface.chambers import chamber_of, label_name
+from dvf_ig.preop.surface.chambers import chamber_of, label_name, missing_wall
 from dvf_ig.preop.surface.closing import triangle_areas_mm2
 from dvf_ig.preop.surface.from_labels import FINEST_VOXEL_MM, SMOOTHING_VOXELS, border_caps, surface_of_mask
 
@@ -190,6 +190,14 @@ def model_from_cine(
     organ = largest_component(_chosen(labels, options.organ_labels, "organ"))
     cavities = [_chosen(labels, (value,), "cavity") for value in options.cavity_labels]
     report = progress or untold
+    names = [label_name(value, dict(options.label_names)) for value in options.cavity_labels]
+    bare = [
+        sentence
+        for name, cavity in zip(names, cavities, strict=True)
+        if (sentence := missing_wall(name, cavity, organ)) is not None
+    ]
+    for sentence in bare:
+        _LOG.warning("%s", sentence)
     surface = _surface(organ, image.grid)
     caps = border_caps(surface, image.grid)
     _require_imaged(surface, caps, image.grid)
@@ -245,11 +253,16 @@ def model_from_cine(
         cavity_mm3=volumes,
         options=options.model,
         progress=lambda x: report(0.8 + 0.2 * x),
-        sources=(*sources, *(end.told for end in ends), *_stack_sources(image.grid, shifts, base)),
+        sources=(
+            *sources,
+            *(end.told for end in ends),
+            *_stack_sources(image.grid, shifts, base),
+            *bare,
+        ),
         chambers=[
             chamber
-            for value, mask in zip(options.cavity_labels, cavities, strict=True)
-            if (chamber := _chamber(moving, mask, label_name(value, dict(options.label_names))))
+            for name, mask in zip(names, cavities, strict=True)
+            if (chamber := _chamber(moving, mask, name))
         ],
     )
     tissue = None
