@@ -161,6 +161,7 @@ def test_a_contraction_that_changes_moves_the_wall(ball, shell_points):
     evaluator = Evaluator(ball, Sigmoid(), blend="periodic")
     end = replace(START, contraction=0.6)
     motion = WarpMotion.towards(WarpMotion.still(START), end, 10.0)
+    assert motion is not None
     assert motion.end_s == pytest.approx(10.0 + 0.4 * CONTRACTED_MM / UPDATE_MM_PER_S)
     transform, step = through(motion), 1e-4
     t, tip = times_and_tips(shell_points, 60)
