@@ -96,6 +96,57 @@ def _squared_distances(
 
 
 @inlined
+def _force_to(
+    a: Points, b: Points, alpha: float, width: float, f: FloatArray, q: Vector, work: FloatArray
+) -> Output:
+    """Compute the force to the path between two phases; arguments as in `path_force`."""
+    count = len(a[0])
+    square, shares = work[0, : count - 1], work[1, : count - 1]
+    nearest = _squared_distances(a, b, alpha, q, square, shares)
+    reach = (nearest + CORNER_MM) * (nearest + CORNER_MM)
+    total, rate = 0.0, 0.0
+    ax = ay = az = 0.0
+    for i in range(count - 1):
+        if not square[i] < reach:
+            continue
+        start, share, size = _point(a, b, alpha, i), shares[i], math.sqrt(square[i])
+        away = _from_line(start, _along(start, _point(a, b, alpha, i + 1)), share, q)
+        rest = 1.0 - (size - nearest) / CORNER_MM
+        weight = rest * rest
+        scale = weight / size if size > 0.0 else weight
+        x, y, z = scale * away[0], scale * away[1], scale * away[2]
+        # the nearest point keeps its share of the segment as the path moves
+        first, second = _moved(a, b, i), _moved(a, b, i + 1)
+        drift = (
+            first[0] + share * (second[0] - first[0]),
+            first[1] + share * (second[1] - first[1]),
+            first[2] + share * (second[2] - first[2]),
+        )
+        ax, ay, az = ax + x, ay + y, az + z
+        rate, total = rate - dot((x, y, z), drift), total + weight
+    direction = (ax / total, ay / total, az / total)
+    ratio = force_per_gradient(f, nearest, math.sqrt(dot(direction, direction)))
+    force = (ratio * direction[0], ratio * direction[1], ratio * direction[2])
+    return code.OK, force, nearest, direction, rate / (total * width)
+
+
+@kernel
+def _force_to_contracted(
+    a: Points,
+    b: Points,
+    resting: Points,
+    alpha: float,
+    width: float,
+    f: FloatArray,
+    q: Vector,
+    work: FloatArray,
+) -> Output:
+    """Compute `_force_to` of a heart that contracts otherwise. Not inlined: few do."""
+    a, b = _contracted(f, resting, a, work[2:5]), _contracted(f, resting, b, work[5:8])
+    return _force_to(a, b, alpha, width, f, q, work)
+
+
+@inlined
 def path_force(
     points: FloatArray,
     times: FloatArray,
@@ -127,31 +178,5 @@ def path_force(
     b = _phase(points, first_point + count * after, count)
     if phases > 1 and f[CONTRACTION] != 1.0:
         resting = _phase(points, first_point + count * int(f[REST]), count)
-        a, b = _contracted(f, resting, a, work[2:5]), _contracted(f, resting, b, work[5:8])
-    square, shares = work[0, : count - 1], work[1, : count - 1]
-    nearest = _squared_distances(a, b, alpha, q, square, shares)
-    reach = (nearest + CORNER_MM) * (nearest + CORNER_MM)
-    total, rate = 0.0, 0.0
-    ax = ay = az = 0.0
-    for i in range(count - 1):
-        if not square[i] < reach:
-            continue
-        start, share, size = _point(a, b, alpha, i), shares[i], math.sqrt(square[i])
-        away = _from_line(start, _along(start, _point(a, b, alpha, i + 1)), share, q)
-        rest = 1.0 - (size - nearest) / CORNER_MM
-        weight = rest * rest
-        scale = weight / size if size > 0.0 else weight
-        x, y, z = scale * away[0], scale * away[1], scale * away[2]
-        # the nearest point keeps its share of the segment as the path moves
-        first, second = _moved(a, b, i), _moved(a, b, i + 1)
-        drift = (
-            first[0] + share * (second[0] - first[0]),
-            first[1] + share * (second[1] - first[1]),
-            first[2] + share * (second[2] - first[2]),
-        )
-        ax, ay, az = ax + x, ay + y, az + z
-        rate, total = rate - dot((x, y, z), drift), total + weight
-    direction = (ax / total, ay / total, az / total)
-    ratio = force_per_gradient(f, nearest, math.sqrt(dot(direction, direction)))
-    force = (ratio * direction[0], ratio * direction[1], ratio * direction[2])
-    return code.OK, force, nearest, direction, rate / (total * width)
+        return _force_to_contracted(a, b, resting, alpha, width, f, q, work)
+    return _force_to(a, b, alpha, width, f, q, work)
