@@ -101,13 +101,26 @@ def _two_fields(
     coefficients: NDArray[np.float32], f: FloatArray, knot: Vector, phi: float
 ) -> tuple[Float64x4, Float64x4, Float64x4, float, float]:
     """Evaluate the fields of the phases around `phi`, their blend, the second's weight, the distance rate."""
+    if f[CONTRACTION] != 1.0:
+        return _two_contracted_fields(coefficients, f, knot, phi)
     cell = find_cell(knot[0], knot[1], knot[2], cells_of(coefficients))
     first, second, alpha, width = phase_bracket(f, TIMES, len(coefficients), phi)
     a = field_of_phase(coefficients, first, cell, f[PER_KNOT])
     b = field_of_phase(coefficients, second, cell, f[PER_KNOT])
-    if f[CONTRACTION] != 1.0:
-        rest = at_rest(coefficients, f, cell)
-        a, b = contracted(f, rest, a), contracted(f, rest, b)
+    mixed = fma(scale(1.0 - alpha, a), alpha, b)
+    return a, b, mixed, alpha, (unpack(b)[0] - unpack(a)[0]) / width
+
+
+@kernel
+def _two_contracted_fields(
+    coefficients: NDArray[np.float32], f: FloatArray, knot: Vector, phi: float
+) -> tuple[Float64x4, Float64x4, Float64x4, float, float]:
+    """Evaluate `_two_fields` of a heart that contracts otherwise. Not inlined: few do."""
+    cell = find_cell(knot[0], knot[1], knot[2], cells_of(coefficients))
+    first, second, alpha, width = phase_bracket(f, TIMES, len(coefficients), phi)
+    rest = at_rest(coefficients, f, cell)
+    a = contracted(f, rest, field_of_phase(coefficients, first, cell, f[PER_KNOT]))
+    b = contracted(f, rest, field_of_phase(coefficients, second, cell, f[PER_KNOT]))
     mixed = fma(scale(1.0 - alpha, a), alpha, b)
     return a, b, mixed, alpha, (unpack(b)[0] - unpack(a)[0]) / width
 
