@@ -97,6 +97,15 @@ def _periodic_at(
 
 
 @inlined
+def _between(
+    a: Float64x4, b: Float64x4, alpha: float, width: float
+) -> tuple[Float64x4, Float64x4, Float64x4, float, float]:
+    """Blend two fields; results as of `_two_fields`."""
+    mixed = fma(scale(1.0 - alpha, a), alpha, b)
+    return a, b, mixed, alpha, (unpack(b)[0] - unpack(a)[0]) / width
+
+
+@inlined
 def _two_fields(
     coefficients: NDArray[np.float32], f: FloatArray, knot: Vector, phi: float
 ) -> tuple[Float64x4, Float64x4, Float64x4, float, float]:
@@ -107,8 +116,7 @@ def _two_fields(
     first, second, alpha, width = phase_bracket(f, TIMES, len(coefficients), phi)
     a = field_of_phase(coefficients, first, cell, f[PER_KNOT])
     b = field_of_phase(coefficients, second, cell, f[PER_KNOT])
-    mixed = fma(scale(1.0 - alpha, a), alpha, b)
-    return a, b, mixed, alpha, (unpack(b)[0] - unpack(a)[0]) / width
+    return _between(a, b, alpha, width)
 
 
 @kernel
@@ -121,8 +129,7 @@ def _two_contracted_fields(
     rest = at_rest(coefficients, f, cell)
     a = contracted(f, rest, field_of_phase(coefficients, first, cell, f[PER_KNOT]))
     b = contracted(f, rest, field_of_phase(coefficients, second, cell, f[PER_KNOT]))
-    mixed = fma(scale(1.0 - alpha, a), alpha, b)
-    return a, b, mixed, alpha, (unpack(b)[0] - unpack(a)[0]) / width
+    return _between(a, b, alpha, width)
 
 
 @inlined
