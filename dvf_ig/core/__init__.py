@@ -64,6 +64,7 @@ from .space.warp import Warp as Warp
 from .space.warp import WarpMotion as WarpMotion
 from .timing.cycle import CycleTiming as CycleTiming
 from .timing.cycle import nearest_phase as nearest_phase
+from .timing.cycle import phase_at_rest as phase_at_rest
 from .timing.cycle import phase_distance as phase_distance
 from .timing.phase_forecast import PhaseForecast as PhaseForecast
 from .timing.phase_forecast import PhaseReading as PhaseReading

@@ -10,7 +10,7 @@ from .errors import InvalidInputError
 from .seen_part import SeenPart
 from .space.frames import check_frame, require_same_frame
 from .space.mesh import Mesh
-from .timing.cycle import CycleTiming, nearest_phase
+from .timing.cycle import CycleTiming, phase_at_rest
 from .tissue import Tissue
 
 
@@ -149,7 +149,7 @@ class DvfModel:
     @property
     def rest_phase(self) -> int:
         """Index of the phase nearest to the R peak, from which the heart contracts."""
-        return int(nearest_phase(self.timing.fractions, np.zeros(1))[0])
+        return phase_at_rest(self.timing.fractions)
 
     @property
     def still(self) -> bool:

@@ -42,6 +42,8 @@ class Tissue:
 
     def contracting(self, contraction: float) -> "Tissue":
         """Return the tissue of an organ that moves so many times as far."""
+        if contraction == 1.0:
+            return self
         motion = [replace(warp, coefficients=contraction * warp.coefficients) for warp in self.motion]
         return replace(self, motion=tuple(motion))
 

@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from dvf_ig.core import RAMP_MM, FloatArray, SeenPart, nearest_phase
+from dvf_ig.core import RAMP_MM, FloatArray, SeenPart, phase_at_rest
 
 from . import status as code
 from .compiled import inlined, kernel
@@ -77,7 +77,7 @@ def packed_fixture(
         [slabs.shape[1]],
         normal,
         [RAMP_MM],
-        [1.0, nearest_phase(fractions, np.zeros(1))[0]],
+        [1.0, phase_at_rest(fractions)],
     ]
     return np.concatenate([*head, fractions, powers.ravel(), slabs.ravel()])
 

@@ -1,11 +1,11 @@
 """A smooth change of the heart's shape as a pull-back, and its motion from one estimate to the next.
 
-A heart that contracts g times as far as the model has d'(q, φ) = d₀ + g (d_φ − d₀), with d₀ the distance at
-the R peak's phase and d_φ that at φ, both at q'.
-
 What lies at q at the registered pose belongs to q' = q − m(q) in the model. m and the variance of the wall's
 place along its normal are one cubic spline of four lanes, (m_x, m_y, m_z, σ²), on a grid of CELLS³ cells;
 beyond the grid they are as at its border. `dvf_ig.kernels.warp` is the form for kernels.
+
+A heart that contracts g times as far as the model has d'(q, φ) = d₀ + g (d_φ − d₀), with d₀ the distance at
+the R peak's phase and d_φ that at φ, both at q'.
 """
 
 import math

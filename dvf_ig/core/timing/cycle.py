@@ -80,3 +80,8 @@ def phase_distance(fractions: FloatArray, phases: FloatArray) -> FloatArray:
 def nearest_phase(fractions: FloatArray, phases: FloatArray) -> IntArray:
     """Find (n,) the nearest of (m,) fractions of the cycle to each of (n,) phases."""
     return np.asarray(phase_distance(fractions, phases).argmin(axis=1), dtype=np.int64)
+
+
+def phase_at_rest(fractions: FloatArray) -> int:
+    """Find the fraction of the cycle nearest to the R peak, from which the heart contracts; its index."""
+    return int(nearest_phase(fractions, np.zeros(1))[0])

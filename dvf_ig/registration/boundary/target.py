@@ -21,6 +21,7 @@ from dvf_ig.core import (
     InvalidInputError,
     VolumeSeries,
     nearest_phase,
+    phase_at_rest,
     read_only_arrays,
 )
 from dvf_ig.core.progress import thread_pool
@@ -60,7 +61,7 @@ class BoundaryTarget:
     @property
     def rest(self) -> int:
         """Index of the phase nearest to the R peak, from which the heart contracts."""
-        return int(nearest_phase(self.fractions, np.zeros(1))[0])
+        return phase_at_rest(self.fractions)
 
     def contracting(self, contraction: float) -> "BoundaryTarget":
         """Return the boundary of a heart that contracts so many times as far."""

@@ -166,7 +166,7 @@ class ShapeChange:
         """Which wall lies elsewhere, and by how much."""
         way, contraction = "out" if self.shift_mm > 0 else "in", self.estimate.contraction
         beating = ""
-        if contraction is not AS_IN_MODEL:
+        if contraction != AS_IN_MODEL:
             spread = 1.96 * contraction.sigma
             beating = f"; it contracts {contraction.factor:.2f} times as far (± {spread:.2f})"
         return (
@@ -199,7 +199,7 @@ def change_of_shape(
     if fit is None:
         return None
     contraction = _contraction(fit)
-    if contraction is not AS_IN_MODEL:
+    if contraction != AS_IN_MODEL:
         contracted = replace(boundary, target=contracting(boundary.target, contraction.factor))
         fit = _most_likely_change(SeenBoundary(contracted, offset_mm, pose, organ), modes, images)
         if fit is None:
@@ -215,7 +215,7 @@ def change_of_shape(
     frame = np.cumsum(np.diff(problem.model_phase, prepend=0.0) != 0.0)
     odd = frame // HELD_OUT_FRAMES % 2 == 1
     change = replace(change, halves=_halves(problem, odd, best, noise))
-    if change.needed or change.followed is None or contraction is not AS_IN_MODEL:
+    if change.needed or change.followed is None or contraction != AS_IN_MODEL:
         return change
     first, last = SYSTOLE
     systole = (problem.model_phase > first) & (problem.model_phase < last)
