@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
 from data_synth.heart.mismatch import UNTOUCHED, SurgicalChange
+from data_synth.seeds import child_rng
 from data_synth.surfaces.anatomy import EPICARDIAL, LV, RV, SurfaceAnatomy, surface_anatomy
 from data_synth.surfaces.atria import AtrialStub
 from dvf_ig.core import (
@@ -26,7 +27,8 @@ from .label_depth import Caps, StackDepth, stack_depth
 RV_LABEL, MYOCARDIUM_LABEL, LV_LABEL = 1, 2, 3
 LABEL_NAMES = ((RV_LABEL, "rv_blood"), (MYOCARDIUM_LABEL, "myocardium"), (LV_LABEL, "lv_blood"))
 """Label values of the ACDC experts."""
-RV_WALL_MM = 3.0
+RV_WALL_MM = 2.0, 4.5
+"""Thinnest and thickest wall of a right ventricle, which the experts do not label: drawn for each heart."""
 CAPS = {
     LV: Caps(base_mm=8.0, apex_widths=0.8, apex_mm=0.0),
     RV: Caps(base_mm=8.0, apex_widths=0.7, apex_mm=0.0),
@@ -106,16 +108,17 @@ def cine_anatomy(
     the surfaces, twist above all, is in neither labels nor anatomy.
 
     Args:
-        mismatch_mm, seed, surgery: as for `surface_anatomy`.
+        mismatch_mm, seed, surgery: as for `surface_anatomy`; the seed draws the right ventricle's wall too.
     Raises:
         InvalidInputError: labels of fewer than three slices.
     """
     ed, es = np.asarray(heart.ed_labels.values), np.asarray(heart.es_labels.values)
     pace = contraction(heart.cine, ed > 0, heart.es_phase)
     base_first = _base_first(ed)
+    wall_mm = float(child_rng(seed, "right ventricle's wall").uniform(*RV_WALL_MM))
     surfaces = {}
     for name in (EPICARDIAL, LV, RV):
-        still, contracted = (_depth(name, labels, heart, base_first) for labels in (ed, es))
+        still, contracted = (_depth(name, labels, heart, base_first, wall_mm) for labels in (ed, es))
         vertices, triangles = outline(still, STRIDE[name])
         moved = displacement(vertices, triangles, contracted)
         surfaces[name] = SurfaceSeries(
@@ -125,7 +128,7 @@ def cine_anatomy(
     return replace(anatomy, atria=_atria(heart, ed, base_first))
 
 
-def _depth(name: str, labels: AnyArray, heart: CineHeart, base_first: bool) -> StackDepth:
+def _depth(name: str, labels: AnyArray, heart: CineHeart, base_first: bool, wall_mm: float) -> StackDepth:
     grid = heart.cine.grid
     left = labels == LV_LABEL if name == LV else (labels == LV_LABEL) | (labels == MYOCARDIUM_LABEL)
     right = labels == RV_LABEL
@@ -133,15 +136,17 @@ def _depth(name: str, labels: AnyArray, heart: CineHeart, base_first: bool) -> S
         return stack_depth(right, grid, CAPS[RV], base_first=base_first)
     if name == LV:
         return stack_depth(left, grid, CAPS[LV], base_first=base_first)
-    return stack_depth(left | _grown(right, grid.spacing_mm), grid, CAPS[name], base_first=base_first)
+    return stack_depth(
+        left | _grown(right, grid.spacing_mm, wall_mm), grid, CAPS[name], base_first=base_first
+    )
 
 
-def _grown(mask: NDArray[np.bool_], spacing_mm: FloatArray) -> NDArray[np.bool_]:
+def _grown(mask: NDArray[np.bool_], spacing_mm: FloatArray, wall_mm: float) -> NDArray[np.bool_]:
     """Add the wall to the right ventricle's cavity, slice by slice."""
     out = np.zeros_like(mask)
     for k in range(mask.shape[2]):
         if mask[:, :, k].any():
-            out[:, :, k] = distance_transform_edt(~mask[:, :, k], sampling=spacing_mm[:2]) <= RV_WALL_MM
+            out[:, :, k] = distance_transform_edt(~mask[:, :, k], sampling=spacing_mm[:2]) <= wall_mm
     return out
 
 

@@ -28,10 +28,11 @@ from dvf_ig.core.plausible import heart_problem
 from dvf_ig.core.progress import thread_pool
 from dvf_ig.core.space.frames import require_same_frame
 from dvf_ig.preop.spline.fit import axis_solvers, fit_phase, sample_grid
-from dvf_ig.preop.surface.chambers import chambers_from_labels, chambers_from_surfaces
+from dvf_ig.preop.surface.chambers import chambers_from_labels, chambers_from_surfaces, label_name
 from dvf_ig.preop.surface.closing import Cap, caps_of, close_surface, describe_caps
 from dvf_ig.preop.surface.from_labels import border_caps, surfaces_from_labels
 from dvf_ig.preop.surface.topology import count_edges
+from dvf_ig.preop.surface.walls import labels_with_walls
 
 from .knots import choose_knot_spacing
 from .tissue import tissue_of_labels
@@ -246,7 +247,13 @@ def model_from_labels(
     """
     if preop.labels is None:
         raise InvalidInputError("the pre-operative data have no label image; build the model from surfaces")
-    reference = surfaces_from_labels(preop.labels, preop.organ_labels, threads=options.threads)
+    blood, names = preop.blood_labels, dict(preop.label_names)
+    labels, organ, told_walls = labels_with_walls(
+        preop.labels, preop.organ_labels, blood, [label_name(value, names) for value in blood]
+    )
+    for sentence in told_walls:
+        log.warning("%s", sentence)
+    reference = surfaces_from_labels(labels, organ, threads=options.threads)
     flags = [border_caps(mesh, preop.labels.grid) for mesh in reference]
     caps = caps_of(reference[0].vertices_mm, reference[0].triangles, flags[0])
     model = build_model(
@@ -259,10 +266,8 @@ def model_from_labels(
         cavity_mm3=_labelled_mm3(preop.labels, preop.lv_label),
         options=options,
         progress=progress,
-        sources=(*sources, *_marked(preop.surface, caps)),
-        chambers=chambers_from_labels(
-            preop.labels, preop.blood_labels, dict(preop.label_names), threads=options.threads
-        ),
+        sources=(*sources, *_marked(preop.surface, caps), *told_walls),
+        chambers=chambers_from_labels(preop.labels, blood, names, threads=options.threads),
     )
     return replace(model, tissue=tissue_of_labels(preop, reference, model.ed_phase))
 

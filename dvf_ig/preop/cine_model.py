@@ -35,9 +35,10 @@ from dvf_ig.preop.motion.slice_phases import SlicePhases, retimed, slice_phases
 from dvf_ig.preop.motion.slice_shifts import SliceShifts, slice_shifts
 from dvf_ig.preop.motion.slice_stack import observable_axes
 from dvf_ig.preop.surface.between_slices import between_slices
-from dvf_ig.preop.surface.chambers import chamber_of, label_name, missing_wall
+from dvf_ig.preop.surface.chambers import chamber_of, label_name
 from dvf_ig.preop.surface.closing import triangle_areas_mm2
 from dvf_ig.preop.surface.from_labels import FINEST_VOXEL_MM, SMOOTHING_VOXELS, border_caps, surface_of_mask
+from dvf_ig.preop.surface.walls import missing_walls, with_walls
 
 from .build import ModelOptions, build_model
 from .check import away_from_caps
@@ -191,14 +192,11 @@ def model_from_cine(
     cavities = [_chosen(labels, (value,), "cavity") for value in options.cavity_labels]
     report = progress or untold
     names = [label_name(value, dict(options.label_names)) for value in options.cavity_labels]
-    bare = [
-        sentence
-        for name, cavity in zip(names, cavities, strict=True)
-        if (sentence := missing_wall(name, cavity, organ)) is not None
-    ]
-    for sentence in bare:
+    added, told_walls = missing_walls(organ, cavities, names)
+    walled = with_walls(organ, [cavities[k] for k in added], image.grid.spacing_mm)
+    for sentence in told_walls:
         _LOG.warning("%s", sentence)
-    surface = _surface(organ, image.grid)
+    surface = _surface(walled, image.grid)
     caps = border_caps(surface, image.grid)
     _require_imaged(surface, caps, image.grid)
     ends = open_ends(organ, image.grid)
@@ -232,7 +230,7 @@ def model_from_cine(
     if base is None and not observable_axes(image.grid.spacing_mm)[2]:
         base = unknown_descent(image.grid, organ, volumes)
     moving = _Moving(motion, image, shifts, base)
-    surfaces = replace(moving.surface(surface, organ, options.surface), patient_id=patient_id)
+    surfaces = replace(moving.surface(surface, walled, options.surface), patient_id=patient_id)
     if not cavities:
         volumes = surfaces.volumes_mm3()
     labelled = (
@@ -257,7 +255,7 @@ def model_from_cine(
             *sources,
             *(end.told for end in ends),
             *_stack_sources(image.grid, shifts, base),
-            *bare,
+            *told_walls,
         ),
         chambers=[
             chamber

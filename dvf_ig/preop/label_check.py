@@ -21,6 +21,7 @@ from dvf_ig.preop.distance.triangle_tree import build_triangle_tree
 from dvf_ig.preop.motion.quality import dice
 from dvf_ig.preop.spline.field import SplineField
 from dvf_ig.preop.surface.from_labels import surface_of_mask
+from dvf_ig.preop.surface.walls import missing_walls, with_walls
 
 from .check import random_surface_points
 
@@ -94,16 +95,19 @@ def check_labels(
     fraction: float,
     *,
     organ_labels: Sequence[int] = (),
+    cavity_labels: Sequence[int] = (),
     points: int = 4000,
     rng: np.random.Generator,
 ) -> LabelCheck:
     """Compare the model's surface at `fraction` of the cycle with labels of that phase.
 
     Between two phases the surface is the zero level of the distance interpolated between theirs (Ren 2008,
-    eq. 10). The largest piece of the labels counts, with its holes filled, smoothed like a model's surface.
+    eq. 10). The largest piece of the labels counts, with its holes filled and the walls that they lack added
+    (`missing_walls`), smoothed like a model's surface.
 
     Args:
-        organ_labels: values inside the surface; none means all except 0.
+        organ_labels, cavity_labels: values inside the surface, none means all except 0, and values of blood,
+            as the model was built with.
         points: random points on each surface.
     Raises:
         FrameMismatchError: labels in another frame than the model.
@@ -111,7 +115,7 @@ def check_labels(
             within a voxel of the image's border.
     """
     require_same_frame(model.frame, labels.grid.frame, "labels that a model is checked with")
-    mask = _organ(labels, organ_labels)
+    mask = _organ(labels, organ_labels, cavity_labels)
     field = _field(model, fraction)
     within = _enclosed(field, labels.grid)
     if not (mask & within).any():
@@ -132,14 +136,16 @@ def check_labels(
     return LabelCheck(fraction % 1.0, dice(mask, within), *distances)
 
 
-def _organ(labels: Volume, organ_labels: Sequence[int]) -> BoolArray:
+def _organ(labels: Volume, organ_labels: Sequence[int], cavity_labels: Sequence[int]) -> BoolArray:
     chosen = np.isin(labels.values, list(organ_labels)) if organ_labels else labels.values != 0
     if not chosen.any():
         raise InvalidInputError(
             f"the labels have no voxel of the organ labels {list(organ_labels) or 'other than 0'}; values "
             f"present are {np.unique(labels.values).tolist()[:20]}"
         )
-    return largest_component(chosen)
+    cavities = [labels.values == value for value in cavity_labels]
+    added, _ = missing_walls(chosen, cavities, [""] * len(cavities))
+    return largest_component(with_walls(chosen, [cavities[k] for k in added], labels.grid.spacing_mm))
 
 
 def _field(model: DvfModel, fraction: float) -> SplineField:

@@ -70,10 +70,9 @@ def trial(_: Settings, seed: int) -> Line:
 
 def _built(exam: Examination) -> CineModel:
     preop, labels = exam.preop("phantom"), exam.sax.labels.values[0]
-    cavities = (LV_BLOOD, *(code for code, name in preop.label_names if "blood" in name and code != LV_BLOOD))
     options = CineOptions(
         organ_labels=preop.organ_labels,
-        cavity_labels=cavities,
+        cavity_labels=preop.blood_labels,
         motion=MotionOptions(threads=1),
         model=ModelOptions(KNOT_MM, threads=1),
     )

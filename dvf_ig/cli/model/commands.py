@@ -193,6 +193,13 @@ def check(
             help="With --labels: label values inside the surface, for example 1,2,5 (default: all except 0)."
         ),
     ] = None,
+    cavity: Annotated[
+        str | None,
+        Option(
+            help="With --labels: label values of blood as the model was built with, whose walls are added "
+            "where the labels lack them."
+        ),
+    ] = None,
     voxel_mm: shell.VoxelOption = None,
     threads: shell.ThreadsOption = None,
     seed: shell.SeedOption = 0,
@@ -207,9 +214,10 @@ def check(
     from .labels import check_with_labels, check_with_surfaces, labels_at
 
     given_labels = labels_at(labels) if labels is not None else None
-    values = _labels(organ, "--organ")
-    if values and given_labels is None:
-        raise typer.BadParameter("--organ needs --labels, the label image that it belongs to")
+    organs, cavities = _labels(organ, "--organ"), _labels(cavity, "--cavity")
+    if (organs or cavities) and given_labels is None:
+        named = "--organ" if organs else "--cavity"
+        raise typer.BadParameter(f"{named} needs --labels, the label image that it belongs to")
     with shell.command(threads):
         from dvf_ig.io import read_model
 
@@ -223,7 +231,7 @@ def check(
         payload = model_payload(model, result, seed, seconds, size_mb)
         if given_labels is not None:
             payload["labels"], label_rows = check_with_labels(
-                model, given_labels, values, points, seed, shell.voxel_size(voxel_mm)
+                model, given_labels, organs, cavities, points, seed, shell.voxel_size(voxel_mm)
             )
             rows += label_rows
         if surfaces is not None:

@@ -54,6 +54,7 @@ def check_with_labels(
     model: DvfModel,
     labels_file: LabelsAt,
     organ: tuple[int, ...],
+    cavity: tuple[int, ...],
     points: int,
     seed: int,
     voxel_mm: tuple[float, float, float] | None = None,
@@ -68,7 +69,9 @@ def check_with_labels(
 
     def agreement(at: float) -> "LabelCheck":
         rng = np.random.default_rng(seed)
-        return check_labels(model, labels, at, organ_labels=organ, points=points, rng=rng)
+        return check_labels(
+            model, labels, at, organ_labels=organ, cavity_labels=cavity, points=points, rng=rng
+        )
 
     moving = agreement(fraction)
     still = agreement(float(model.timing.fractions[model.ed_phase]))
@@ -133,6 +136,7 @@ def anatomical_error_mm(model: DvfModel, truth: VolumeSeries, request: BuildRequ
             truth.phase(i),
             float(model.timing.fractions[i]),
             organ_labels=request.organ,
+            cavity_labels=request.cavity,
             points=PHASE_POINTS,
             rng=rng,
         )

@@ -60,15 +60,19 @@ class Preop:
 
     @property
     def blood_labels(self) -> tuple[int, ...]:
-        """Labels of blood: `cavity_labels`, else organ labels with "blood" or "cavity" in their name."""
+        """Labels of blood: `cavity_labels`, else organ labels with "blood" or "cavity" in their name.
+
+        The left ventricle's comes first, if it is known.
+        """
         if self.cavity_labels:
             return self.cavity_labels
-        return tuple(
+        named = [
             value
             for value, name in self.label_names
             if (value in self.organ_labels or not self.organ_labels)
             and any(word in name.lower() for word in BLOOD_WORDS)
-        )
+        ]
+        return tuple(sorted(named, key=lambda value: value != self.lv_label))
 
     @property
     def lv_label(self) -> int | None:

@@ -3,10 +3,7 @@
 import logging
 from collections.abc import Iterable, Sequence
 
-import numpy as np
-from scipy.ndimage import binary_dilation, generate_binary_structure
-
-from dvf_ig.core import BoolArray, Chamber, InvalidInputError, Mesh, SurfaceSeries, VolumeSeries
+from dvf_ig.core import Chamber, InvalidInputError, Mesh, SurfaceSeries, VolumeSeries
 from dvf_ig.core.progress import thread_pool
 
 from .closing import close_surface
@@ -16,11 +13,6 @@ log = logging.getLogger(__name__)
 
 CHAMBER_SURFACES = ("LV_ENDOCARDIAL", "RV_ENDOCARDIAL")
 """Names of surfaces that enclose blood."""
-MOST_BARE = 0.25
-"""Share of a cavity's outline within slices that may lack a wall: 0.57 to 0.67 of the right ventricles of
-patients whose expert has not labelled it; none of their left ones, at most 0.04 of synthetic chambers."""
-_IN_SLICE = generate_binary_structure(3, 1) & np.array([False, True, False])
-"""A voxel and its four neighbours in a slice."""
 
 
 def chambers_from_surfaces(surfaces: Iterable[SurfaceSeries]) -> tuple[Chamber, ...]:
@@ -35,22 +27,6 @@ def chambers_from_surfaces(surfaces: Iterable[SurfaceSeries]) -> tuple[Chamber, 
 def chamber_of(series: SurfaceSeries) -> Chamber:
     """Close a surface series and make it a chamber."""
     return Chamber(series.name, tuple(series.phase(i) for i in range(len(series.timing))))
-
-
-def missing_wall(name: str, cavity: BoolArray, organ: BoolArray) -> str | None:
-    """Return what follows where the labels of a cavity, (nx, ny, nz) voxels, have no wall; None if they have.
-
-    Args:
-        organ: voxels within the guarded surface.
-    """
-    beside = binary_dilation(cavity, _IN_SLICE) & ~cavity
-    if (beside & ~organ).sum() <= MOST_BARE * beside.sum():
-        return None
-    return (
-        f"the wall of {name} is not labelled: there the surface of its blood is guarded, which lies within "
-        "the heart by the thickness of the wall, some 3 mm of a right ventricle; label that wall, or widen "
-        "the fixture (margin)"
-    )
 
 
 def chambers_from_labels(

@@ -261,7 +261,7 @@ def hearts_table(groups: Sequence[HeartGroup]) -> Rows:
         "outside calibration": lambda g: str(g.outside),
         "seconds": lambda g: number_text(g.seconds_median),
     }
-    if any(group.change for group in groups):
+    if any(group.margins for group in groups):
         figures |= {"used": lambda g: share_text(g.used), "followed": lambda g: share_text(g.followed)}
         figures |= {label: partial(_wall_text, name) for name, label in WALLS.items()}
         figures["violation p95 without, fixed, adaptive margin, mm"] = _margins_text

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from data_synth.heart.anatomy import PhantomAnatomy
+from data_synth.heart.beating_anatomy import BeatingAnatomy
+from data_synth.heart.motion import HeartMotion
 from data_synth.heart.tissue import BLOOD, FIRST_OUTSIDE
 from dvf_ig.core import FloatArray, Rigid, ScenarioTruth, SurfaceSeries, nearest_phase
 from dvf_ig.kernels.warp import LARGEST_MM2
@@ -71,17 +72,18 @@ def measure_walls(
     result: RegistrationResult,
     boundary: BoundaryPoints,
     truth: ScenarioTruth,
-    anatomies: tuple[PhantomAnatomy, PhantomAnatomy],
+    before: HeartMotion,
+    patient: BeatingAnatomy,
 ) -> WallErrors:
     """Measure where a registration puts the patient's walls.
 
     Args:
         boundary: points that were found in the registered images.
-        anatomies: in the pre-operative images, and of the patient.
+        before: motion of the heart in the pre-operative images.
     """
     true_pose = truth.mr_from_tracker_at(0.0)
     places, phases = _surface_at(truth.surface)
-    at_mm, matched_mm = _true_matches(boundary, true_pose, anatomies)
+    at_mm, matched_mm = _true_matches(boundary, true_pose, before, patient)
     away_mm = cKDTree(at_mm).query(places)[0]
     seen, unseen = away_mm < SEEN_MM, away_mm > UNSEEN_MM
     systole = seen & (phases == phases[len(places) // 2])
@@ -122,10 +124,9 @@ def _surface_at(surface: SurfaceSeries) -> tuple[FloatArray, FloatArray]:
 
 
 def _true_matches(
-    boundary: BoundaryPoints, true_pose: Rigid, anatomies: tuple[PhantomAnatomy, PhantomAnatomy]
+    boundary: BoundaryPoints, true_pose: Rigid, before: HeartMotion, patient: BeatingAnatomy
 ) -> tuple[FloatArray, FloatArray]:
     """(n, 3) boundary points that truly lie between blood and wall, and (n, 3) their places in the MR."""
-    before, patient = anatomies
     places = true_pose.apply_array(boundary.points_mm)
     beside = BESIDE_MM * boundary.normals @ true_pose.rotation.T
     number = np.round(boundary.model_phase * POINT_PHASES).astype(int) % POINT_PHASES
@@ -134,7 +135,7 @@ def _true_matches(
         here, phase = number == k, k / POINT_PHASES
         blood, wall = (patient.tissue((places + side * beside)[here], phase) for side in (-1.0, 1.0))
         true[here] = np.isin(blood, BLOOD) & ~np.isin(wall, BLOOD) & (wall < FIRST_OUTSIDE)
-        matched[here] = before.deformed(patient.material(places[here], phase), phase)
+        matched[here] = before.push_forward(patient.material(places[here], phase), phase)
     return places[true], matched[true]
 
 

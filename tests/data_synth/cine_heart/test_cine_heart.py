@@ -125,7 +125,7 @@ def test_what_the_laboratory_has_is_the_real_cine_and_end_diastolic_labels(heart
     assert preop.ed_labels is not None
     assert np.array_equal(preop.ed_labels.values, heart.ed_labels.values)
     assert preop.lv_label == LV_LABEL
-    assert preop.blood_labels == (RV_LABEL, LV_LABEL)
+    assert preop.blood_labels == (LV_LABEL, RV_LABEL)
 
 
 def test_bad_hearts_are_refused(heart: CineHeart) -> None:
