@@ -3,10 +3,13 @@
 import { bytesOf } from "./payload.js";
 
 const LIT = 8;
+const ROWS_BESIDE = 4;
 
-/** First and last column of each row in which a picture is not black; what lies between was insonified. */
+/** First and last column of each row in which a picture is not black; what lies between was insonified.
+ *
+ * Medians over some rows: compression leaves stray pixels beside the image. */
 export function litRows({ data, width, height }) {
-  return Array.from({ length: height }, (_, r) => {
+  const rows = Array.from({ length: height }, (_, r) => {
     let [first, last] = [width, -1];
     for (let c = 0; c < width; c++) {
       if (data[4 * (r * width + c)] < LIT) continue;
@@ -14,6 +17,10 @@ export function litRows({ data, width, height }) {
       last = c;
     }
     return [first, last];
+  });
+  return rows.map((_, r) => {
+    const near = rows.slice(Math.max(0, r - ROWS_BESIDE), r + ROWS_BESIDE + 1);
+    return [0, 1].map((end) => near.map((row) => row[end]).sort((a, b) => a - b)[near.length >> 1]);
   });
 }
 
