@@ -53,6 +53,22 @@ def test_a_shift_is_half_the_distance_on_average(model: DvfModel) -> None:
     assert np.percentile(found.both_mm, 95) == pytest.approx(2.85, abs=0.15)
 
 
+def test_walls_that_labels_lack_are_added_as_in_the_model(model: DvfModel) -> None:
+    """The right half of the ball is blood of 17 mm radius, whose wall of 3 mm is not labelled."""
+    whole = ball(20.0)
+    x, y, z = np.moveaxis(whole.grid.centers_mm(), -1, 0)
+    blood = (np.hypot(np.hypot(x, y), z) < 17.0) & (x > 2.0)
+    values = np.where(blood, 3, np.where(x > 2.0, 0, whole.values)).astype(np.uint8)
+    values[np.hypot(np.hypot(x + 8.0, y), z) < 6.0] = 2
+    labels = Volume(whole.grid, values)
+    rng = np.random.default_rng(2)
+    bare, walled = (
+        check_labels(model, labels, 0.0, cavity_labels=cavities, points=1500, rng=rng).both_mm.mean()
+        for cavities in ((), (2, 3))
+    )
+    assert walled < 0.6 * bare
+
+
 def test_only_the_organ_counts(model: DvfModel) -> None:
     both = np.maximum(ball(17.0, 2).values, ball(25.0).values)
     labels = Volume(ball(17.0).grid, both)
