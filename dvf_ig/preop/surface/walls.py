@@ -25,7 +25,7 @@ def missing_walls(
 
     Where another cavity has its wall, the left ventricle's, one without is taken for a right ventricle, whose
     wall is to be added (`with_walls`). A left ventricle's, 6 to 15 mm, and that of a small cavity such as an
-    auricle are not guessed, but told.
+    auricle are not guessed, but told. A cavity that is not of the organ needs no wall.
 
     Args:
         organ: (nx, ny, nz) voxels within the guarded surface.
@@ -33,11 +33,12 @@ def missing_walls(
     Returns:
         the places in `cavities` whose wall is to be added, and what the user must know in sentences.
     """
-    bare = [place for place, cavity in enumerate(cavities) if _bare_share(cavity, organ) > MOST_BARE]
+    within = [2 * int((cavity & organ).sum()) > int(cavity.sum()) for cavity in cavities]
+    bare = [k for k, cavity in enumerate(cavities) if within[k] and _bare_share(cavity, organ) > MOST_BARE]
     size = [int(cavity.sum()) for cavity in cavities]
     added, told = [], []
     for place in bare:
-        if len(bare) < len(cavities) and size[place] >= SMALLEST_VENTRICLE * max(size):
+        if len(bare) < sum(within) and size[place] >= SMALLEST_VENTRICLE * max(size):
             added.append(place)
             follows = (
                 f"{RIGHT_WALL_MM:g} ± {RIGHT_WALL_SD_MM:g} mm are added around its blood, as thick as a "

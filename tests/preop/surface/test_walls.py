@@ -49,6 +49,11 @@ def test_a_wall_is_not_guessed_where_none_is_labelled() -> None:
     ]
 
 
+def test_a_cavity_outside_the_organ_needs_no_wall() -> None:
+    """The left ventricle alone is guarded; the right one's blood is named for ultrasound."""
+    assert missing_walls(MUSCLE, (LEFT, RIGHT), NAMES) == ((), ())
+
+
 def test_the_wall_of_a_small_cavity_is_not_guessed() -> None:
     auricle = disc(74, 8)
     added, told = missing_walls(MUSCLE | auricle, (LEFT, auricle), ("lv_blood", "laa_blood"))
