@@ -82,9 +82,8 @@ class AnatomyPlane:
     Attributes:
         grey: (rows, columns) grey level, 0 to 1; NaN outside the pre-operative image.
         distance_mm: (rows, columns) signed distance to the fixture model's surface, positive inside, NaN
-            outside its box; None without a model.
-        blood_mm: (rows, columns) signed distance to the blood's border, which ultrasound shows; None if
-            unknown.
+            outside its box and where no slice of a stack shows it; None without a model.
+        blood_mm: (rows, columns) likewise to the blood's border, which ultrasound shows; None if unknown.
         edges: the side of the patient towards which the left, right, upper and lower edge lie, as letters
             (R, L, A, P, S, I).
     """

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 from toy_ball import CENTERS, FRACTIONS, RADII
 from toy_session import toy_heart
 
-from dvf_ig.core import CycleTiming, FloatArray, Grid, Rigid, TrackedVolume, Volume, VolumeSeries
+from dvf_ig.core import CycleTiming, FloatArray, Grid, Rigid, SeenPart, TrackedVolume, Volume, VolumeSeries
 from dvf_ig.registration import BoundaryTarget, ModelChannels
 from dvf_ig.replay.page.planes import anatomy_of_heart, anatomy_of_image, plane_overlay
 from dvf_ig.replay.page.registration_inputs import image_overlays, shown_grey, tracked_overlays
@@ -55,6 +55,21 @@ def test_any_axes_are_turned_upright(
             column, row, left, up = viewed_upright(given)
             right, down = given[column] * (-1 if left else 1), given[row] * (-1 if up else 1)
             assert edge_letters(right, down) == letters
+
+
+def test_where_no_slice_shows_the_surface_none_is_drawn() -> None:
+    """Slices show the ball above its centre alone."""
+    heart, center = toy_heart(), CENTERS[1]
+    bounds_mm = np.tile([center[2], center[2] + 100.0], (heart.model.phases, 1, 1))
+    seen = SeenPart(Z, bounds_mm, np.array([0.0, 300.0]), np.zeros(heart.model.phases))
+    anatomy = anatomy_of_heart(replace(heart, model=replace(heart.model, seen=seen)), None)
+    steps_mm = np.linspace(-15.0, 15.0, 31)
+    places_mm = center + steps_mm[:, None, None] * Z + steps_mm[None, :, None] * X
+    here = Rigid("mr", "mr", np.eye(3), np.zeros(3))
+    got = anatomy.plane(here, places_mm, float(FRACTIONS[1]))
+    assert got.distance_mm is not None
+    assert np.isnan(got.distance_mm[:15]).all()
+    assert np.isfinite(got.distance_mm[16:]).all()
 
 
 def test_the_balls_contour_is_a_circle_about_its_centre_at_that_phase() -> None:

@@ -77,17 +77,25 @@ class Anatomy:
         """Sample the anatomy at (rows, columns, 3) positions of the pose's source frame."""
         shape, flat = xyz_mm.shape[:2], xyz_mm.reshape(-1, 3)
         there = pose.apply_array(flat)
-        distance = None
+        distance = blood = None
         if self.evaluator is not None:
-            distance = self.evaluator.force_through(pose, flat, model_phase).distance_mm.reshape(shape)
+            distance = self.evaluator.force_through(pose, flat, model_phase).distance_mm
+        if self.blood is not None:
+            blood = _blood_mm(self.blood, there, model_phase)
+        if self.model is not None and self.model.seen is not None:
+            nearest = int(nearest_phase(self.model.timing.fractions, np.array([model_phase]))[0])
+            seen = self.model.seen.holds(there, nearest)
+            distance, blood = (
+                None if values is None else np.where(seen, values, np.nan) for values in (distance, blood)
+            )
         right, down = (
             pose.rotation @ (xyz_mm[0, -1] - xyz_mm[0, 0]),
             pose.rotation @ (xyz_mm[-1, 0] - xyz_mm[0, 0]),
         )
         return AnatomyPlane(
             self._grey(there, model_phase).reshape(shape),
-            distance,
-            None if self.blood is None else _blood_mm(self.blood, there, model_phase).reshape(shape),
+            None if distance is None else distance.reshape(shape),
+            None if blood is None else blood.reshape(shape),
             edge_letters(right, down),
         )
 

@@ -17,8 +17,8 @@ def replay_html(page: ReplayPage) -> str:
     sections = (
         (
             "Ultrasound and model, before and after registration",
-            "The model's surface in the ultrasound plane at the phase of each frame, and its labels if it "
-            f"keeps any. {LETTERS_NOTE}.",
+            "The model's surface, where its images show it, in the ultrasound plane at each frame's phase, "
+            f"and its labels if it keeps any. {LETTERS_NOTE}.",
             figures.overlay_figure(page.overlays),
         ),
         (
