@@ -102,12 +102,12 @@ REPORTED = HeartList(
     range(4081, 4161),
     range(9417, 9461),
     ("012", "016", "018"),
-    range(3291, 3331),
+    range(3343, 3401),
 )
 """Hearts looked at before a table was fitted, or a rule chosen, are left behind: 3001 to 3060 until decision
 0019, 3061 to 3120 until 0039 of sweeps, 3121 to 3180 until 0039 of gated volumes; of the second world 4001 to
 4040 until 0019, 4041 to 4080 until 0039; of short-axis stacks 3181 to 3220 until their bound was that of the
-covariance, 3221 to 3250 until LC2 of their labels counted a third, 3251 to 3290 until the errors of each were
+covariance, 3221 to 3250 until LC2 of their labels counted a third, 3251 to 3342 until the errors of each were
 looked at; of changed hearts 9401 to 9416 until a small change was followed only if systole shows it too."""
 HEART_LISTS = {chosen.name: chosen for chosen in (TUNING, THRESHOLD, REPORTED)}
 
