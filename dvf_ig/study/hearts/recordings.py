@@ -180,7 +180,8 @@ class Change:
 
     Attributes:
         mismatch_mm: RMS of a smooth change of shape; surgery: added to it.
-        contraction: factors on the heart's contraction, of hearts with even and with odd numbers.
+        contraction: factors on the heart's contraction, of hearts with even and with odd halves of their
+            numbers: either factor meets either motion.
     """
 
     mismatch_mm: float = 0.0
@@ -364,11 +365,12 @@ def _changed_sweep(
 ) -> RegisteredHeart:
     """Register a sweep of the patient's heart, which is not the one in the MR."""
     imaged, heart = _prepared(seed, None)
+    factor = change.contraction[seed // 2 % 2]
     preset = replace(
         PRESETS[condition.quality],
         mismatch_mm=change.mismatch_mm,
         surgery=change.surgery,
-        contraction=change.contraction,
+        contraction=(factor, factor),
     )
     same = replace(VARIED, anatomy_seed=seed, motion_seed=seed)
     spec = ScenarioSpec(condition.quality, _motion(seed), SWEEP_S, seed, changed=preset, heart=same)
