@@ -326,7 +326,7 @@ def against_touched(
     pose = result.target_from_source
     warp = None if result.shape is None else result.shape.followed
     apart_mm = None if landmarks is None else mean_displacement_mm(pose, landmarks(warp), result.center_mm)
-    surface = None if touched is None else touched.disagreement(pose)
+    surface = None if touched is None else touched.disagreement(pose, warp)
     checked = replace(result, landmarks_mm=apart_mm, touched=surface)
     elsewhere = landmarks_disagree(apart_mm) or (surface is not None and not surface.agrees)
     return checked.refused(Stop.DISAGREEMENT) if elsewhere and result.stop.usable else checked

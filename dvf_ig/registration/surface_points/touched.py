@@ -4,6 +4,7 @@ The distance of two neighbouring phases is blended linearly, as the fixture does
 the distance is that at the nearest position of the box less the way to it.
 """
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,6 +17,7 @@ from dvf_ig.core import (
     InvalidInputError,
     Points,
     Rigid,
+    Warp,
     read_only_arrays,
     require_same_frame,
 )
@@ -103,6 +105,7 @@ class SurfaceDistance:
         self.points = touched.points
         self.center_mm = np.array(center_mm, dtype=np.float64)
         self._phase = touched.model_phase.copy()
+        self._at_rest = np.full(n, model.timing.fractions[model.rest_phase])
         self._coefficients = model.coefficients.copy()
         self._lower, self._upper = model.origin_mm, model.upper_mm
         no_force = np.zeros(5)
@@ -120,14 +123,19 @@ class SurfaceDistance:
         self._distance, self._rate = np.empty((2, n))
         self._status = np.empty(n, dtype=np.int64)
 
-    def residuals_mm(self, pose: Rigid) -> FloatArray:
-        """(n,) distance d(T p), positive inside the heart."""
-        return self._at(self._moved(pose))[0]
+    def residuals_mm(self, pose: Rigid, warp: Warp | None = None) -> FloatArray:
+        """(n,) distance d(T p), positive inside the heart; of a heart that changed its shape by a warp."""
+        places = self._moved(pose)
+        if warp is None:
+            return self._at(places, self._phase)[0]
+        places = warp.model_places(places)
+        at_rest = self._at(places, self._at_rest)[0]
+        return at_rest + warp.contraction * (self._at(places, self._phase)[0] - at_rest)
 
     def linearised(self, pose: Rigid) -> tuple[FloatArray, FloatArray]:
         """(n,) residuals and (n, 6) their derivatives in the coordinates of `PoseChart` about `pose`."""
         xyz = self._moved(pose)
-        distance, gradient = self._at(xyz)
+        distance, gradient = self._at(xyz, self._phase)
         turning = np.cross(xyz - self.center_mm, gradient) / HEART_RADIUS_MM
         return distance, np.hstack([turning, gradient])
 
@@ -135,15 +143,15 @@ class SurfaceDistance:
         require_same_frame(pose.target, self.frame, "pose of touched points")
         return pose.apply(self.points).xyz_mm
 
-    def _at(self, xyz_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Distance and gradient, (n,) and (n, 3)."""
+    def _at(self, xyz_mm: FloatArray, phase: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Distance and gradient, (n,) and (n, 3), each at its own phase of the model."""
         within = np.ascontiguousarray(np.clip(xyz_mm, self._lower, self._upper))
         self._status[:] = code.OK
         force_batch(
             self._coefficients,
             self._packed,
             within,
-            self._phase,
+            phase,
             self._force,
             self._distance,
             self._gradient,
@@ -194,17 +202,20 @@ class TouchedSurface:
     points: TouchedPoints
     model: DvfModel
 
-    def disagreement(self, pose: Rigid) -> SurfaceDisagreement:
+    def disagreement(self, pose: Rigid, warp: Warp | None = None) -> SurfaceDisagreement:
         """Check a registered pose.
 
         The median of |d| of n points of normal spread s is (0.89 ± 0.79/√n) s with OUTLIER_SHARE of outliers;
-        s² = σ² + ALLOWED_MM²/3, and three standard deviations are allowed. A pose that slides the surface on
-        itself stays unseen.
+        s² = σ² + ALLOWED_MM²/3, with the mean variance of a change of shape, and three standard deviations
+        are allowed. A pose that slides the surface on itself stays unseen.
 
+        Args:
+            warp: change of shape that fixtures follow; None: the heart is as in the model.
         Raises:
             FrameMismatchError: the pose does not map the points into the model's frame.
         """
-        distance = SurfaceDistance(self.points, self.model, np.zeros(3)).residuals_mm(pose)
-        spread = float(np.hypot(self.points.sigma_mm, ALLOWED_MM / np.sqrt(3)))
+        distance = SurfaceDistance(self.points, self.model, np.zeros(3)).residuals_mm(pose, warp)
+        of_shape = 0.0 if warp is None else float(warp.at(pose.apply(self.points.points).xyz_mm)[1].mean())
+        spread = math.sqrt(self.points.sigma_mm**2 + ALLOWED_MM**2 / 3.0 + of_shape)
         limit = spread * (0.89 + 3 * 0.79 / np.sqrt(len(self.points)))
         return SurfaceDisagreement(float(np.median(np.abs(distance))), float(limit), distance)

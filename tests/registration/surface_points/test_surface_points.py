@@ -1,6 +1,7 @@
 """Touched surface points: a start, its evidence, and a check of a pose, on surfaces whose pose is known."""
 
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,7 +16,9 @@ from dvf_ig.core import (
     Rigid,
     Stop,
     SurfaceSeries,
+    Warp,
 )
+from dvf_ig.core.space.warp import CELLS, knots
 from dvf_ig.io import read_surface_series
 from dvf_ig.preop import ModelOptions, model_from_surfaces
 from dvf_ig.registration import (
@@ -169,6 +172,30 @@ def test_check_tells_a_right_pose_from_a_wrong_one(heart):
     assert not wrong.agrees
     assert wrong.median_mm > wrong.limit_mm == right.limit_mm
     assert "wrong" in wrong.sentence
+
+
+def test_check_goes_through_a_change_of_shape(heart):
+    """The heart is 15 % larger, or contracts 0.6 times as far."""
+    _, truth, touched, _ = known(heart, SEED, noise_mm=0.5, outlier_share=0.0)
+    model_mm = truth.apply(touched.points).xyz_mm
+    low, high = model_mm.min(axis=0) - 30.0, model_mm.max(axis=0) + 30.0
+    pitch_mm = float((high - low).max()) / CELLS
+    at = knots(low, pitch_mm)
+    m_mm = 0.15 / 1.15 * (at - heart_center_mm(heart))
+    warp = Warp.through("mr", low, pitch_mm, m_mm, np.full(len(at), 0.3))
+    patient = truth.inverse().apply(Points("mr", warp.patient_places(model_mm)))
+    moved = TouchedSurface(replace(touched, points=patient), heart)
+    assert not moved.disagreement(truth).agrees
+    followed = moved.disagreement(truth, warp)
+    assert followed.agrees
+    assert followed.median_mm < 0.7
+    assert followed.limit_mm > moved.disagreement(truth).limit_mm
+    at_rest = replace(touched, model_phase=np.full(len(touched), heart.timing.fractions[heart.rest_phase]))
+    distances = [
+        TouchedSurface(points, heart).disagreement(truth, replace(warp.unwarped(), contraction=g)).distance_mm
+        for points, g in ((at_rest, 1.0), (touched, 1.0), (touched, 0.6))
+    ]
+    np.testing.assert_allclose(distances[2], distances[0] + 0.6 * (distances[1] - distances[0]), atol=1e-9)
 
 
 def test_too_few_points_are_refused(heart):
