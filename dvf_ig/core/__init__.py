@@ -51,6 +51,7 @@ from .space.mesh import SurfaceSeries as SurfaceSeries
 from .space.points import Landmarks as Landmarks
 from .space.points import Points as Points
 from .space.points import Seeds as Seeds
+from .space.points import TouchedPoints as TouchedPoints
 from .space.pose_motion import HEART_RADIUS_MM as HEART_RADIUS_MM
 from .space.pose_motion import UPDATE_MM_PER_S as UPDATE_MM_PER_S
 from .space.pose_motion import PoseMotion as PoseMotion

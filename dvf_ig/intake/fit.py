@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from dvf_ig.cardiac import MIN_BEATS, RPeak, stream_recording
-from dvf_ig.core import FloatArray, Grid, ImageMap, PoseStream, Preop, Signal, TriggerTimes
+from dvf_ig.core import FloatArray, Grid, ImageMap, PoseStream, Preop, Signal, TouchedPoints, TriggerTimes
 from dvf_ig.core.errors import InvalidInputError, NoOverlapError
-from dvf_ig.registration import TouchedPoints, start_from_landmarks
+from dvf_ig.registration import start_from_landmarks
 from dvf_ig.registration.surface_points.touched import require_spread
 from dvf_ig.session.setup import require_lag
 

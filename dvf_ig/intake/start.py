@@ -4,11 +4,10 @@ from functools import partial
 
 import numpy as np
 
-from dvf_ig.core import DvfModel, InvalidInputError, QualityGateError, Rigid, Scenario
+from dvf_ig.core import DvfModel, InvalidInputError, QualityGateError, Rigid, Scenario, TouchedPoints
 from dvf_ig.registration import (
     LandmarkFit,
     LandmarkPrior,
-    TouchedPoints,
     TouchedSurface,
     pose_through,
     prior_from_landmarks,

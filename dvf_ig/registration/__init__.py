@@ -67,7 +67,6 @@ from .start import require_unflipped as require_unflipped
 from .start import start_from_landmarks as start_from_landmarks
 from .surface_points.fit import start_from_surface_points as start_from_surface_points
 from .surface_points.touched import SurfaceDisagreement as SurfaceDisagreement
-from .surface_points.touched import TouchedPoints as TouchedPoints
 from .surface_points.touched import TouchedSurface as TouchedSurface
 from .tracking.pose_estimate import MEAN_SQUARE_OF_COORDINATES as MEAN_SQUARE_OF_COORDINATES
 from .tracking.pose_estimate import TARGET_RADIUS_MM as TARGET_RADIUS_MM

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from dvf_ig.core import Rigid, Stop, mean_displacement_mm, untold
+from dvf_ig.core import Rigid, Stop, TouchedPoints, mean_displacement_mm, untold
 from dvf_ig.registration.boundary.target import target_from_model
 from dvf_ig.registration.evidence.assessment import (
     Assessment,
@@ -55,6 +55,7 @@ def register(
     rng: np.random.Generator,
     clock: Callable[[], float],
     landmarks: LandmarkPrior | None = None,
+    touched: TouchedPoints | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> RegistrationResult:
     """Register ultrasound to the phase-matched model (docs/theory/registration.md).
@@ -65,6 +66,7 @@ def register(
         rng: draws the displaced starts and the wrong poses.
         clock: seconds from any origin, for the result's `seconds`; nothing else depends on it.
         landmarks: touched landmarks that the pose, or the probe's calibration alone, must also agree with.
+        touched: points touched on the heart's surface, which show its shape beside the images.
         progress: called with the fraction done.
     Returns:
         the most likely pose, its evidence, and whether it may be used.
@@ -90,7 +92,8 @@ def register(
             shown = fused.covered.subset(np.flatnonzero(fused.covered.masks.any(axis=(1, 2))))
             coarse = problem.coarse_lc2(shown)
         coverage = None if covered is None else covered.imaged_by(shown, fused.pose)
-        shape = _change_of_shape(problem, fused, coverage)  # section 5b: is the heart the one in the model?
+        # section 5b: is the heart the one in the model?
+        shape = _change_of_shape(problem, fused, coverage, touched)
         report(0.95)
         evidence = _evidence(problem, coarse, refined, fused, shape, landmarks, rng)  # trust.md: every check
         inside = refined.inside.score(fused.pose)
@@ -212,7 +215,9 @@ def _boundary_distance_mm(problem: Problem, pose: Rigid, fused: Fused) -> float 
     return mean_displacement_mm(pose, fused.boundary.pose, problem.center_mm)
 
 
-def _change_of_shape(problem: Problem, fused: Fused, coverage: Coverage | None) -> ShapeChange | None:
+def _change_of_shape(
+    problem: Problem, fused: Fused, coverage: Coverage | None, touched: TouchedPoints | None
+) -> ShapeChange | None:
     """The change of shape at the pose; of a stack alone, one that only another heart shows.
 
     With long-axis views it is not looked for.
@@ -224,7 +229,7 @@ def _change_of_shape(problem: Problem, fused: Fused, coverage: Coverage | None) 
     organ = None if model is None else target_from_model(model)
     offset_mm, center_mm = fused.boundary.offset_mm, problem.center_mm
     match = fused.match if coverage is None else None
-    change = change_of_shape(boundary, offset_mm, fused.pose, center_mm, organ, match)
+    change = change_of_shape(boundary, offset_mm, fused.pose, center_mm, organ, match, touched)
     if coverage is None or change is None:
         return change
     return replace(change, partly=True) if change.evidence > PART_EVIDENCE * coverage.share else None

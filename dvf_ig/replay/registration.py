@@ -50,6 +50,7 @@ class PreparedRegistration:
             NoOverlapError: too few frames can be compared with the model.
         """
         scenario = self.scenario
+        surface = touched_surface(scenario, self.recording.heart.model)
         result = register_frames(
             self.recording,
             self.frames,
@@ -58,9 +59,9 @@ class PreparedRegistration:
             clock=clock,
             warm=warm,
             landmarks=landmark_prior(scenario),
+            touched=None if surface is None else surface.points,
             progress=progress,
         )
-        surface = touched_surface(scenario, self.recording.heart.model)
         return against_touched(result, landmark_fit(scenario), surface)
 
 

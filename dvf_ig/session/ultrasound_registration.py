@@ -15,6 +15,7 @@ from dvf_ig.core import (
     NoOverlapError,
     Rigid,
     Stop,
+    TouchedPoints,
     TrackedVolume,
     VolumeSeries,
     phase_distance,
@@ -123,6 +124,7 @@ def register_frames(
     clock: Callable[[], float],
     warm: bool = False,
     landmarks: LandmarkPrior | None = None,
+    touched: TouchedPoints | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> RegistrationResult:
     """Register gated frames to the model.
@@ -130,7 +132,7 @@ def register_frames(
     Args:
         start: pose to begin at; `warm` relies on it and skips displaced starts.
         seed: of the displaced starts.
-        landmarks: see `registration.register`.
+        landmarks, touched: see `registration.register`.
     Raises:
         InvalidInputError: the recording has no images.
         NoOverlapError: too few frames passed the gate; says why.
@@ -142,6 +144,7 @@ def register_frames(
         rng=np.random.default_rng(seed),
         clock=clock,
         landmarks=landmarks,
+        touched=touched,
         progress=progress,
     )
 

@@ -6,9 +6,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from toy_sphere import sphere
 
-from dvf_ig.core import CycleTiming, DvfModel, FloatArray, Points, Rigid, SurfaceSeries
+from dvf_ig.core import CycleTiming, DvfModel, FloatArray, Points, Rigid, SurfaceSeries, TouchedPoints
 from dvf_ig.preop import ModelOptions, model_from_surfaces
-from dvf_ig.registration import TouchedPoints
 
 ANTERIOR = np.array([0.0, -1.0, 0.0])
 

@@ -1,6 +1,9 @@
 """Points that carry their frame, landmarks that also carry names, and seed points of a segmentation."""
 
 from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
 
 from dvf_ig.core.arrays import FloatArray, frozen_floats, read_only_arrays
 from dvf_ig.core.errors import InvalidInputError
@@ -73,3 +76,36 @@ class Seeds:
                 raise InvalidInputError(f"no seed is named {name}; set at least one point of that name")
         require_same_frame(self.heart.frame, self.background.frame, "background seeds")
         require_same_frame(self.heart.frame, self.cavity.frame, "cavity seeds")
+
+
+@read_only_arrays
+@dataclass(frozen=True, slots=True, eq=False)
+class TouchedPoints:
+    """Points touched on the surface of the heart.
+
+    Attributes:
+        points: (n, 3) positions of the stylus tip, normally in "tracker".
+        model_phase: (n,) place in the model's cycle at which each was touched; one number for all is their
+            mean phase.
+        sigma_mm: standard deviation of a point across the surface: stylus, phase, and difference of the
+            patient from the model.
+    """
+
+    points: Points
+    model_phase: FloatArray
+    sigma_mm: float = 1.0
+
+    def __post_init__(self) -> None:
+        phase: Any = np.asarray(self.model_phase, dtype=np.float64)
+        if phase.ndim == 0:
+            phase = np.full(len(self.points), float(phase))
+        object.__setattr__(
+            self, "model_phase", frozen_floats(phase, "phases of touched points", (len(self.points),))
+        )
+        if not 0.05 <= self.sigma_mm <= 10.0:
+            raise InvalidInputError(
+                f"the standard deviation of touched points is {self.sigma_mm:g} mm; needed 0.05 to 10 mm"
+            )
+
+    def __len__(self) -> int:
+        return len(self.points)

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dvf_ig.core import BoolArray, FloatArray, Rigid, Warp, read_only_arrays
+from dvf_ig.core import BoolArray, FloatArray, Rigid, TouchedPoints, Warp, read_only_arrays
 from dvf_ig.registration.boundary.fit import Boundary
 from dvf_ig.registration.boundary.target import BoundaryTarget
 from dvf_ig.registration.pose_chart import DISTINCT_MM
@@ -183,6 +183,7 @@ def change_of_shape(
     center_mm: FloatArray,
     organ: BoundaryTarget | None = None,
     match: BlockedMatch | None = None,
+    touched: TouchedPoints | None = None,
 ) -> ShapeChange | None:
     """Estimate the change of shape at a registered pose; None if the boundary shows none.
 
@@ -192,16 +193,20 @@ def change_of_shape(
         offset_mm: of the boundary, see `BoundaryFit`.
         organ: outer surface of the organ, which says where its walls are thin.
         match: blocks of images, whose LC2 counts beside the boundary; None: the boundary alone.
+        touched: points touched on the organ, which count as well; None without any.
     """
     modes = modes_of(boundary.target, tuple(center_mm.tolist()))
     images = None if match is None else ImagedBlocks(match, pose, modes, MODES)
-    fit = _most_likely_change(SeenBoundary(boundary, offset_mm, pose, organ), modes, images)
+    seen = SeenBoundary(boundary, offset_mm, pose, organ, touched)
+    fit = _most_likely_change(seen, modes, images)
     if fit is None:
         return None
     contraction = _contraction(fit)
     if contraction != AS_IN_MODEL:
         contracted = replace(boundary, target=contracting(boundary.target, contraction.factor))
-        fit = _most_likely_change(SeenBoundary(contracted, offset_mm, pose, organ), modes, images)
+        outer = organ if organ is None or touched is None else organ.contracting(contraction.factor)
+        seen = SeenBoundary(contracted, offset_mm, pose, outer, touched)
+        fit = _most_likely_change(seen, modes, images)
         if fit is None:
             return None
     elif fit.evidence < LEAST_EVIDENCE:

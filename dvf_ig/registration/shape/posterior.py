@@ -9,7 +9,9 @@ with d the distance of the model's boundary at the point's phase, e that of the 
 would show it (`edges_of_model_mm`), a the cosine between its normal and the image's, o an offset common to
 all, τ one of thin walls (t = exp(−depth/THIN_MM) less its mean), N w what neighbouring points share of the
 boundary's own error: a second process along the normal, smooth over SHARED_OVER_MM, of w ~ N(0, I) on a
-lattice. (With one weight for all points instead, the evidence is blind.) All are fitted together by
+lattice. (With one weight for all points instead, the evidence is blind.) Points touched on the organ's outer
+surface belong to it alone: d is its distance, and neither an edge, an offset nor a shared error theirs. All
+are fitted together by
 Gauss–Newton with the weights of Geman and McClure; then w is integrated out. Evidence is that of Laplace
 (MacKay 1992).
 """
@@ -20,10 +22,10 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
-from scipy.sparse import csr_array
+from scipy.sparse import csr_array, vstack
 from scipy.spatial import cKDTree
 
-from dvf_ig.core import BoolArray, FloatArray, IntArray, Rigid, read_only_arrays
+from dvf_ig.core import BoolArray, FloatArray, IntArray, Rigid, TouchedPoints, read_only_arrays
 from dvf_ig.kernels.boundary import DistanceSplines, boundary_distances
 from dvf_ig.registration.boundary.fit import Boundary, BoundaryProblem
 from dvf_ig.registration.boundary.points import edges_of_model_mm
@@ -93,12 +95,14 @@ class SeenBoundary:
         offset_mm: of the points from the model's boundary, about which it is free.
         pose: target_from_source.
         organ: outer surface, from which depths are measured; None: no wall counts as thin.
+        touched: points touched on that surface; None without any.
     """
 
     boundary: Boundary
     offset_mm: float
     pose: Rigid
     organ: BoundaryTarget | None
+    touched: TouchedPoints | None = None
 
 
 class Level(NamedTuple):
@@ -153,8 +157,9 @@ class ShapeProblem:
     """Boundary points that lie near the model's boundary at a pose.
 
     Attributes:
-        places_mm: (n, 3) the points at the pose, target frame.
-        outward: (n, 3) unit normals of the model's boundary there, from the blood to the wall.
+        places_mm: (n, 3) the points at the pose, target frame; those that were touched come last.
+        outward: (n, 3) unit normals of the model's boundary there, from the blood to the wall, or out of the
+            organ.
         model_phase: (n,) when in the model's cycle each was seen.
         level: about which o and τ are counted.
     """
@@ -182,11 +187,8 @@ class ShapeProblem:
         )
         self._rest = boundary.target.rest
         places, phases = pose.apply_array(oriented.points), oriented.phases
-        pulled = places
-        if about is not None:
-            pulled = places + rigid_motion(places, modes.center_mm) @ about.state[:6]
-            pulled = pulled - modes.displacement(places, about.state[FIXED:])
-        distance, gradient = self._distance(pulled, phases)
+        pulled = _pulled(places, modes, about)
+        distance, gradient = _distance(self._splines, pulled, phases)
         length = np.maximum(np.linalg.norm(gradient, axis=1, keepdims=True), 1e-6)
         unit = gradient / length
         outward = boundary.target.polarity * unit
@@ -204,7 +206,7 @@ class ShapeProblem:
         thin -= mean
         self._offsets = agreement[near, None] * np.column_stack([np.ones(len(thin)), thin])
         at_edge = pulled + foot + np.nan_to_num(edge)[:, None] * normals
-        self._edge_mm = self._distance(at_edge[near], self._phases)[0]
+        self._edge_mm = _distance(self._splines, at_edge[near], self._phases)[0]
         middle_mm = float(np.median(self._edge_mm)) if near.any() else 0.0
         self.level = Level(offset_mm - middle_mm, mean) if level is None else level
         self._weight = oriented.weights[near] * agreement[near]
@@ -212,10 +214,46 @@ class ShapeProblem:
         # modes at the feet of the points: at the points, a change that varies along the normal explains noise
         feet = (places + foot)[near]
         self._modes = modes.at(feet, count)
-        inside = np.einsum("ni,nik->nk", gradient[near], self._modes)
-        every = modes.variance_along(feet, gradient[near])
-        self._left_out = np.maximum(every - (inside**2).sum(axis=1), 0.0)
+        self._left_out = _left_out(modes, feet, gradient[near], self._modes)
         self._shared = shared_error(oriented.points[near])
+        self._touched = np.zeros(len(self.places_mm), dtype=np.bool_)
+        self._organ: DistanceSplines | None = None
+        if seen.touched is not None and seen.organ is not None:
+            self._touch(seen.touched, seen.organ, pose, modes, about)
+
+    def _touch(
+        self,
+        touched: TouchedPoints,
+        organ: BoundaryTarget,
+        pose: Rigid,
+        modes: ShapeModes,
+        about: ShapePosterior | None,
+    ) -> None:
+        """Add points touched on the organ, which no image shows."""
+        self._organ = DistanceSplines(organ.coefficients, organ.knots_from_mm, organ.polarity)
+        places, phases = pose.apply(touched.points).xyz_mm, organ.nearest_phase(touched.model_phase)
+        distance, gradient = _distance(self._organ, _pulled(places, modes, about), phases)
+        unit = gradient / np.maximum(np.linalg.norm(gradient, axis=1, keepdims=True), 1e-6)
+        near = (np.abs(distance) < REACH_MM) & (unit != 0.0).any(axis=1)
+        places, phases, unit = places[near], phases[near], unit[near]
+        count = len(places)
+        at_feet = modes.at(places - distance[near, None] * unit, self._modes.shape[2])
+        added: dict[str, FloatArray | IntArray | BoolArray] = {
+            "places_mm": places,
+            "outward": -unit,
+            "model_phase": touched.model_phase[near],
+            "_phases": phases,
+            "_offsets": np.zeros((count, 2)),
+            "_edge_mm": np.zeros(count),
+            "_weight": np.full(count, (NOISE_MM / touched.sigma_mm) ** 2),
+            "_motion": rigid_motion(places, modes.center_mm),
+            "_modes": at_feet,
+            "_left_out": _left_out(modes, places - distance[near, None] * unit, gradient[near], at_feet),
+            "_touched": np.ones(count, dtype=np.bool_),
+        }
+        for name, of_points in added.items():
+            setattr(self, name, np.concatenate([getattr(self, name), of_points]))
+        self._shared = csr_array(vstack([self._shared, csr_array((count, self._shared.shape[1]))]))
 
     def __len__(self) -> int:
         return len(self.places_mm)
@@ -224,14 +262,17 @@ class ShapeProblem:
         """Keep some of the points."""
         some = copy(self)
         for name, of_points in vars(self).items():
-            if name not in ("_splines", "_rest", "level"):
+            if name not in ("_splines", "_organ", "_rest", "level"):
                 setattr(some, name, of_points[keep])
         return some
 
-    def _distance(self, places_mm: FloatArray, phases: IntArray) -> tuple[FloatArray, FloatArray]:
-        """(n,) distance of the model's boundary and (n, 3) its gradient, 0 outside the splines."""
+    def _distances(self, places_mm: FloatArray, phases: IntArray) -> tuple[FloatArray, FloatArray]:
+        """As `_distance`, of the boundary, and of the organ for points that were touched."""
+        if self._organ is None:
+            return _distance(self._splines, places_mm, phases)
         distance, gradient = np.empty(len(places_mm)), np.empty((len(places_mm), 3))
-        boundary_distances(self._splines, phases, places_mm, distance, gradient)
+        for splines, some in ((self._splines, ~self._touched), (self._organ, self._touched)):
+            distance[some], gradient[some] = _distance(splines, places_mm[some], phases[some])
         return distance, gradient
 
     def fit(
@@ -346,10 +387,10 @@ class ShapeProblem:
         """(n,) residual without the shared error, and (n, FIXED + k) its derivative by the state."""
         shape, contraction = np.split(state[FIXED:], [modes.shape[2]])
         pulled = self.places_mm + self._motion @ state[:6] - modes @ shape
-        distance, gradient = self._distance(pulled, self._phases)
+        distance, gradient = self._distances(pulled, self._phases)
         moved = np.zeros((len(distance), len(contraction)))
         if len(contraction):
-            at_rest, gradient_at_rest = self._distance(pulled, np.full_like(self._phases, self._rest))
+            at_rest, gradient_at_rest = self._distances(pulled, np.full_like(self._phases, self._rest))
             moved[:, 0] = distance - at_rest
             distance = distance + contraction[0] * moved[:, 0]
             gradient = gradient + contraction[0] * (gradient - gradient_at_rest)
@@ -362,6 +403,31 @@ class ShapeProblem:
         offset = self._offsets @ (state[6:FIXED] + np.array([self.level.offset_mm, 0.0]))
         residual = distance - self._edge_mm - offset
         return residual, np.concatenate(columns, axis=1)
+
+
+def _pulled(places_mm: FloatArray, modes: ShapeModes, about: ShapePosterior | None) -> FloatArray:
+    """(n, 3) places of the model that belong to places at a pose by a fit; None: the same."""
+    if about is None:
+        return places_mm
+    moved = places_mm + rigid_motion(places_mm, modes.center_mm) @ about.state[:6]
+    return moved - modes.displacement(places_mm, about.state[FIXED:])
+
+
+def _distance(
+    splines: DistanceSplines, places_mm: FloatArray, phases: IntArray
+) -> tuple[FloatArray, FloatArray]:
+    """(n,) distance of a boundary and (n, 3) its gradient, 0 outside the splines."""
+    distance, gradient = np.empty(len(places_mm)), np.empty((len(places_mm), 3))
+    boundary_distances(splines, phases, places_mm, distance, gradient)
+    return distance, gradient
+
+
+def _left_out(
+    modes: ShapeModes, feet_mm: FloatArray, gradient: FloatArray, of_modes: FloatArray
+) -> FloatArray:
+    """(n,) variance of a change of shape of 1 mm along gradients that the modes leave out."""
+    inside = np.einsum("ni,nik->nk", gradient, of_modes)
+    return np.asarray(np.maximum(modes.variance_along(feet_mm, gradient) - (inside**2).sum(axis=1), 0.0))
 
 
 def _depth_mm(organ: BoundaryTarget | None, model_phase: FloatArray, places_mm: FloatArray) -> FloatArray:

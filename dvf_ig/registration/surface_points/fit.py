@@ -24,6 +24,7 @@ from dvf_ig.core import (
     MissingDependencyError,
     Rigid,
     Stop,
+    TouchedPoints,
     mean_displacement_mm,
     nearest_phase,
     read_only_arrays,
@@ -33,7 +34,7 @@ from dvf_ig.core.errors import install_extra
 from dvf_ig.registration.evidence.covariance import LeastConstrained, least_constrained_direction
 from dvf_ig.registration.pose_chart import PoseChart, covariance_from_mm, distinct, random_displacements
 
-from .touched import SurfaceDistance, TouchedPoints, require_spread
+from .touched import SurfaceDistance, require_spread
 
 AROUND, AROUND_MM = 24, 20.0
 """Displaced copies of a coarse start, and how far they are displaced at the heart's radius."""

@@ -6,7 +6,6 @@ the distance is that at the nearest position of the box less the way to it.
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -15,13 +14,12 @@ from dvf_ig.core import (
     DvfModel,
     FloatArray,
     InvalidInputError,
-    Points,
     Rigid,
+    TouchedPoints,
     Warp,
     read_only_arrays,
     require_same_frame,
 )
-from dvf_ig.core.arrays import frozen_floats
 from dvf_ig.kernels import status as code
 from dvf_ig.kernels.dynamic import force_batch
 from dvf_ig.kernels.fixture_field import BLEND_DISTANCE, packed_fixture
@@ -34,39 +32,6 @@ ALLOWED_MM = 2.0
 """Error of a registration that is good enough; a third of its square shows across a surface."""
 OUTLIER_SHARE = 0.2
 """Share of the points that may be off the surface."""
-
-
-@read_only_arrays
-@dataclass(frozen=True, slots=True, eq=False)
-class TouchedPoints:
-    """Points touched on the surface of the heart.
-
-    Attributes:
-        points: (n, 3) positions of the stylus tip, normally in "tracker".
-        model_phase: (n,) place in the model's cycle at which each was touched; one number for all is their
-            mean phase.
-        sigma_mm: standard deviation of a point across the surface: stylus, phase, and difference of the
-            patient from the model.
-    """
-
-    points: Points
-    model_phase: FloatArray
-    sigma_mm: float = 1.0
-
-    def __post_init__(self) -> None:
-        phase: Any = np.asarray(self.model_phase, dtype=np.float64)
-        if phase.ndim == 0:
-            phase = np.full(len(self.points), float(phase))
-        object.__setattr__(
-            self, "model_phase", frozen_floats(phase, "phases of touched points", (len(self.points),))
-        )
-        if not 0.05 <= self.sigma_mm <= 10.0:
-            raise InvalidInputError(
-                f"the standard deviation of touched points is {self.sigma_mm:g} mm; needed 0.05 to 10 mm"
-            )
-
-    def __len__(self) -> int:
-        return len(self.points)
 
 
 def require_spread(touched: TouchedPoints) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from dvf_ig.core import CycleTiming, FloatArray, Grid, Rigid, VolumeSeries
+from dvf_ig.core import CycleTiming, FloatArray, Grid, Points, Rigid, TouchedPoints, VolumeSeries
 from dvf_ig.kernels.warp import LARGEST_MM2
 from dvf_ig.registration import BLOOD, WALL, BoundaryTarget, target_from_labels
 from dvf_ig.registration.boundary.fit import Boundary
@@ -34,15 +34,19 @@ BEATS_MM = 6.0
 """How far the walls of a beating heart move inwards at systole."""
 
 
-@lru_cache(maxsize=2)
-def _target(*, beating: bool = False) -> BoundaryTarget:
-    """Two ellipsoids of blood, each within a wall of 8 mm; if they beat, at rest and contracted."""
+OUTER_MM = 8.0
+"""Thickness of the walls."""
+
+
+@lru_cache(maxsize=3)
+def _target(*, beating: bool = False, outer: bool = False) -> BoundaryTarget:
+    """Two ellipsoids of blood, each within a wall, or their outer surface; if they beat, also contracted."""
     grid = Grid.axis_aligned("mr", (72, 56, 64), CENTER - np.array([71.0, 55.0, 63.0]), 2.0)
     index = np.stack(np.meshgrid(*(np.arange(n) for n in grid.shape), indexing="ij"), axis=-1)
     places = grid.to_mm(index.reshape(-1, 3).astype(np.float64))
     labels = np.zeros((2, len(places)), dtype=np.uint8)
     for phase, inward_mm in enumerate((0.0, BEATS_MM if beating else 0.0)):
-        for label, wall_mm in ((WALL, 8.0), (BLOOD, 0.0)):
+        for label, wall_mm in ((BLOOD if outer else WALL, OUTER_MM), (BLOOD, 0.0)):
             for middle, radii in CHAMBERS:
                 within = np.linalg.norm((places - middle) / (radii + wall_mm - inward_mm), axis=1) < 1.0
                 labels[phase, within] = label
@@ -210,6 +214,39 @@ def test_images_show_walls_beside_the_boundary_that_is_seen() -> None:
     (pulled, variance), (known, known_mm2) = alone.warp.at(now), beside.warp.at(now)
     assert np.linalg.norm(now - known - back) < 0.6 * np.linalg.norm(now - pulled - back)
     assert (known_mm2 < variance).all()
+
+
+def _touched_back(seed: int) -> tuple[FloatArray, FloatArray]:
+    """(n, 3) points of the outer surface that no image shows, the back of the right chamber; normals."""
+    rng, (middle, radii) = np.random.default_rng(seed), CHAMBERS[1]
+    unit = rng.normal(size=(400, 3)) + np.array([-1.0, 2.0, 0.0])
+    unit /= np.linalg.norm(unit, axis=1, keepdims=True)
+    unit = unit[(unit[:, 1] > 0.6) & (unit[:, 0] < 0.0)][:60]
+    normal = unit / (radii + OUTER_MM)
+    return middle + (radii + OUTER_MM) * unit, normal / np.linalg.norm(normal, axis=1, keepdims=True)
+
+
+def _moved_mm(places_mm: FloatArray) -> FloatArray:
+    """(n, 3) displacement with the back of the right chamber 5 mm further back."""
+    middle, radii = CHAMBERS[1]
+    apart = ((places_mm - middle - [0.0, radii[1] + OUTER_MM, 0.0]) ** 2).sum(axis=1)
+    return _pressed_mm(places_mm) + 5.0 * np.exp(-0.5 * apart / 20.0**2)[:, None] * np.array([0.0, 1.0, 0.0])
+
+
+def test_touched_points_show_walls_that_no_image_shows() -> None:
+    boundary, organ = _boundary(1, pressed=1.0), _target(outer=True)
+    wall, normal = _touched_back(2)
+    noisy = wall + _moved_mm(wall) + np.random.default_rng(3).normal(scale=0.4, size=(len(wall), 1)) * normal
+    touched = TouchedPoints(Points("tracker", POSE.inverse().apply_array(noisy)), 0.0, sigma_mm=0.5)
+    alone = change_of_shape(boundary, 0.0, POSE, CENTER, organ)
+    beside = change_of_shape(boundary, 0.0, POSE, CENTER, organ, touched=touched)
+    assert alone is not None
+    assert beside is not None
+    back, outward = _touched_back(4)
+    now = back + _moved_mm(back)
+    left = [np.einsum("ni,ni->n", now - back - change.warp.at(now)[0], outward) for change in (alone, beside)]
+    assert np.sqrt(np.mean(left[1] ** 2)) < 0.4 * np.sqrt(np.mean(left[0] ** 2))
+    assert (beside.warp.at(now)[1] < alone.warp.at(now)[1]).all()
 
 
 def test_a_change_is_said_in_words() -> None:

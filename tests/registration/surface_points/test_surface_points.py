@@ -16,6 +16,7 @@ from dvf_ig.core import (
     Rigid,
     Stop,
     SurfaceSeries,
+    TouchedPoints,
     Warp,
 )
 from dvf_ig.core.space.warp import CELLS, knots
@@ -23,7 +24,6 @@ from dvf_ig.io import read_surface_series
 from dvf_ig.preop import ModelOptions, model_from_surfaces
 from dvf_ig.registration import (
     PoseChart,
-    TouchedPoints,
     TouchedSurface,
     start_from_surface_points,
     target_errors_mm,
