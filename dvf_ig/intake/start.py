@@ -8,7 +8,6 @@ from dvf_ig.core import DvfModel, InvalidInputError, QualityGateError, Rigid, Sc
 from dvf_ig.registration import (
     LandmarkFit,
     LandmarkPrior,
-    TouchedSurface,
     pose_through,
     prior_from_landmarks,
     require_on_model,
@@ -51,24 +50,22 @@ def start_pose(scenario: Startable, heart: Heart, seed: int) -> Rigid:
     stated = scenario.start if scenario.start is not None else landmark_pose(scenario)
     if stated is not None:
         return stated
-    touched = touched_surface(scenario, heart.model)
+    touched = touched_points(scenario, heart.model)
     if touched is None:
         raise InvalidInputError(NO_START)
-    fit = start_from_surface_points(
-        touched.points, heart.model, heart.center_mm, rng=np.random.default_rng(seed)
-    )
+    fit = start_from_surface_points(touched, heart.model, heart.center_mm, rng=np.random.default_rng(seed))
     if not fit.stop.usable:
         raise QualityGateError(f"no start: {fit.sentence}")
     return fit.target_from_source
 
 
-def touched_surface(scenario: Startable, model: DvfModel) -> TouchedSurface | None:
+def touched_points(scenario: Startable, model: DvfModel) -> TouchedPoints | None:
     """Points touched on the heart with their position in the cycle: end-diastole unless it was given."""
     if scenario.touched is None:
         return None
     phase = scenario.touched_phase
     at = float(model.timing.fractions[model.ed_phase]) if phase is None else phase
-    return TouchedSurface(TouchedPoints(scenario.touched, np.full(len(scenario.touched), at)), model)
+    return TouchedPoints(scenario.touched, np.full(len(scenario.touched), at))
 
 
 def landmark_fit(scenario: Startable) -> LandmarkFit | None:

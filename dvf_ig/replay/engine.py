@@ -24,7 +24,7 @@ from dvf_ig.intake.findings import Finding
 from dvf_ig.intake.fit import fit_of
 from dvf_ig.intake.live_record import LiveRecord
 from dvf_ig.intake.parts import SessionFiles
-from dvf_ig.intake.start import landmarks_start, require_start, start_pose
+from dvf_ig.intake.start import landmarks_start, require_start, start_pose, touched_points
 from dvf_ig.session import (
     GuidanceState,
     Heart,
@@ -171,6 +171,7 @@ def run_replay(
         calibrations.in_use,
         beat_source_of(scenario.ecg),
         start=None if landmarks_start(scenario) else start,
+        touched=touched_points(scenario, heart.model),
         fan=scenario.fan,
         fixtures=fixtures,
         retiming=retiming,

@@ -10,8 +10,8 @@ from dvf_ig.cardiac import stream_recording
 from dvf_ig.core import DvfModel, NoOverlapError, Progress, Rigid, Scenario, untold
 from dvf_ig.intake.calibrations import calibrate
 from dvf_ig.intake.problems import concerning
-from dvf_ig.intake.start import landmark_fit, landmark_prior, require_start, start_pose, touched_surface
-from dvf_ig.registration import RegistrationResult, against_touched
+from dvf_ig.intake.start import landmark_fit, landmark_prior, require_start, start_pose, touched_points
+from dvf_ig.registration import RegistrationResult, TouchedSurface, against_touched
 from dvf_ig.session import (
     GatedFrames,
     Heart,
@@ -50,7 +50,8 @@ class PreparedRegistration:
             NoOverlapError: too few frames can be compared with the model.
         """
         scenario = self.scenario
-        surface = touched_surface(scenario, self.recording.heart.model)
+        model = self.recording.heart.model
+        touched = touched_points(scenario, model)
         result = register_frames(
             self.recording,
             self.frames,
@@ -59,9 +60,10 @@ class PreparedRegistration:
             clock=clock,
             warm=warm,
             landmarks=landmark_prior(scenario),
-            touched=None if surface is None else surface.points,
+            touched=touched,
             progress=progress,
         )
+        surface = None if touched is None else TouchedSurface(touched, model)
         return against_touched(result, landmark_fit(scenario), surface)
 
 

@@ -161,6 +161,7 @@ class ArrivedUltrasound:
                 clock=self.clock,
                 warm=request.warm,
                 landmarks=request.prior,
+                touched=request.touched,
             )
         except _FAILURES as error:
             return request.record(frames, failure=str(error))

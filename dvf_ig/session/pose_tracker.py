@@ -12,7 +12,7 @@ from dataclasses import replace
 from math import inf
 
 from dvf_ig.cardiac import RPeak
-from dvf_ig.core import FloatArray, PoseMotion, Rigid, WarpMotion
+from dvf_ig.core import FloatArray, PoseMotion, Rigid, TouchedPoints, WarpMotion
 from dvf_ig.registration import PoseEstimate, RegistrationResult, TipSighting
 from dvf_ig.registration.unfollowed_breathing import LEAST_BEATS
 
@@ -51,6 +51,7 @@ class PoseTracker:
         history: gets an entry for everything that happens.
         lag_s: t_tracker(event) = t_video + lag_s.
         breathing: learns from the beats; None if nothing follows the breath.
+        touched: points touched on the heart's surface before; None without any.
     """
 
     def __init__(
@@ -60,10 +61,11 @@ class PoseTracker:
         history: SessionHistory,
         lag_s: float = 0.0,
         breathing: BreathingTracker | None = None,
+        touched: TouchedPoints | None = None,
     ) -> None:
         self._use(NoPose())
         self.history = history
-        self._plan = RegistrationPlan(start)
+        self._plan = RegistrationPlan(start, touched)
         self._work = WorkQueue(source, lag_s)
         self._breathing = breathing
         self._recent: list[ComparableBeat] = []

@@ -7,7 +7,7 @@ from math import inf
 import numpy as np
 
 from dvf_ig.cardiac import RPeak
-from dvf_ig.core import InvalidInputError, Landmarks, Points, Rigid, Warp
+from dvf_ig.core import InvalidInputError, Landmarks, Points, Rigid, TouchedPoints, Warp
 from dvf_ig.registration import LandmarkPrior, pose_through, prior_from_landmarks
 
 from .events import Landmark
@@ -77,13 +77,14 @@ class RegistrationPlan:
 
     Args:
         start: coarse pose that the first registrations begin at; None takes that of touched landmarks.
+        touched: points touched on the heart's surface before.
     """
 
-    def __init__(self, start: Rigid | None) -> None:
+    def __init__(self, start: Rigid | None, touched: TouchedPoints | None = None) -> None:
         self.at_s = inf
         """When the next registration begins; infinite while none is planned."""
         self.landmarks = TouchedLandmarks()
-        self._start = start
+        self._start, self._touched = start, touched
         self._frames_from_s = -inf
         self._beat_pose: Rigid | None = None
         """The best pose of the last beat, from when one suspended the pose in use until a registration."""
@@ -99,7 +100,7 @@ class RegistrationPlan:
         if action.start is not None:
             self._beat_pose = action.start
         if action.forget_landmarks:
-            self.landmarks = self.landmarks.since(inf)
+            self.landmarks, self._touched = self.landmarks.since(inf), None
 
     def add_landmark(self, landmark: Landmark) -> None:
         """Use a landmark that was touched."""
@@ -118,12 +119,12 @@ class RegistrationPlan:
             self.at_s = now_s + RETRY_S
             return None
         if isinstance(pose, InUse) and now_s >= pose.confirmation.until_s:
-            self.landmarks = self.landmarks.since(pose.confirmation.confirmed_s)
+            self.landmarks, self._touched = self.landmarks.since(pose.confirmation.confirmed_s), None
         from_s = max(self._frames_from_s, now_s - MEMORY_S)
         prior = self.landmarks.prior
         if prior is not None and self._start is not None:
             prior = replace(prior, in_search=False)
-        return RegistrationRequest(from_s, now_s, *start, prior, peaks)
+        return RegistrationRequest(from_s, now_s, *start, prior, peaks, self._touched)
 
     def _start_pose(self, pose: Pose) -> tuple[Rigid, bool] | None:
         """Return where a registration begins, and whether that is relied on; None if nothing is known.

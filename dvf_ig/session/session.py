@@ -81,7 +81,7 @@ class Session:
         else:
             source = ultrasound(self._frames)
         lag_s = setup.calibrations.lag_s
-        self._pose = PoseTracker(source, setup.start, self.history, lag_s, self._breathing)
+        self._pose = PoseTracker(source, setup.start, self.history, lag_s, self._breathing, setup.touched)
         self._clock = HeartClock(setup.beat_source)
         self._sources = SourceClocks(setup.beat_source)
         self._tool = ToolTracker(setup.calibrations.tip)

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from dvf_ig.cardiac import RetimeMode
-from dvf_ig.core import Fan, ImageMap, InvalidInputError, Points, Rigid, Signal, TriggerTimes
+from dvf_ig.core import Fan, ImageMap, InvalidInputError, Points, Rigid, Signal, TouchedPoints, TriggerTimes
 from dvf_ig.core.space.frames import require_same_frame
 from dvf_ig.guidance import FORBIDDEN_SURFACE, DeviceLimits, FixtureSet
 
@@ -82,6 +82,7 @@ class SessionSetup:
         calibrations: tool tip, image and latency.
         beat_source: ECG or trigger, and what is known of it.
         start: coarse mr_from_tracker; None takes that of touched landmarks.
+        touched: points touched on the heart's surface before; None without any.
         fan: the insonified sector, where the scanner's geometry is known.
         fixtures: that act on the tool, and the device that renders them.
         retiming: how the beat is mapped to the model's cycle.
@@ -92,6 +93,7 @@ class SessionSetup:
     calibrations: CalibrationsInUse
     beat_source: BeatSource
     start: Rigid | None = None
+    touched: TouchedPoints | None = None
     fan: Fan | None = None
     fixtures: FixtureSet = FORBIDDEN_SURFACE
     retiming: RetimeMode = "two-segment"

@@ -56,6 +56,7 @@ class RegistrationRequest:
         start: pose to begin at; `warm` relies on it and skips displaced starts.
         prior: touched landmarks.
         peaks: R peaks that were known at the request.
+        touched: points touched on the heart's surface, as long as the patient has not moved.
     """
 
     from_s: float
@@ -64,6 +65,7 @@ class RegistrationRequest:
     warm: bool
     prior: LandmarkPrior | None
     peaks: tuple[RPeak, ...]
+    touched: TouchedPoints | None = None
 
     def record(
         self, frames: GatedFrames | None, result: RegistrationResult | None = None, failure: str | None = None

@@ -52,7 +52,7 @@ def live_setup(
     """
     from dvf_ig.intake.calibrations import calibrate
     from dvf_ig.intake.fit import require_live_fit
-    from dvf_ig.intake.start import landmarks_start, require_start, start_pose
+    from dvf_ig.intake.start import landmarks_start, require_start, start_pose, touched_points
     from dvf_ig.session import EcgSource, SessionSetup, build_heart
 
     begin, preop = files.start, files.heart
@@ -71,6 +71,7 @@ def live_setup(
         used,
         EcgSource(files.required_live.ecg.rate_hz),
         start=None if by_landmarks else start,
+        touched=touched_points(begin, heart.model),
         fan=files.fan,
         fixtures=fixtures,
         retiming=retiming,
