@@ -12,6 +12,11 @@ from .displacement import random_displacement
 
 LANDMARK_RMS_MM = 3.0
 """RMS 3-D error of a touched landmark; each axis has an SD of this over √3."""
+STYLUS_RMS_MM = 0.7
+"""RMS 3-D error of a point of the surface under a calibrated stylus."""
+OPENED, FRONT_SHARE = np.array([0.5, -0.84, -0.2]), 0.2
+"""Direction (LPS) from the heart's middle to the opening of the chest, and the least cosine between it and
+that to a place that can be touched."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,6 +72,22 @@ def touched_landmarks(landmarks_mr: Landmarks, mr_from_tracker: Rigid, rng: np.r
     exact = mr_from_tracker.inverse().apply(landmarks_mr.points).xyz_mm
     error = rng.standard_normal(exact.shape) * (LANDMARK_RMS_MM / np.sqrt(3))
     return Landmarks(landmarks_mr.names, Points("tracker", exact + error))
+
+
+def touched_surface(
+    vertices_mm: FloatArray, count: int, mr_from_tracker: Rigid, rng: np.random.Generator
+) -> Points | None:
+    """Simulate the touching of places of the surface that an open chest shows; None if there are none.
+
+    Args:
+        vertices_mm: (n, 3) of the patient's epicardium at end-diastole, frame "mr".
+    """
+    if not count:
+        return None
+    away = vertices_mm - vertices_mm.mean(axis=0)
+    front = np.flatnonzero(away @ OPENED > FRONT_SHARE * np.linalg.norm(away, axis=1))
+    exact = mr_from_tracker.inverse().apply_array(vertices_mm[rng.choice(front, count)])
+    return Points("tracker", exact + rng.standard_normal(exact.shape) * (STYLUS_RMS_MM / np.sqrt(3)))
 
 
 def coarse_start(

@@ -54,6 +54,7 @@ class Preset:
         video_jitter_s: SD of the instants at which images are taken, about the regular grid.
         video_drift_ppm: drift by which the video clock is slower than the tracker's.
         start_mm, start_deg: error of the coarse start.
+        touched: number of points touched over the front of the heart, at end-diastole.
         respiration: breathing; none by default, as with high-frequency ventilation.
     """
 
@@ -98,6 +99,7 @@ class Preset:
     video_drift_ppm: float = 0.0
     start_mm: float = 10.0
     start_deg: float = 8.0
+    touched: int = 0
     respiration: BreathSpec = field(default_factory=BreathSpec)
 
     def __post_init__(self) -> None:
@@ -151,6 +153,9 @@ PRESETS: dict[str, Preset] = {
     ),
     "tool-unseen": Preset(looks=LookSpec(for_s=3.0)),
     "deformed": Preset(mismatch_mm=5.0, surgery=SurgicalChange(retraction_mm=8.0, load_mm=2.5)),
+    "deformed-touched": Preset(
+        mismatch_mm=5.0, surgery=SurgicalChange(retraction_mm=8.0, load_mm=2.5), touched=60
+    ),
     "other-motion": Preset(contraction=(0.6, 1.3)),
     "still-wall": Preset(still_mm=50.0),
     "ventilated": Preset(respiration=BreathSpec("ventilated", excursion_mm=10.0)),
@@ -183,6 +188,7 @@ tool-elsewhere: the same with the calibrations of wrong-calibration.
 tool-unseen: the same looks, at a tool that images do not show.
 deformed: a retractor presses the free wall in by 8 mm, the heart is fuller (2.5 mm), and its shape differs by
     5 mm RMS from that in the MR.
+deformed-touched: the same, with 60 points touched over the front of the heart before.
 other-motion: the heart contracts 0.6 (even seeds) or 1.3 times (odd) as far as in the MR.
 still-wall: a region half-way up the left ventricle's free wall, moving in the MR, stands still; 23 mm from
     its middle it moves by half.

@@ -39,7 +39,7 @@ from dvf_ig.core import (
     ToolTruth,
 )
 
-from .ground_truth import coarse_start, touched_landmarks
+from .ground_truth import coarse_start, touched_landmarks, touched_surface
 from .live import tool_task, tracked_tool, tracked_ultrasound
 from .presets import ScenarioSpec
 from .world import World, make_world
@@ -307,6 +307,12 @@ def _assembled(
         start=start if with_start else None,
         landmarks_mr=landmarks,
         landmarks_tracker=touched_landmarks(landmarks, truth.mr_from_tracker, world.rng("landmarks")),
+        touched=touched_surface(
+            anatomy.surface_vertices(0.0),
+            options.touched,
+            truth.mr_from_tracker,
+            world.rng("touched"),
+        ),
         seed=spec.seed,
         tool_after_restart=tool_after_restart,
         **_breathing_recorded(world),

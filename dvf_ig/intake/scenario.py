@@ -59,6 +59,7 @@ class FilesConfig(Section):
     start: str | None = None
     landmarks_mr: str | None = None
     landmarks_tracker: str | None = None
+    touched: str | None = None
     respiration: str | None = None
     ventilator: str | None = None
     chest: str | None = None
@@ -162,7 +163,10 @@ def _session(config: ScenarioConfig, folder: Path, *, with_truth: bool) -> schem
             tip=schema.PivotConfig(pivot=files.pivot),
         ),
         start=schema.StartConfig(
-            transform=files.start, landmarks_mr=files.landmarks_mr, landmarks_tracker=files.landmarks_tracker
+            transform=files.start,
+            landmarks_mr=files.landmarks_mr,
+            landmarks_tracker=files.landmarks_tracker,
+            touched=files.touched,
         ),
         fixtures=files.fixtures,
         truth=TRUTH if with_truth else None,

@@ -11,7 +11,14 @@ from dvf_ig.core import CycleTiming, NWireRecording, PoseStream, Rigid, Signal, 
 from dvf_ig.core.errors import InvalidInputError
 from dvf_ig.core.recordings.scenario import LatencyRecording, Preop, Scenario
 from dvf_ig.guidance import FixtureSet
-from dvf_ig.io import write_ecg_csv, write_json, write_landmarks, write_model, write_surface_series
+from dvf_ig.io import (
+    write_ecg_csv,
+    write_json,
+    write_landmarks,
+    write_model,
+    write_points,
+    write_surface_series,
+)
 from dvf_ig.io.ecg.trigger import TRIGGER_PREFIX, write_triggers
 from dvf_ig.io.image.timing import timing_document
 from dvf_ig.io.image.volume import write_volume, write_volume_series
@@ -109,6 +116,8 @@ def write_scenario(scenario: Scenario, folder: Path | str, notes: ScenarioNotes 
             write_landmarks(scenario.landmarks_mr, new / files.landmarks_mr)
         if scenario.landmarks_tracker is not None and files.landmarks_tracker is not None:
             write_landmarks(scenario.landmarks_tracker, new / files.landmarks_tracker)
+        if scenario.touched is not None and files.touched is not None:
+            write_points(scenario.touched, new / files.touched)
         if scenario.truth is not None:
             write_truth(scenario.truth, new / TRUTH)
         write_text(new / CONFIG, config_text(config))
@@ -156,6 +165,7 @@ def _config(scenario: Scenario) -> ScenarioConfig:
             landmarks_tracker="landmarks_tracker.mrk.json"
             if scenario.landmarks_tracker is not None
             else None,
+            touched="touched.csv" if scenario.touched is not None else None,
             **_breathing_files(scenario),
         ),
     )
@@ -306,6 +316,8 @@ def _rows(scenario: Scenario) -> list[tuple[str, str, str, str]]:
         rows.append(("`landmarks_mr.mrk.json`", "points on the pre-operative heart", "mr", ""))
     if scenario.landmarks_tracker is not None:
         rows.append(("`landmarks_tracker.mrk.json`", "the same points, touched", "tracker", ""))
+    if scenario.touched is not None:
+        rows.append(("`touched.csv`", "points touched on the surface at end-diastole", "tracker", ""))
     if scenario.ventilator is not None:
         channels = ", ".join(scenario.ventilator.leads)
         rows.append(("`ventilator.csv`", f"channels of the ventilator: {channels}", "", "tracker"))

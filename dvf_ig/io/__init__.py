@@ -76,6 +76,7 @@ from .plus.xml import read_coordinate_definitions as read_coordinate_definitions
 from .plus.xml import write_coordinate_definitions as write_coordinate_definitions
 from .plus.xml import write_registration as write_registration
 from .points_file import read_points as read_points
+from .points_file import write_points as write_points
 from .provenance import provenance_fields as provenance_fields
 from .transform import read_transform as read_transform
 from .transform import write_transform as write_transform

@@ -1,4 +1,4 @@
-"""Read points for evaluation: a table of x, y, z, or a list of points from 3D Slicer."""
+"""Points without names: a table of x, y, z, which is written too, or a list of points from 3D Slicer."""
 
 import logging
 import re
@@ -14,6 +14,7 @@ from .landmarks import LANDMARK_ENDINGS, named_points
 from .number_table import read_number_table, scaled
 from .reading import reading
 from .table_text import MM_IN
+from .writing.atomic import write_text
 
 log = logging.getLogger(__name__)
 
@@ -46,6 +47,16 @@ def read_points(path: Path | str, frame: str) -> Points:
     if not len(xyz_mm):
         raise UnreadableFileError(f"{path} holds no points; needed x, y, z in mm of at least one")
     return Points(frame, xyz_mm)
+
+
+def write_points(points: Points, path: Path | str) -> None:
+    """Write a table of x, y, z in LPS, mm, which `read_points` gives back exactly.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    rows = [",".join(map(repr, row)) for row in points.xyz_mm.tolist()]
+    write_text(Path(path), "\n".join(["x_mm,y_mm,z_mm", *rows, ""]))
 
 
 def _from_table(path: Path) -> FloatArray:

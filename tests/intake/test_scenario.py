@@ -15,6 +15,7 @@ from toy_ball import structure
 from dvf_ig.core import (
     InvalidInputError,
     OutputError,
+    Points,
     Preop,
     Respiration,
     Scenario,
@@ -38,6 +39,14 @@ def test_round_trip_is_exact(
     folder = tmp_path_factory.mktemp("case") / "scenario"
     write_scenario(scenario, folder)
     assert_same(read_scenario(folder), scenario)
+
+
+def test_touched_points_come_back_exactly(tmp_path: Path, make_scenario: Make, assert_same: Same) -> None:
+    surface_mm = np.random.default_rng(3).normal([700.0, 0.0, -200.0], 40.0, (25, 3))
+    scenario = replace(make_scenario(2), touched=Points("tracker", surface_mm))
+    write_scenario(scenario, tmp_path / "s", ScenarioNotes())
+    assert_same(read_scenario(tmp_path / "s"), scenario)
+    assert "touched.csv" in (tmp_path / "s" / "README.md").read_text()
 
 
 def test_a_restarted_tool_clock_is_in_the_file_and_readers_leave_it_out(

@@ -76,6 +76,7 @@ CHANGED = {
     "tool-elsewhere": {"probe", "images", "nwire", "latency"},
     "tool-unseen": {"probe"},
     "deformed": set(),
+    "deformed-touched": set(),
     "other-motion": set(),
     "still-wall": set(),
     "ventilated": {"ecg", "contact", "tool"},

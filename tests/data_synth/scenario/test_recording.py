@@ -256,3 +256,16 @@ def test_recordings_of_an_imaged_heart_differ_by_their_mismatch_alone() -> None:
     )
     with pytest.raises(InvalidInputError, match="another heart"):
         imaged.of(ScenarioSpec(seed=6))
+
+
+@pytest.mark.usefixtures("on_a_ball")
+def test_points_are_touched_on_the_front_of_the_patients_heart() -> None:
+    scenario = phantom_scenario(ScenarioSpec("deformed-touched", seconds=10.0))
+    assert scenario.truth is not None
+    assert scenario.touched is not None
+    surface_mm = scenario.truth.surface.vertices_mm[0]
+    touched_mm = scenario.truth.mr_from_tracker_at(0.0).apply(scenario.touched).xyz_mm
+    assert len(touched_mm) == 60
+    apart_mm = np.linalg.norm(touched_mm[:, None] - surface_mm, axis=2).min(axis=1)
+    assert np.sqrt(np.mean(apart_mm**2)) < 1.0
+    assert (touched_mm - surface_mm.mean(axis=0))[:, 1].mean() < 0.0  # LPS: in front
