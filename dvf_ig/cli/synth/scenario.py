@@ -15,7 +15,8 @@ if TYPE_CHECKING:
 PRESET_NAMES = (
     "calm, tachycardia, ectopy, line-of-sight-loss, probe-slip, patient-shift, poor-image, "
     "wrong-calibration, lost-ultrasound, noise-ultrasound, black-ultrasound, frozen-ultrasound, frozen-tool, "
-    "tool-clock-restart, late-ecg, tool-in-view, tool-elsewhere, tool-unseen, deformed, other-motion, "
+    "tool-clock-restart, late-ecg, tool-in-view, tool-elsewhere, tool-unseen, deformed, "
+    "deformed-touched, other-motion, "
     "still-wall, ventilated, breathing, unrecorded-breathing, atrial"
 )
 """Names written out, as the synthetic world is loaded only to make a scenario."""

@@ -82,7 +82,7 @@ class Halves:
     Attributes:
         held_out: misfit of each half by the change that the other shows, over that by the rigid heart; below
             1 if the change explains it better.
-        apart_mm: RMS distance between the seen walls by either, along their normals.
+        apart_mm: RMS distance between the walls in images by either, along their normals.
     """
 
     held_out: float
@@ -308,7 +308,7 @@ def _halves(problem: ShapeProblem, some: BoolArray, best: ShapePosterior, noise:
         fit = half.fit(best.scale_mm, noise, best)
         changed += other.misfit(fit)
         shifts.append(problem.shift_mm(fit))
-    return Halves(changed / rigid, _rms(shifts[0] - shifts[1]))
+    return Halves(changed / rigid, _rms((shifts[0] - shifts[1])[~problem.touched]))
 
 
 def _change(

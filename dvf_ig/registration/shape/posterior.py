@@ -162,6 +162,7 @@ class ShapeProblem:
             organ.
         model_phase: (n,) when in the model's cycle each was seen.
         level: about which o and τ are counted.
+        touched: (n,) True for points that were touched, which no image shows.
     """
 
     def __init__(
@@ -216,7 +217,7 @@ class ShapeProblem:
         self._modes = modes.at(feet, count)
         self._left_out = _left_out(modes, feet, gradient[near], self._modes)
         self._shared = shared_error(oriented.points[near])
-        self._touched = np.zeros(len(self.places_mm), dtype=np.bool_)
+        self.touched = np.zeros(len(self.places_mm), dtype=np.bool_)
         self._organ: DistanceSplines | None = None
         if seen.touched is not None and seen.organ is not None:
             self._touch(seen.touched, seen.organ, pose, modes, about)
@@ -249,7 +250,7 @@ class ShapeProblem:
             "_motion": rigid_motion(places, modes.center_mm),
             "_modes": at_feet,
             "_left_out": _left_out(modes, places - distance[near, None] * unit, gradient[near], at_feet),
-            "_touched": np.ones(count, dtype=np.bool_),
+            "touched": np.ones(count, dtype=np.bool_),
         }
         for name, of_points in added.items():
             setattr(self, name, np.concatenate([getattr(self, name), of_points]))
@@ -271,7 +272,7 @@ class ShapeProblem:
         if self._organ is None:
             return _distance(self._splines, places_mm, phases)
         distance, gradient = np.empty(len(places_mm)), np.empty((len(places_mm), 3))
-        for splines, some in ((self._splines, ~self._touched), (self._organ, self._touched)):
+        for splines, some in ((self._splines, ~self.touched), (self._organ, self.touched)):
             distance[some], gradient[some] = _distance(splines, places_mm[some], phases[some])
         return distance, gradient
 
