@@ -255,7 +255,7 @@ def test_a_heart_of_another_shape_is_refused_by_name(
     change = ShapeChange(
         followed_shape(warp), 3.0, 90.0, seen_mm, "left", 4.04, 0.3, shared, Halves(0.5, 0.4)
     )
-    monkeypatch.setattr(register_module, "_change_of_shape", lambda problem, fused, coverage: change)
+    monkeypatch.setattr(register_module, "_change_of_shape", lambda problem, fused, coverage, touched: change)
     result = _register(_levels(speckle=0.3), toy_pose(), options=RegistrationOptions(starts=0))
     assert result.stop is stop
     assert result.shape is change
@@ -297,7 +297,7 @@ def test_a_part_of_a_heart_that_has_clearly_changed_is_refused_and_never_followe
     problem: Any = SimpleNamespace(boundary_at=lambda pose: "seen", heart=heart, center_mm=CENTER_MM)
     coverage = Coverage(imaged, np.full(3, np.nan), np.zeros((1, 3)))
     fused: Any = SimpleNamespace(boundary=SimpleNamespace(offset_mm=0.0), pose=toy_pose())
-    change = register_module._change_of_shape(problem, fused, coverage)
+    change = register_module._change_of_shape(problem, fused, coverage, None)
     if beyond < 0.0:
         assert change is None, "breath-holds shift slices, which looks like a change"
         return
