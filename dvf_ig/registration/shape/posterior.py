@@ -237,8 +237,8 @@ class ShapeProblem:
         unit = gradient / np.maximum(np.linalg.norm(gradient, axis=1, keepdims=True), 1e-6)
         near = (np.abs(distance) < REACH_MM) & (unit != 0.0).any(axis=1)
         places, phases, unit = places[near], phases[near], unit[near]
-        count = len(places)
-        at_feet = modes.at(places - distance[near, None] * unit, self._modes.shape[2])
+        count, feet = len(places), places - distance[near, None] * unit
+        at_feet = modes.at(feet, self._modes.shape[2])
         added: dict[str, FloatArray | IntArray | BoolArray] = {
             "places_mm": places,
             "outward": -unit,
@@ -249,7 +249,7 @@ class ShapeProblem:
             "_weight": np.full(count, (NOISE_MM / touched.sigma_mm) ** 2),
             "_motion": rigid_motion(places, modes.center_mm),
             "_modes": at_feet,
-            "_left_out": _left_out(modes, places - distance[near, None] * unit, gradient[near], at_feet),
+            "_left_out": _left_out(modes, feet, gradient[near], at_feet),
             "touched": np.ones(count, dtype=np.bool_),
         }
         for name, of_points in added.items():
