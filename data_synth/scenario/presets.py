@@ -1,6 +1,6 @@
 """Named presets of synthetic interventions: rhythm, disturbances and errors."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import get_args
 
 from data_synth.breathing.breaths import BreathSpec
@@ -120,6 +120,8 @@ class Preset:
             raise InvalidInputError("the coarse start's offset or the video's jitter is negative")
 
 
+DEFORMED = Preset(mismatch_mm=5.0, surgery=SurgicalChange(retraction_mm=8.0, load_mm=2.5))
+
 PRESETS: dict[str, Preset] = {
     "calm": Preset(),
     "tachycardia": Preset(rhythm=RhythmSpec(rate_bpm=((8.0, 60.0), (52.0, 120.0)))),
@@ -152,10 +154,8 @@ PRESETS: dict[str, Preset] = {
         other_probe_deg=4.0,
     ),
     "tool-unseen": Preset(looks=LookSpec(for_s=3.0)),
-    "deformed": Preset(mismatch_mm=5.0, surgery=SurgicalChange(retraction_mm=8.0, load_mm=2.5)),
-    "deformed-touched": Preset(
-        mismatch_mm=5.0, surgery=SurgicalChange(retraction_mm=8.0, load_mm=2.5), touched=60
-    ),
+    "deformed": DEFORMED,
+    "deformed-touched": replace(DEFORMED, touched=60),
     "other-motion": Preset(contraction=(0.6, 1.3)),
     "still-wall": Preset(still_mm=50.0),
     "ventilated": Preset(respiration=BreathSpec("ventilated", excursion_mm=10.0)),

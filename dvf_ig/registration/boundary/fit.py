@@ -30,7 +30,6 @@ from dvf_ig.kernels.boundary import (
     SQUARES,
     SUMS,
     UNKNOWNS,
-    DistanceSplines,
     OrientedPoints,
     boundary_residuals,
     boundary_step_sums,
@@ -85,7 +84,7 @@ class BoundaryProblem:
         self.points = OrientedPoints(
             points.points_mm, points.normals, points.weights, target.nearest_phase(points.model_phase)
         )
-        self.splines = DistanceSplines(target.coefficients, target.knots_from_mm, target.polarity)
+        self.splines = target.splines
         self.center_mm = np.array(center_mm, dtype=np.float64)
         self.total = float(points.weights.sum())
 

@@ -25,7 +25,7 @@ from dvf_ig.core import (
     read_only_arrays,
 )
 from dvf_ig.core.progress import thread_pool
-from dvf_ig.kernels.boundary import foot_point_distance
+from dvf_ig.kernels.boundary import DistanceSplines, boundary_distances, foot_point_distance
 from dvf_ig.kernels.compiled import thread_count
 from dvf_ig.registration.lc2.channels import BLOOD
 
@@ -54,9 +54,20 @@ class BoundaryTarget:
     fractions: FloatArray
     polarity: float
 
+    def distance(self, places_mm: FloatArray, phases: IntArray) -> tuple[FloatArray, FloatArray]:
+        """(n,) signed distance, mm, and (n, 3) its gradient at places, each at a phase; 0 outside the box."""
+        distance, gradient = np.empty(len(places_mm)), np.empty((len(places_mm), 3))
+        boundary_distances(self.splines, phases, places_mm, distance, gradient)
+        return distance, gradient
+
     def nearest_phase(self, model_phase: FloatArray) -> IntArray:
         """(n,) index of the phase nearest in the cycle."""
         return nearest_phase(self.fractions, model_phase)
+
+    @property
+    def splines(self) -> DistanceSplines:
+        """The distance as kernels evaluate it."""
+        return DistanceSplines(self.coefficients, self.knots_from_mm, self.polarity)
 
     @property
     def rest(self) -> int:

@@ -17,7 +17,6 @@ import numpy as np
 
 from dvf_ig.core import FloatArray, Rigid, Warp, read_only_arrays
 from dvf_ig.core.space.warp import CELLS, knots
-from dvf_ig.kernels.boundary import DistanceSplines, boundary_distances
 from dvf_ig.kernels.warp import LARGEST_MM2
 from dvf_ig.registration.boundary.fit import Boundary
 from dvf_ig.registration.boundary.points import BoundaryPoints
@@ -307,10 +306,9 @@ def _beaten_at_knots_mm(target: BoundaryTarget, center_mm: tuple[float, ...]) ->
 def _beaten_mm(target: BoundaryTarget, places_mm: FloatArray) -> FloatArray:
     """(n,) how far the distance of the boundary changes most over the cycle at (n, 3) places."""
     inner = _within_box(target, places_mm)
-    splines = DistanceSplines(target.coefficients, target.knots_from_mm, target.polarity)
-    distance, gradient = np.empty((len(target.fractions), len(inner))), np.empty((len(inner), 3))
-    for phase, of_phase in enumerate(distance):
-        boundary_distances(splines, np.full(len(inner), phase), inner, of_phase, gradient)
+    distance = np.stack(
+        [target.distance(inner, np.full(len(inner), phase))[0] for phase in range(len(target.fractions))]
+    )
     return np.asarray(np.abs(distance - distance[target.rest]).max(axis=0))
 
 
@@ -343,9 +341,7 @@ def _walls_mm(target: BoundaryTarget) -> FloatArray:
 def _outward(target: BoundaryTarget, places_mm: FloatArray, center_mm: FloatArray) -> FloatArray:
     """(n, 3) normals of the first phase's boundary nearest to places, or away from the centre without one."""
     inside = _within_box(target, places_mm)
-    distance, gradient = np.empty(len(inside)), np.empty((len(inside), 3))
-    splines = DistanceSplines(target.coefficients, target.knots_from_mm, target.polarity)
-    boundary_distances(splines, np.zeros(len(inside), dtype=np.int64), inside, distance, gradient)
+    _, gradient = target.distance(inside, np.zeros(len(inside), dtype=np.int64))
     away = places_mm - center_mm
     length = np.linalg.norm(gradient, axis=1, keepdims=True)
     normals = np.where(length > 0.2, target.polarity * gradient, away)

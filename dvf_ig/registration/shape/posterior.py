@@ -26,7 +26,6 @@ from scipy.sparse import csr_array, vstack
 from scipy.spatial import cKDTree
 
 from dvf_ig.core import BoolArray, FloatArray, IntArray, Rigid, TouchedPoints, read_only_arrays
-from dvf_ig.kernels.boundary import DistanceSplines, boundary_distances
 from dvf_ig.registration.boundary.fit import Boundary, BoundaryProblem
 from dvf_ig.registration.boundary.points import edges_of_model_mm
 from dvf_ig.registration.boundary.target import BoundaryTarget
@@ -183,13 +182,10 @@ class ShapeProblem:
         boundary, offset_mm, pose = seen.boundary, seen.offset_mm, seen.pose
         few = boundary.points.subsampled(POINTS)
         oriented = BoundaryProblem(Boundary(few, boundary.target), modes.center_mm).points
-        self._splines = DistanceSplines(
-            boundary.target.coefficients, boundary.target.knots_from_mm, boundary.target.polarity
-        )
-        self._rest = boundary.target.rest
+        self._target = boundary.target
         places, phases = pose.apply_array(oriented.points), oriented.phases
         pulled = _pulled(places, modes, about)
-        distance, gradient = _distance(self._splines, pulled, phases)
+        distance, gradient = self._target.distance(pulled, phases)
         length = np.maximum(np.linalg.norm(gradient, axis=1, keepdims=True), 1e-6)
         unit = gradient / length
         outward = boundary.target.polarity * unit
@@ -197,7 +193,9 @@ class ShapeProblem:
         agreement = np.einsum("ni,ni->n", normals, outward)
         near = (np.abs(distance - offset_mm) < REACH_MM) & (agreement > 0.0)
         foot = -np.where(near, distance / length[:, 0], 0.0)[:, None] * unit
-        edge = edges_of_model_mm(self._splines, pulled + foot, normals, few.planes @ pose.rotation.T, phases)
+        edge = edges_of_model_mm(
+            self._target.splines, pulled + foot, normals, few.planes @ pose.rotation.T, phases
+        )
         near &= np.isfinite(edge)
         self.places_mm, self.outward = places[near], outward[near]
         self.model_phase, self._phases = few.model_phase[near], phases[near]
@@ -207,7 +205,7 @@ class ShapeProblem:
         thin -= mean
         self._offsets = agreement[near, None] * np.column_stack([np.ones(len(thin)), thin])
         at_edge = pulled + foot + np.nan_to_num(edge)[:, None] * normals
-        self._edge_mm = _distance(self._splines, at_edge[near], self._phases)[0]
+        self._edge_mm = self._target.distance(at_edge[near], self._phases)[0]
         middle_mm = float(np.median(self._edge_mm)) if near.any() else 0.0
         self.level = Level(offset_mm - middle_mm, mean) if level is None else level
         self._weight = oriented.weights[near] * agreement[near]
@@ -218,7 +216,7 @@ class ShapeProblem:
         self._left_out = _left_out(modes, feet, gradient[near], self._modes)
         self._shared = shared_error(oriented.points[near])
         self.touched = np.zeros(len(self.places_mm), dtype=np.bool_)
-        self._organ: DistanceSplines | None = None
+        self._organ: BoundaryTarget | None = None
         if seen.touched is not None and seen.organ is not None:
             self._touch(seen.touched, seen.organ, pose, modes, about)
 
@@ -231,9 +229,9 @@ class ShapeProblem:
         about: ShapePosterior | None,
     ) -> None:
         """Add points touched on the organ, which no image shows."""
-        self._organ = DistanceSplines(organ.coefficients, organ.knots_from_mm, organ.polarity)
+        self._organ = organ
         places, phases = pose.apply(touched.points).xyz_mm, organ.nearest_phase(touched.model_phase)
-        distance, gradient = _distance(self._organ, _pulled(places, modes, about), phases)
+        distance, gradient = organ.distance(_pulled(places, modes, about), phases)
         unit = gradient / np.maximum(np.linalg.norm(gradient, axis=1, keepdims=True), 1e-6)
         near = (np.abs(distance) < REACH_MM) & (unit != 0.0).any(axis=1)
         places, phases, unit = places[near], phases[near], unit[near]
@@ -263,17 +261,17 @@ class ShapeProblem:
         """Keep some of the points."""
         some = copy(self)
         for name, of_points in vars(self).items():
-            if name not in ("_splines", "_organ", "_rest", "level"):
+            if name not in ("_target", "_organ", "level"):
                 setattr(some, name, of_points[keep])
         return some
 
     def _distances(self, places_mm: FloatArray, phases: IntArray) -> tuple[FloatArray, FloatArray]:
-        """As `_distance`, of the boundary, and of the organ for points that were touched."""
+        """As `BoundaryTarget.distance`: of the boundary, and of the organ for points that were touched."""
         if self._organ is None:
-            return _distance(self._splines, places_mm, phases)
+            return self._target.distance(places_mm, phases)
         distance, gradient = np.empty(len(places_mm)), np.empty((len(places_mm), 3))
-        for splines, some in ((self._splines, ~self.touched), (self._organ, self.touched)):
-            distance[some], gradient[some] = _distance(splines, places_mm[some], phases[some])
+        for target, some in ((self._target, ~self.touched), (self._organ, self.touched)):
+            distance[some], gradient[some] = target.distance(places_mm[some], phases[some])
         return distance, gradient
 
     def fit(
@@ -391,7 +389,7 @@ class ShapeProblem:
         distance, gradient = self._distances(pulled, self._phases)
         moved = np.zeros((len(distance), len(contraction)))
         if len(contraction):
-            at_rest, gradient_at_rest = self._distances(pulled, np.full_like(self._phases, self._rest))
+            at_rest, gradient_at_rest = self._distances(pulled, np.full_like(self._phases, self._target.rest))
             moved[:, 0] = distance - at_rest
             distance = distance + contraction[0] * moved[:, 0]
             gradient = gradient + contraction[0] * (gradient - gradient_at_rest)
@@ -414,15 +412,6 @@ def _pulled(places_mm: FloatArray, modes: ShapeModes, about: ShapePosterior | No
     return moved - modes.displacement(places_mm, about.state[FIXED:])
 
 
-def _distance(
-    splines: DistanceSplines, places_mm: FloatArray, phases: IntArray
-) -> tuple[FloatArray, FloatArray]:
-    """(n,) distance of a boundary and (n, 3) its gradient, 0 outside the splines."""
-    distance, gradient = np.empty(len(places_mm)), np.empty((len(places_mm), 3))
-    boundary_distances(splines, phases, places_mm, distance, gradient)
-    return distance, gradient
-
-
 def _left_out(
     modes: ShapeModes, feet_mm: FloatArray, gradient: FloatArray, of_modes: FloatArray
 ) -> FloatArray:
@@ -435,9 +424,7 @@ def _depth_mm(organ: BoundaryTarget | None, model_phase: FloatArray, places_mm: 
     """(n,) depth of (n, 3) places within an organ at (n,) phases; infinite without one."""
     if organ is None:
         return np.full(len(places_mm), np.inf)
-    distance, gradient = np.empty(len(places_mm)), np.empty((len(places_mm), 3))
-    splines = DistanceSplines(organ.coefficients, organ.knots_from_mm, organ.polarity)
-    boundary_distances(splines, organ.nearest_phase(model_phase), places_mm, distance, gradient)
+    distance, gradient = organ.distance(places_mm, organ.nearest_phase(model_phase))
     return np.asarray(distance / np.maximum(np.linalg.norm(gradient, axis=1), 0.5))
 
 
